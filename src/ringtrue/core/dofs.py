@@ -1,0 +1,111 @@
+"""Labelled, signed degrees of freedom: the text form is `101+Z`, `101-RX`, or `7` for a scalar point."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.errors import InputError
+
+NAMES = ("", "X", "Y", "Z", "RX", "RY", "RZ")
+_TEXT = re.compile(r"(\d+)(?:([+-]?)(R?[XYZ]))?")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DofSet:
+    """An ordered set of degrees of freedom.
+
+    Attributes
+    ----------
+    node : (n,) int64
+    direction : (n,) int8
+        ±1..±3 translations, ±4..±6 rotations, 0 a scalar point.
+
+    Raises
+    ------
+    InputError
+        If a direction is not in -6..6 or a degree of freedom occurs twice (whatever its sign).
+    """
+
+    node: Int
+    direction: Int
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, node=np.int64, direction=np.int8)
+        if self.node.shape != self.direction.shape or self.node.ndim != 1:
+            raise InputError(f"node {self.node.shape} and direction {self.direction.shape} must be equal (n,)")
+        if self.direction.size and np.abs(self.direction).max() > 6:
+            raise InputError(f"direction {int(np.abs(self.direction).max())}: allowed are -6..6")
+        key = self.key
+        if np.unique(key).size != key.size:
+            values, count = np.unique(key, return_counts=True)
+            twice = int(values[count > 1][0])
+            raise InputError(f"DOF {twice // 8}{'+' + NAMES[twice % 8] if twice % 8 else ''} occurs twice")
+
+    @property
+    def key(self) -> Int:
+        """(n,) int64, one number for a node and an unsigned direction."""
+        return self.node * 8 + np.abs(self.direction).astype(np.int64)
+
+    def __len__(self) -> int:
+        return int(self.node.size)
+
+    @classmethod
+    def parse(cls, labels: Iterable[str]) -> DofSet:
+        """Read text forms such as `101+Z`.
+
+        Raises
+        ------
+        InputError
+            On a text that is not a degree of freedom.
+        """
+        node, direction = [], []
+        for text in labels:
+            m = _TEXT.fullmatch(text.strip().upper())
+            if not m:
+                raise InputError(f"{text!r} is not a DOF; allowed are forms like 101+Z, 101-RX, 7")
+            node.append(int(m[1]))
+            direction.append((-1 if m[2] == "-" else 1) * NAMES.index(m[3] or ""))
+        return cls(np.array(node, dtype=np.int64), np.array(direction, dtype=np.int8))
+
+    def labels(self) -> tuple[str, ...]:
+        """The text forms, in order."""
+        return tuple(
+            str(n) if d == 0 else f"{n}{'+' if d > 0 else '-'}{NAMES[abs(d)]}"
+            for n, d in zip(self.node.tolist(), self.direction.tolist(), strict=True)
+        )
+
+    def find(self, node: Int, direction: Int) -> Int:
+        """Positions of (node, |direction|) in this set, (k,) int64, -1 where absent."""
+        key = self.key
+        order = np.argsort(key, kind="stable")
+        want = np.asarray(node, dtype=np.int64) * 8 + np.abs(np.asarray(direction, dtype=np.int64))
+        at = np.searchsorted(key[order], want).clip(max=max(len(self) - 1, 0))
+        if not len(self):
+            return np.full(want.shape, -1, dtype=np.int64)
+        found = order[at]
+        return np.where(key[found] == want, found, -1)
+
+    def align(self, other: DofSet) -> tuple[Int, Float]:
+        """Where the DOFs of `other` stand in this set, and with which relative sign.
+
+        Returns
+        -------
+        index : (len(other),) int64
+        sign : (len(other),) float64, ±1, so that `values[index] * sign` belongs to `other`
+
+        Raises
+        ------
+        InputError
+            If a DOF of `other` is not here; it is named.
+        """
+        index = self.find(other.node, other.direction)
+        if (index < 0).any():
+            lost = [other.labels()[i] for i in np.flatnonzero(index < 0)[:5]]
+            raise InputError(f"{int((index < 0).sum())} DOFs are not in the set, first {' '.join(lost)}")
+        sign = np.where(np.sign(self.direction[index]) * np.sign(other.direction) < 0, -1.0, 1.0)
+        return index, sign

@@ -1,0 +1,114 @@
+"""Modes: natural frequencies, damping ratios and shapes with their labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
+from ringtrue.core.dofs import DofSet
+from ringtrue.errors import InputError
+
+
+class Norm(StrEnum):
+    """How the shapes are scaled."""
+
+    MASS = "mass"  # unit modal mass
+    UNSCALED = "unscaled"  # output-only: no scale
+    MODAL_A = "unit modal A"  # complex: φᵀ(2sM + D)φ = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeSet:
+    """Modes in ascending frequency.
+
+    Attributes
+    ----------
+    frequencies : (m,) float64, Hz
+        f = sign(λ)·sqrt|λ|/2π for an undamped model; |s|/2π for a pole.
+    damping : (m,) float64
+        Fraction of critical damping; NaN where unknown, 0 for an undamped model.
+    shapes : (n, m) float64 or complex128
+    labels : DofSet or tuple of str
+        A degree of freedom (FE) or a channel id (test) for each row of `shapes`.
+    norm : Norm
+    source : str
+        What made it: a deck and solver, a record and method.
+    """
+
+    frequencies: Float
+    damping: Float
+    shapes: Any_
+    labels: DofSet | tuple[str, ...]
+    norm: Norm = Norm.UNSCALED
+    source: str = ""
+    confidence: Float = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        shapes = np.asarray(self.shapes)
+        freeze_fields(
+            self,
+            frequencies=np.float64,
+            damping=np.float64,
+            shapes=np.complex128 if np.iscomplexobj(shapes) else np.float64,
+        )
+        m = self.frequencies.size
+        if not np.size(self.confidence):
+            object.__setattr__(self, "confidence", np.ones(m))
+        freeze_fields(self, confidence=np.float64)
+        if not isinstance(self.labels, DofSet):
+            object.__setattr__(self, "labels", tuple(self.labels))
+            if len(set(self.labels)) != len(self.labels):
+                raise InputError("a channel occurs twice in a mode set")
+        if (
+            self.shapes.shape != (len(self.labels), m)
+            or self.damping.shape != (m,)
+            or self.confidence.shape != (m,)
+        ):
+            raise InputError(
+                f"{m} frequencies, damping {self.damping.shape}, shapes {self.shapes.shape}, "
+                f"{len(self.labels)} labels: shapes must be (labels, modes)"
+            )
+
+    def __len__(self) -> int:
+        return int(self.frequencies.size)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The row labels as text."""
+        return self.labels.labels() if isinstance(self.labels, DofSet) else self.labels
+
+    def take(self, modes: Sequence[int] | Int | slice) -> ModeSet:
+        """The chosen modes, in the given order."""
+        return replace(
+            self,
+            frequencies=self.frequencies[modes],
+            damping=self.damping[modes],
+            shapes=self.shapes[:, modes],
+            confidence=self.confidence[modes],
+        )
+
+    def band(self, low: float, high: float) -> ModeSet:
+        """The modes with low <= f <= high, Hz."""
+        return self.take(np.flatnonzero((self.frequencies >= low) & (self.frequencies <= high)))
+
+    def rows(self, channels: Sequence[str]) -> ModeSet:
+        """The chosen rows by label, in the given order.
+
+        Raises
+        ------
+        InputError
+            If a label is absent.
+        """
+        here = {c: i for i, c in enumerate(self.channels)}
+        lost = [c for c in channels if c not in here]
+        if lost:
+            raise InputError(f"channels not in {self.source or 'the mode set'}: {' '.join(lost[:8])}")
+        at = [here[c] for c in channels]
+        labels: DofSet | tuple[str, ...] = tuple(channels)
+        if isinstance(self.labels, DofSet):
+            labels = DofSet(self.labels.node[at], self.labels.direction[at])
+        return replace(self, shapes=self.shapes[at], labels=labels)

@@ -1,0 +1,50 @@
+"""Which mode of one set belongs to which of another, and why the rest have no partner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairing:
+    """A one-to-one assignment between modes of set A (test) and set B (model or second test).
+
+    Attributes
+    ----------
+    a, b : (k,) int64
+        Positions in A and B, ascending in A.
+    mac : (k,) float64, 0..1
+        Of the pair; of its subspace where `subspace` is true.
+    frequency_error : (k,) float64
+        (f_B − f_A)/f_A.
+    sign : (k,) float64
+        ±1, brings b to the phase of a.
+    subspace : (k,) bool
+        The pair belongs to a group of close modes that was treated as a subspace.
+    lone_a, lone_b : (u,) int64
+        Positions without a partner.
+    why_a, why_b : tuple of str
+        The reason for each.
+    """
+
+    a: Int
+    b: Int
+    mac: Float
+    frequency_error: Float
+    sign: Float
+    subspace: Bool
+    lone_a: Int
+    why_a: tuple[str, ...]
+    lone_b: Int
+    why_b: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        i, f = np.int64, np.float64
+        freeze_fields(self, a=i, b=i, mac=f, frequency_error=f, sign=f, subspace=np.bool_, lone_a=i, lone_b=i)
+
+    def __len__(self) -> int:
+        return int(self.a.size)

@@ -1,0 +1,107 @@
+"""Uncertain parameters of a model, in dimensionless form: x = 0 is the nominal model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.errors import InputError
+
+Scale = Literal["log", "linear"]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A field of a card: `Target("MAT1", 7, "E")`, `Target("PBUSH", 3, "K3")`."""
+
+    card: str
+    id: int
+    field: str
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One uncertain quantity: a common factor on the fields it targets.
+
+    The factor is a = exp(x) for scale "log" and a = 1 + x for "linear".
+
+    Attributes
+    ----------
+    name : str
+    targets : tuple of Target
+    lower, upper : float
+        Bounds of the factor a, 0 < lower < 1 < upper.
+    scale : {"log", "linear"}
+    std : float
+        Prior standard deviation of x.
+    """
+
+    name: str
+    targets: tuple[Target, ...]
+    lower: float = 0.1
+    upper: float = 10.0
+    scale: Scale = "log"
+    std: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.lower < 1 < self.upper:
+            raise InputError(f"parameter {self.name}: bounds {self.lower}, {self.upper} must enclose 1 and be > 0")
+        if not self.std > 0:
+            raise InputError(f"parameter {self.name}: std {self.std} must be > 0")
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """An ordered set of parameters; the vector x (p,) is dimensionless, 0 = nominal."""
+
+    parameters: tuple[Parameter, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", tuple(self.parameters))
+        names = self.names
+        if len(set(names)) != len(names):
+            raise InputError("two parameters have the same name")
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(p.name for p in self.parameters)
+
+    def take(self, at: Sequence[int]) -> ParameterSet:
+        """The chosen parameters, in the given order."""
+        return ParameterSet(tuple(self.parameters[i] for i in at))
+
+    def _log(self) -> list[bool]:
+        return [p.scale == "log" for p in self.parameters]
+
+    def factors(self, x: Float) -> Float:
+        """Factors a (p,) of the vector x (p,)."""
+        x = np.asarray(x, dtype=np.float64)
+        return np.where(self._log(), np.exp(np.where(self._log(), x, 0.0)), 1.0 + x)
+
+    def slope(self, x: Float) -> Float:
+        """da/dx (p,)."""
+        return np.where(self._log(), self.factors(x), 1.0)
+
+    def vector(self, factors: Float) -> Float:
+        """x (p,) of the factors a (p,)."""
+        a = np.asarray(factors, dtype=np.float64)
+        return np.where(self._log(), np.log(a), a - 1.0)
+
+    def bounds(self) -> tuple[Float, Float]:
+        """Lower and upper bound of x, each (p,)."""
+        return (
+            self.vector(np.array([p.lower for p in self.parameters])),
+            self.vector(np.array([p.upper for p in self.parameters])),
+        )
+
+    def std(self) -> Float:
+        """Prior standard deviation of x, (p,)."""
+        return np.array([p.std for p in self.parameters])

@@ -1,0 +1,125 @@
+"""Channels, time histories and frequency response functions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Complex, Float, freeze_fields
+from ringtrue.errors import DataError
+
+Quantity = Literal["acceleration", "velocity", "displacement", "force", "strain", "unknown"]
+FrfKind = Literal["receptance", "mobility", "accelerance"]
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One measured quantity.
+
+    Attributes
+    ----------
+    id : str
+        Unique, for instance `101+Z`.
+    quantity : str
+    unit : str
+        SI after import: `m/s^2`, `m/s`, `N`.
+    sensor : str
+        Serial number or type of the sensor.
+    """
+
+    id: str
+    quantity: Quantity = "unknown"
+    unit: str = ""
+    sensor: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimeHistory:
+    """Signals of one recorder.
+
+    Attributes
+    ----------
+    data : (channel, sample) float32 or float64, in the unit of each channel
+    rate : float, Hz
+    channels : tuple of Channel
+    source : str
+    """
+
+    data: Any_
+    rate: float
+    channels: tuple[Channel, ...]
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, data=None)
+        object.__setattr__(self, "channels", tuple(self.channels))
+        if self.data.ndim != 2 or self.data.shape[0] != len(self.channels):
+            raise DataError(f"data {self.data.shape} must be (channel, sample) with {len(self.channels)} channels")
+        if not (np.isfinite(self.rate) and self.rate > 0):
+            raise DataError(f"rate {self.rate} Hz: must be positive")
+
+    @property
+    def duration(self) -> float:
+        """Length, s."""
+        return float(self.data.shape[1] / self.rate)
+
+    def pick(self, ids: Sequence[str]) -> TimeHistory:
+        """The named channels, in the given order."""
+        here = {c.id: i for i, c in enumerate(self.channels)}
+        lost = [i for i in ids if i not in here]
+        if lost:
+            raise DataError(
+                f"{self.source}: no channel {' '.join(lost[:8])}; there are {' '.join(list(here)[:40])}"
+            )
+        at = [here[i] for i in ids]
+        return replace(self, data=self.data[at], channels=tuple(self.channels[i] for i in at))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrfSet:
+    """Frequency response functions.
+
+    Attributes
+    ----------
+    data : (freq, out, in) complex128, SI
+    freqs : (freq,) float64, Hz, equally spaced
+    outputs, inputs : tuple of Channel
+        The id of an input is a point and direction like that of an output: equal ids mark a driving point.
+    coherence : (freq, out, in) float64
+        NaN where unknown.
+    averages : (in,) float64
+        Hits or averages behind each column; NaN where unknown.
+    kind : str
+    window_decay : float, 1/s
+        Decay rate σ of an exponential window e^{-σt} on the responses, still in the data; 0 for none.
+    """
+
+    data: Complex
+    freqs: Float
+    outputs: tuple[Channel, ...]
+    inputs: tuple[Channel, ...]
+    coherence: Float
+    averages: Float
+    kind: FrfKind = "accelerance"
+    window_decay: float = 0.0
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, data=np.complex128, freqs=np.float64, coherence=np.float64, averages=np.float64)
+        object.__setattr__(self, "outputs", tuple(self.outputs))
+        object.__setattr__(self, "inputs", tuple(self.inputs))
+        want = (self.freqs.size, len(self.outputs), len(self.inputs))
+        if self.data.shape != want or self.coherence.shape != want:
+            raise DataError(
+                f"FRF data {self.data.shape}, coherence {self.coherence.shape}: must be (freq, out, in) = {want}"
+            )
+        if not np.isfinite(self.data).all():
+            raise DataError(f"{self.source or 'FRF'}: {int((~np.isfinite(self.data)).sum())} values are not finite")
+
+    def driving_points(self) -> list[tuple[int, int]]:
+        """(output, input) positions with equal ids."""
+        at = {c.id: i for i, c in enumerate(self.outputs)}
+        return [(at[c.id], j) for j, c in enumerate(self.inputs) if c.id in at]

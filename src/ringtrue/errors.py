@@ -1,0 +1,103 @@
+"""The tree of errors. Each message says what, where, the value got, the values allowed, what to try.
+
+RingtrueError
+├── InputError(ValueError)             the caller's input is wrong: exit status 2
+│   ├── DeckError                      a deck: path, line, card, field
+│   ├── DataError                      a measurement file or record
+│   └── ConfigError                    study.toml or an option
+├── UnsupportedError(NotImplementedError)
+│   └── UnsupportedCard                a card that carries stiffness, mass or constraint
+├── NumericalError(ArithmeticError)
+│   ├── SingularModel                  names the degrees of freedom
+│   └── NotConverged                   carries the outcome
+└── SolverError(RuntimeError)
+    ├── SolverMissing
+    └── SolverFailed
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+
+
+class RingtrueError(Exception):
+    """Base of every error that ringtrue raises on purpose."""
+
+
+class InputError(RingtrueError, ValueError):
+    """The input is wrong; nothing was computed or written."""
+
+
+class DeckError(InputError):
+    """A deck is wrong at a known place."""
+
+    def __init__(
+        self, message: str, *, path: object = None, line: int | None = None, card: str = "", field: str = ""
+    ) -> None:
+        self.path, self.line, self.card, self.field = path, line, card, field
+        place = f"{path}:{line}: " if line else f"{path}: " if path else ""
+        what = " ".join(x for x in (card, f"field {field}" if field else "") if x)
+        super().__init__(f"{place}{what + ': ' if what else ''}{message}")
+
+
+class DataError(InputError):
+    """A measurement file or record is wrong."""
+
+
+class ConfigError(InputError):
+    """A setting is wrong."""
+
+
+class UnsupportedError(RingtrueError, NotImplementedError):
+    """A valid input that ringtrue cannot treat."""
+
+
+class UnsupportedCard(UnsupportedError):
+    """A card that carries stiffness, mass or constraint and is not supported."""
+
+    def __init__(self, card: str, *, path: object = None, line: int | None = None, why: str = "") -> None:
+        self.card, self.path, self.line = card, path, line
+        place = f"{path}:{line}: " if line else ""
+        super().__init__(f"{place}{card} is not supported{': ' + why if why else ''}")
+
+
+class NumericalError(RingtrueError, ArithmeticError):
+    """A computation failed on valid input."""
+
+
+class SingularModel(NumericalError):
+    """The stiffness is singular; `dofs` names where."""
+
+    def __init__(self, dofs: Sequence[str], why: str) -> None:
+        self.dofs = tuple(dofs)
+        shown = " ".join(self.dofs[:12]) + (f" and {len(self.dofs) - 12} more" if len(self.dofs) > 12 else "")
+        super().__init__(f"the model is singular at {shown or 'unknown DOFs'}: {why}")
+
+
+class NotConverged(NumericalError):
+    """An iteration ended without converging; `outcome` says how."""
+
+    def __init__(self, message: str, outcome: object = None) -> None:
+        self.outcome = outcome
+        super().__init__(message)
+
+
+class SolverError(RingtrueError, RuntimeError):
+    """An external solver could not do its work."""
+
+
+class SolverMissing(SolverError):
+    """An external solver or optional package is not installed."""
+
+
+class SolverFailed(SolverError):
+    """An external solver ran and failed; the message ends with the tail of its log."""
+
+
+def did_you_mean(got: str, allowed: Iterable[str]) -> str:
+    """A clause that lists the allowed names and the nearest one: `"; did you mean 'hammer'? Allowed: ..."`."""
+    names = sorted(allowed)
+    near = get_close_matches(got, names, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ";"
+    return f"{hint} Allowed: {', '.join(names)}"

@@ -1,0 +1,62 @@
+"""The bulk data cards that ringtrue reads: one line a card, read by the reader, the writer and the editor alike.
+
+Syntax of a line: card name, then its data fields in order (field 2 of the first line onward; continuation lines
+simply go on, eight fields a line). A field is NAME[:type][=default]; types are i (integer, the default type),
+f (real) and s (text, component lists such as 123456 among them). `_` is a field that is not used. `A|B:f` is one
+field that holds an integer (A) or a real (B); the one not given keeps its default. Without a default, i is 0, f is
+0.0 and s is "". The first column identifies the row.
+
+A tail `*NAME:type` takes all the fields that are left (`THRU` expanded for integers) into a `Ragged` column. Cards
+with a pattern of their own are expanded in `io.nastran.reader`; the columns they get are listed in `SPECIAL`.
+"""
+
+from __future__ import annotations
+
+_TEXT = """
+GRID    ID CP X1:f X2:f X3:f CD PS:s SEID
+SPOINT  *ID
+CORD1R  CID G1 G2 G3
+CORD1C  CID G1 G2 G3
+CORD1S  CID G1 G2 G3
+CORD2R  CID RID A1:f A2:f A3:f B1:f B2:f B3:f C1:f C2:f C3:f
+CORD2C  CID RID A1:f A2:f A3:f B1:f B2:f B3:f C1:f C2:f C3:f
+CORD2S  CID RID A1:f A2:f A3:f B1:f B2:f B3:f C1:f C2:f C3:f
+CROD    EID PID G1 G2
+CONROD  EID G1 G2 MID A:f J:f C:f NSM:f
+CTUBE   EID PID G1 G2
+CBAR    EID PID GA GB G0|X1:f X2:f X3:f OFFT:s=GGG PA:s PB:s W1A:f W2A:f W3A:f W1B:f W2B:f W3B:f
+CBEAM   EID PID GA GB G0|X1:f X2:f X3:f OFFT:s=GGG PA:s PB:s W1A:f W2A:f W3A:f W1B:f W2B:f W3B:f SA SB
+CTRIA3  EID PID G1 G2 G3 MCID|THETA:f ZOFFS:f=nan _ _ TFLAG T1:f=nan T2:f=nan T3:f=nan
+CQUAD4  EID PID G1 G2 G3 G4 MCID|THETA:f ZOFFS:f=nan _ TFLAG T1:f=nan T2:f=nan T3:f=nan T4:f=nan
+CTETRA  EID PID G1 G2 G3 G4 G5 G6 G7 G8 G9 G10
+CPENTA  EID PID G1 G2 G3 G4 G5 G6 G7 G8 G9 G10 G11 G12 G13 G14 G15
+CHEXA   EID PID G1 G2 G3 G4 G5 G6 G7 G8 G9 G10 G11 G12 G13 G14 G15 G16 G17 G18 G19 G20
+CELAS1  EID PID G1 C1 G2 C2
+CELAS2  EID K:f G1 C1 G2 C2 GE:f S:f
+CBUSH   EID PID GA GB G0|X1:f X2:f X3:f CID=-1 S:f=0.5 OCID=-1 S1:f S2:f S3:f
+CONM2   EID G CID M:f X1:f X2:f X3:f _ I11:f I21:f I22:f I31:f I32:f I33:f
+PROD    PID MID A:f J:f C:f NSM:f
+PTUBE   PID MID OD:f T:f NSM:f OD2:f
+PBAR    PID MID A:f I1:f I2:f J:f NSM:f _ C1:f C2:f D1:f D2:f E1:f E2:f F1:f F2:f K1:f=nan K2:f=nan I12:f
+PSHELL  PID MID1 T:f MID2 I12T3:f=1.0 MID3 TST:f=0.833333 NSM:f Z1:f=nan Z2:f=nan MID4
+PSOLID  PID MID CORDM IN:s STRESS:s ISOP:s FCTN:s
+PELAS   PID K:f GE:f S:f
+MAT1    MID E:f=nan G:f=nan NU:f=nan RHO:f A:f TREF:f GE:f ST:f SC:f SS:f MCSID
+RBE2    EID GN CM:s *GM
+SPC1    SID C:s *G
+SPCADD  SID *S
+MPCADD  SID *S
+EIGRL   SID V1:f=nan V2:f=nan ND MSGLVL MAXSET SHFSCL:f NORM:s
+"""
+
+SPECIAL = {
+    "SPC": "SID G C:s D:f",  # one row a (G, C) pair; two pairs on a card make two rows
+    "MPC": "SID *G *C *A:f",  # one row a card; three ragged columns of equal offsets
+    "RBE3": "EID REFGRID REFC:s *G *C:s *WT:f",  # one entry of the ragged columns an independent node
+    "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f M:f",
+    "PBEAM": "PID MID A:f I1:f I2:f I12:f J:f NSM:f K1:f=1.0 K2:f=1.0 S1:f S2:f NSIA:f NSIB:f "
+    "M1A:f M2A:f M1B:f M2B:f N1A:f N2A:f N1B:f N2B:f AB:f I1B:f I2B:f I12B:f JB:f NSMB:f",
+    # PBEAM: the section at end A, at end B (a blank end B equals A); stations between are averaged over the length
+}
+
+CARDS = {line.split()[0]: line.split(maxsplit=1)[1] for line in _TEXT.strip().splitlines()}

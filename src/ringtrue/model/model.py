@@ -1,0 +1,157 @@
+"""A finite element model as tables: one per card, columns named as in the Quick Reference Guide."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.core.arrays import Int, frozen
+from ringtrue.errors import InputError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ragged:
+    """Rows of different length: row i is `values[offsets[i]:offsets[i + 1]]`."""
+
+    values: NDArray[Any]
+    offsets: Int
+
+    def __len__(self) -> int:
+        return int(self.offsets.size - 1)
+
+    def row(self, i: int) -> NDArray[Any]:
+        """Row i."""
+        return self.values[self.offsets[i] : self.offsets[i + 1]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """All cards of one name.
+
+    Attributes
+    ----------
+    card : str
+    columns : mapping of str to (n,) array or Ragged
+        Named and typed as in `model.cards`; the first column identifies the row.
+    file : (n,) int64
+        Index into `Model.files`, -1 for a card that was not read from a file.
+    line : (n,) int64
+        Line of the card's first line, 1-based.
+    """
+
+    card: str
+    columns: Mapping[str, NDArray[Any] | Ragged]
+    file: Int
+    line: Int
+
+    def __len__(self) -> int:
+        return int(self.file.size)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """A plain column, (n,)."""
+        column = self.columns[name]
+        if isinstance(column, Ragged):
+            raise KeyError(f"{self.card}.{name} is ragged: use .ragged({name!r})")
+        return column
+
+    def ragged(self, name: str) -> Ragged:
+        """A ragged column."""
+        column = self.columns[name]
+        if not isinstance(column, Ragged):
+            raise KeyError(f"{self.card}.{name} is not ragged")
+        return column
+
+    def stack(self, *names: str) -> NDArray[Any]:
+        """Plain columns side by side, (n, len(names))."""
+        return np.stack([self[n] for n in names], axis=1)
+
+    @property
+    def ids(self) -> Int:
+        """The identifying column, (n,) int64."""
+        return self[next(iter(self.columns))]
+
+    def find(self, ids: NDArray[Any]) -> Int:
+        """Row of each id, (k,) int64, -1 where absent."""
+        mine, want = self.ids, np.asarray(ids, dtype=np.int64)
+        if not mine.size:
+            return np.full(want.shape, -1, dtype=np.int64)
+        order = np.argsort(mine, kind="stable")
+        at = np.searchsorted(mine[order], want).clip(max=mine.size - 1)
+        return np.where(mine[order[at]] == want, order[at], -1)
+
+    def with_column(self, name: str, values: NDArray[Any]) -> Table:
+        """A copy with one column replaced."""
+        return replace(self, columns={**self.columns, name: frozen(values)})
+
+
+@dataclass(frozen=True, slots=True)
+class CaseControl:
+    """The choices of the (first) subcase; 0 where not made."""
+
+    title: str = ""
+    method: int = 0
+    spc: int = 0
+    mpc: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """A finite element model in the units of its deck.
+
+    Attributes
+    ----------
+    tables : mapping of str to Table
+        Cards that ringtrue understands; see `model.cards`.
+    params : mapping of str to int, float or str
+        PARAM cards, upper case.
+    case : CaseControl
+    files : tuple of str
+        The deck and its includes, in reading order.
+    kept : mapping of str to int
+        Cards kept verbatim in the deck but not used here, with their number.
+    """
+
+    tables: Mapping[str, Table]
+    params: Mapping[str, int | float | str] = field(default_factory=dict)
+    case: CaseControl = field(default_factory=CaseControl)
+    files: tuple[str, ...] = ()
+    kept: Mapping[str, int] = field(default_factory=dict)
+
+    def __contains__(self, card: str) -> bool:
+        return card in self.tables
+
+    def __getitem__(self, card: str) -> Table:
+        return self.tables[card]
+
+    def param(self, name: str, default: float) -> float:
+        """A numeric PARAM, or the default."""
+        return float(self.params.get(name, default))
+
+    def with_values(self, card: str, field_name: str, ids: NDArray[Any], values: NDArray[Any]) -> Model:
+        """A copy with `field_name` of the rows with these ids replaced.
+
+        Raises
+        ------
+        InputError
+            If the card, field or an id is not in the model.
+        """
+        if card not in self.tables or field_name not in self.tables[card].columns:
+            raise InputError(f"no field {field_name} on a {card} card in this model")
+        table = self.tables[card]
+        at = table.find(ids)
+        if (at < 0).any():
+            raise InputError(f"{card} {np.asarray(ids)[at < 0][:5].tolist()} not in the model")
+        column = table[field_name].copy()
+        column[at] = values
+        return replace(self, tables={**self.tables, card: table.with_column(field_name, column)})
+
+
+def table(card: str, **columns: Any) -> Table:
+    """A table from columns given in memory (no file behind it); lists become arrays."""
+    made = {k: v if isinstance(v, Ragged) else frozen(v) for k, v in columns.items()}
+    n = len(next(iter(made.values())))
+    return Table(card, made, np.full(n, -1), np.zeros(n, dtype=np.int64))

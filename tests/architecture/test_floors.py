@@ -1,0 +1,75 @@
+"""An import points down: ARCHITECTURE.md's floors, enforced on the syntax trees."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+SRC = Path(__file__).parents[2] / "src" / "ringtrue"
+FLOORS = [
+    {"core", "errors"},
+    {"eigen", "model", "shapes"},
+    {"fem", "reduce", "signal", "identify", "correlate", "io"},
+    {"backends", "plan", "update", "virtual", "checks"},
+    {"study"},
+    {"plots"},
+    {"report"},
+    {"demos", "testing"},
+    {"cli", "studio"},
+]
+SIDEWAYS = {("core", "errors"), ("reduce", "fem"), ("identify", "signal"), ("plan", "virtual")}
+THIRD_PARTY = {  # above numpy and scipy, which every floor may use
+    "io": {"h5py", "pyuff", "openpyxl"},
+    "eigen": {"pymklpardiso", "rslab"},
+    "signal": {"h5py"},
+    "virtual": {"h5py"},
+    "study": {"h5py", "pydantic"},
+    "plots": {"plotly"},
+    "report": {"jinja2", "plotly"},
+    "cli": {"typer", "rich", "click"},
+    "demos": {"h5py"},
+}
+STDLIB_OK = set(__import__("sys").stdlib_module_names) | {"numpy", "scipy", "ringtrue"}
+
+
+def floor(package: str) -> int:
+    return next(i for i, names in enumerate(FLOORS) if package in names)
+
+
+def package_of(path: Path) -> str:
+    top = path.relative_to(SRC).parts[0]
+    return top.removesuffix(".py")
+
+
+def imports(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {a.name for a in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            found.add(node.module or "")
+            if node.module == "ringtrue":
+                found |= {f"ringtrue.{a.name}" for a in node.names}
+    return found
+
+
+FILES = [p for p in sorted(SRC.rglob("*.py")) if p.name != "__init__.py" or p.parent != SRC]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))
+def test_imports_point_down(path: Path) -> None:
+    here = package_of(path)
+    for name in imports(path):
+        parts = name.split(".")
+        if parts[0] == "ringtrue":
+            if len(parts) == 1 or parts[1] in ("__version__", here):
+                continue
+            there = parts[1]
+            ok = floor(there) < floor(here) or (here, there) in SIDEWAYS
+            assert ok, f"{path.relative_to(SRC)} imports {name}: {here} may not see {there}"
+        else:
+            ok = parts[0] in STDLIB_OK or parts[0] in THIRD_PARTY.get(here, set())
+            assert ok, f"{path.relative_to(SRC)} imports {name}: not allowed on this floor"
