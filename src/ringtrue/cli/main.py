@@ -1,0 +1,66 @@
+"""The command line: parse, call, print. Exit status 0 good, 1 a result that failed its own check, 2 bad input."""
+
+from __future__ import annotations
+
+import sys
+from typing import NoReturn
+
+import click
+import typer
+from typer.main import get_command
+
+from ringtrue import __version__
+from ringtrue.cli import measure, model, study
+from ringtrue.cli.show import err
+from ringtrue.errors import InputError, RingtrueError, UnsupportedError
+
+app = typer.Typer(
+    help="Finite element model validation: from a deck and vibration signals to a model that rings true.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(show: bool) -> None:
+    if show:
+        typer.echo(f"ringtrue {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+) -> None:
+    """Finite element model validation."""
+
+
+for module in (study, model, measure):
+    module.register(app)
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run a command line; returns the exit status."""
+    try:
+        status = get_command(app).main(args=arguments, standalone_mode=False, prog_name="ringtrue")
+        return int(status or 0)
+    except click.exceptions.Exit as e:
+        return int(e.exit_code)
+    except click.ClickException as e:
+        e.show()
+        return 2
+    except click.Abort:
+        err.print("stopped; what was stored is kept, the same command resumes", markup=False)
+        return 1
+    except (InputError, UnsupportedError) as e:
+        err.print(f"error: {e}", markup=False, highlight=False, soft_wrap=True)
+        return 2
+    except RingtrueError as e:
+        err.print(f"error: {e}", markup=False, highlight=False, soft_wrap=True)
+        return 1
+
+
+def main() -> NoReturn:
+    """The console script."""
+    sys.exit(run())

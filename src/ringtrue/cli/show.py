@@ -1,0 +1,60 @@
+"""What the commands print: tables and progress by rich, JSON to a file or standard output."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from ringtrue.io.atomic import atomic_write
+
+out = Console(soft_wrap=False)
+err = Console(stderr=True)
+
+
+@contextmanager
+def progress(label: str) -> Iterator[Callable[[float, str], None]]:
+    """A bar on a terminal, plain lines in a log."""
+    if not err.is_terminal:
+        last = ""
+
+        def line(fraction: float, text: str) -> None:
+            nonlocal last
+            if text != last:
+                last = text
+                err.print(f"[{100 * fraction:3.0f} %] {text}", markup=False, highlight=False)
+
+        yield line
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task(label, total=1.0)
+        yield lambda fraction, text: bar.update(task, completed=fraction, description=text[:60].ljust(60))
+
+
+def rows(title: str, heads: Sequence[str], body: Sequence[Sequence[object]]) -> None:
+    """A table; numbers to the right."""
+    table = Table(title=title, title_justify="left", header_style="bold", box=None, pad_edge=False)
+    for i, head in enumerate(heads):
+        number = any(isinstance(r[i], (int, float)) for r in body)
+        table.add_column(head, justify="right" if number else "left")
+    for r in body:
+        table.add_row(*(str(x) for x in r))
+    out.print(table)
+
+
+def write_json(value: Any, target: str) -> None:
+    """JSON to a file, whole or not at all; `-` is standard output."""
+    text = json.dumps(value, indent=1, allow_nan=False) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+        return
+    with atomic_write(Path(target)) as part:
+        part.write_text(text, encoding="utf-8")

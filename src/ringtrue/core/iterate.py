@@ -1,0 +1,72 @@
+"""The one driver of all iterations: it owns the limit and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isfinite
+from typing import Generic, Protocol, TypeVar
+
+from ringtrue.core.outcome import Outcome
+from ringtrue.errors import ConfigError
+
+S = TypeVar("S")
+
+
+class Algorithm(Protocol[S]):
+    """A frozen value with the rules of one method; the state `S` is frozen too."""
+
+    def init(self) -> S:
+        """The state at the start."""
+        ...
+
+    def step(self, state: S) -> S:
+        """The next state."""
+        ...
+
+    def terminate(self, state: S) -> Outcome | None:
+        """A verdict, or None to go on."""
+        ...
+
+    def merit(self, state: S) -> float:
+        """The value that is being lowered; a value that is not finite ends the iteration."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Iteration(Generic[S]):
+    """All states, the start included, and how it ended."""
+
+    states: tuple[S, ...]
+    outcome: Outcome
+
+    @property
+    def last(self) -> S:
+        """The final state."""
+        return self.states[-1]
+
+
+def iterate(
+    algorithm: Algorithm[S], *, limit: int, progress: Callable[[float, str], None] | None = None
+) -> Iteration[S]:
+    """Run `algorithm` until it terminates, at most `limit` steps.
+
+    Raises
+    ------
+    ConfigError
+        If `limit` is below 1.
+    """
+    if limit < 1:
+        raise ConfigError(f"iteration limit {limit}: allowed are 1 and more")
+    states = [algorithm.init()]
+    while True:
+        value = algorithm.merit(states[-1])
+        if not isfinite(value):
+            return Iteration(tuple(states), Outcome.NOT_FINITE)
+        if (verdict := algorithm.terminate(states[-1])) is not None:
+            return Iteration(tuple(states), verdict)
+        if len(states) > limit:
+            return Iteration(tuple(states), Outcome.MAX_ITERATIONS)
+        if progress is not None:
+            progress((len(states) - 1) / limit, f"iteration {len(states) - 1}: {value:.6g}")
+        states.append(algorithm.step(states[-1]))

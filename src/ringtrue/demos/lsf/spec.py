@@ -1,0 +1,148 @@
+"""The large spinning facility in numbers: one frozen description, filled in differently by analyst and builder.
+
+SI throughout. x along the bay (25 m), y across (10 m), z up; the origin is a lower corner of the foundation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+LENGTH, WIDTH, SLAB, WALL_TOP, WALL, END_WALL = 25.0, 10.0, 1.5, 4.2, 0.9, 0.8
+PORTALS = (4.0, 7.4, 10.8, 14.2, 17.6, 21.0)
+SIDES = (0.45, 9.55)
+BASE, MID, TOP = 4.25, 5.4, 7.8  # column feet, lower and upper girders
+AXIS_Y, RADIUS, VESSEL_X = 5.0, 2.2, (5.6, 7.4, 10.8, 14.2, 17.6, 19.4)
+MOUNT_X = (7.4, 10.8, 14.2, 17.6)
+DECK_X, DECK_Y = (7.4, 17.6), (3.2, 6.8)
+SHAFT_Z = 8.9
+MOTOR, GEARBOX, ROTOR, BEARINGS = 9.1, 12.5, 16.4, (10.8, 15.4)
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A beam section: area, second moments about element z and y, torsion constant, shear factors."""
+
+    area: float
+    i1: float
+    i2: float
+    j: float
+    k1: float
+    k2: float
+
+    @classmethod
+    def box(cls, height: float, width: float, t: float) -> Section:
+        """A thin-walled box, height in the plane of bending 1."""
+        hi, wi = height - 2 * t, width - 2 * t
+        hm, wm = height - t, width - t
+        area = height * width - hi * wi
+        return cls(
+            area,
+            (width * height**3 - wi * hi**3) / 12,
+            (height * width**3 - hi * wi**3) / 12,
+            2 * t * (hm * wm) ** 2 / (hm + wm),
+            2 * height * t / area,
+            2 * width * t / area,
+        )
+
+
+# region -> (material kind, elastic modulus or stiffness as the analyst took it); a region is one thing that was
+# poured, welded or bolted together, and one candidate for updating
+CONCRETE = {"slab": 1, "long walls": 2, "end walls": 3, "haunches": 4}
+STEEL = {
+    "columns": 11,
+    "girders": 12,
+    "cross beams": 13,
+    "braces": 14,
+    "brackets": 15,
+    "vessel shell": 21,
+    "vessel heads": 22,
+    "vessel rings": 23,
+    "drive deck": 31,
+    "deck beams": 32,
+    "pedestals": 33,
+    "shaft": 34,
+}
+BUSHES = {
+    "anchors front": 51,
+    "anchors middle": 52,
+    "anchors rear": 53,
+    "vessel mounts front": 54,
+    "vessel mounts rear": 55,
+    "motor mounts": 56,
+    "gearbox mounts": 57,
+    "bearing mounts": 58,
+    "air springs": 60,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh3:
+    """Numbers of elements."""
+
+    nx: int = 60
+    ny: int = 20
+    nz_slab: int = 3
+    nz_wall: int = 5
+    ny_wall: int = 2
+    around: int = 40
+    along: tuple[int, ...] = (4, 7, 7, 7, 4)
+    head: int = 4
+    column: tuple[int, int] = (2, 4)
+    span: int = 5
+    deck_x: int = 6  # a portal spacing
+    deck_y: int = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """What is built: mesh, stiffness of each region, and what is there at all."""
+
+    mesh: Mesh3 = field(default_factory=Mesh3)
+    modulus: Mapping[str, float] = field(
+        default_factory=lambda: dict.fromkeys(CONCRETE, 18.0e9) | dict.fromkeys(STEEL, 2.06e11)
+    )
+    density: Mapping[str, float] = field(
+        default_factory=lambda: dict.fromkeys(CONCRETE, 2500.0) | dict.fromkeys(STEEL, 7850.0)
+    )
+    bush: Mapping[str, tuple[float, ...]] = field(
+        default_factory=lambda: {
+            "anchors front": (9.0e8, 9.0e8, 2.4e9, 1.2e8, 1.2e8, 6.0e7),
+            "anchors middle": (9.0e8, 9.0e8, 2.4e9, 1.2e8, 1.2e8, 6.0e7),
+            "anchors rear": (9.0e8, 9.0e8, 2.4e9, 1.2e8, 1.2e8, 6.0e7),
+            "vessel mounts front": (2.6e8, 3.2e8, 4.2e8, 0.0, 0.0, 0.0),
+            "vessel mounts rear": (2.6e8, 3.2e8, 4.2e8, 0.0, 0.0, 0.0),
+            "motor mounts": (3.4e8, 3.4e8, 5.2e8, 0.0, 0.0, 0.0),
+            "gearbox mounts": (2.4e8, 2.4e8, 4.0e8, 0.0, 0.0, 0.0),
+            "bearing mounts": (1.0e8, 4.0e8, 6.0e8, 0.0, 0.0, 0.0),
+            "air springs": (8.8e5, 8.6e5, 2.6e6, 0.0, 0.0, 0.0),
+        }
+    )
+    loss: Mapping[str, float] = field(default_factory=dict)  # region -> structural loss factor
+    dashpot: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N s/m at each air spring
+    scatter: float = 0.0  # log standard deviation of stiffness within a region
+    bush_scatter: float = 0.0  # from one bush to the next
+    extra_braces: bool = False  # the two bays the analyst left out
+    site: bool = False  # platforms, piping, partition wall, hung parts
+    seed: int = 0
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """The generator of the scatter within regions."""
+        return np.random.default_rng([self.seed, 77])
+
+
+SHELL = {"vessel shell": 0.040, "vessel heads": 0.060, "drive deck": 0.060}
+SECTIONS = {
+    "columns": Section.box(0.70, 0.60, 0.030),
+    "girders": Section.box(0.60, 0.40, 0.022),
+    "cross beams": Section.box(0.80, 0.50, 0.028),
+    "braces": Section.box(0.30, 0.30, 0.016),
+    "brackets": Section.box(0.80, 0.50, 0.035),
+    "vessel rings": Section.box(0.30, 0.12, 0.030),
+    "deck beams": Section.box(0.60, 0.30, 0.025),
+    "pedestals": Section.box(0.80, 0.60, 0.040),
+    "shaft": Section(0.0491, 1.92e-4, 1.92e-4, 3.84e-4, 0.89, 0.89),
+}

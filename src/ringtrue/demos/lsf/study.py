@@ -1,0 +1,116 @@
+"""The study file of the facility: what the validation team knows, and nothing of the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ringtrue.demos.lsf import spec as S
+from ringtrue.demos.lsf.deck import MAIN
+from ringtrue.demos.lsf.facility import Builder
+from ringtrue.io.nastran.writer import format_card
+
+STUDY, BRACES = "study.toml", "remodel/braces.bdf"
+TEST_REGIONS = ("foundation", "frame", "vessel", "drive")
+
+_SYSTEM = """The large spinning facility is a test bay for spinning large rotors: a ferro-concrete foundation of \
+25 x 10 m on 32 air springs, a steel frame bolted to it by anchors, a vacuum vessel held in the frame, and a \
+drivetrain of motor, gearbox, shaft and rotor on the drive deck above the vessel; 1,600 t in all."""
+
+_REASON = """The site inspection found diagonal braces in bays 2 and 4 on both sides of the frame that are not in \
+the deck; they are added with the section of the other braces."""
+
+# (name, targets, lower, upper): one candidate a region; the factor multiplies the deck's value
+_STIFFNESS = "K1,K2,K3,K4,K5,K6"
+_TRANSLATION = "K1,K2,K3"
+
+
+def candidates() -> list[tuple[str, str]]:
+    """Name and target of each candidate region."""
+    modulus = [(r, f"MAT1 {pid} E") for r, pid in (S.CONCRETE | S.STEEL).items() if r not in ("haunches", "shaft")]
+    bush = [
+        (r, f"PBUSH {pid} {_STIFFNESS if 'anchor' in r else _TRANSLATION}")
+        for r, pid in S.BUSHES.items()
+        if r != "air springs"
+    ]
+    return modulus + bush
+
+
+def braces(b: Builder) -> str:
+    """The cards of the missing braces, numbered after the deck's own."""
+    at = {tuple(x): n for x, n in zip(b.mesh.xyz, b.mesh.ids, strict=True)}
+    eid = 290_001
+    lines = []
+    for y in S.SIDES:
+        for i in (1, 3):
+            ends = [at[(S.PORTALS[i], y, S.MID)], at[(S.PORTALS[i + 1], y, S.TOP)]]
+            lines.append(format_card("CBAR", [eid, S.STEEL["braces"], *ends, 0.0, 1.0, 0.0, None, "56", "56"]))
+            eid += 1
+    return "$ Braces of bays 2 and 4, found on site\n" + "".join(lines)
+
+
+def access(b: Builder) -> dict[str, list[int]]:
+    """Nodes that a crew can reach with a sensor or hammer, by region."""
+    m = b.mesh
+    out: dict[str, list[int]] = {r: [] for r in TEST_REGIONS}
+    for n, part, (x, y, z) in zip(m.ids, m.part_of_node, m.xyz, strict=True):
+        if part == "foundation" and _reachable(x, y, z):
+            out[part].append(n)
+    dependent = {f[2] for _, card, f in m.cards if card == "RBE3"}
+    for part in TEST_REGIONS[1:]:
+        members = [n for n, p in zip(m.ids, m.part_of_node, strict=True) if p == part and n not in dependent]
+        out[part] = members[:: 2 if part == "frame" else 3]
+    return out
+
+
+def _reachable(x: float, y: float, z: float) -> bool:
+    top_of_wall = abs(z - S.WALL_TOP) < 1e-6
+    floor = abs(z - S.SLAB) < 1e-6 and S.WALL < y < S.WIDTH - S.WALL and S.END_WALL < x < S.LENGTH - S.END_WALL
+    outside = z > S.SLAB and (x in (0.0, S.LENGTH) or y in (0.0, S.WIDTH))
+    return top_of_wall or floor or outside
+
+
+def _toml_list(values: list[int]) -> str:
+    return "[" + ", ".join(map(str, values)) + "]"
+
+
+def write_study(b: Builder, folder: Path, seed: int) -> Path:
+    """Write study.toml and the remodelling cards."""
+    (folder / "remodel").mkdir(parents=True, exist_ok=True)
+    (folder / BRACES).write_text(braces(b))
+    regions = {r: [pid] for r, pid in (S.CONCRETE | S.STEEL).items()}
+    lines = [
+        "# A validation campaign: deck, tests, and what is uncertain",
+        "[study]",
+        'title = "Large spinning facility"',
+        f'system = "{_SYSTEM}"',
+        f"seed = {seed}",
+        "",
+        "[model]",
+        f'deck = "deck/{MAIN}"',
+        'units = "SI"',
+        "fmax = 110.0",
+        "[model.regions]",
+        *(f'"{name}" = {_toml_list(pids)}' for name, pids in regions.items()),
+        "",
+        "[plan]",
+        "fmax = 80.0",
+        "[plan.candidates]",
+        *(f"{name} = {_toml_list(nodes)}" for name, nodes in access(b).items()),
+        "",
+        "[test]",
+        'sheet = "data/sensors.csv"',
+        'log = "data/campaign.json"',
+        "",
+        "[remodel]",
+        'file = "deck/frame.bdf"',
+        f'cards = "{BRACES}"',
+        f'reason = "{_REASON}"',
+        "",
+        "# Regions whose stiffness is uncertain: each a candidate, none chosen here",
+    ]
+    for name, target in candidates():
+        lines += ["[[candidate]]", f'name = "{name}"', f'targets = ["{target}"]']
+    for name, field in (("air springs, vertical", "K3"), ("air springs, along", "K1"), ("air springs, across", "K2")):
+        lines += ["[[suspension]]", f'name = "{name}"', f'targets = ["PBUSH {S.BUSHES["air springs"]} {field}"]']
+    (folder / STUDY).write_text("\n".join(lines) + "\n")
+    return folder / STUDY

@@ -1,0 +1,232 @@
+"""Block shift-invert Lanczos with full reorthogonalisation and thick restart.
+
+Sources: Grimes, Lewis, Simon (1994) block shift-invert and inertia counts; Wu, Simon (2000) thick restart;
+Nour-Omid, Parlett, Ericsson, Jensen (1987) purification for a singular mass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, sparse
+
+from ringtrue.core.arrays import Float
+from ringtrue.eigen.factor import Factor
+from ringtrue.errors import NotConverged
+
+BLOCK = 4
+TOLERANCE = 1e-10  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
+MAX_STEPS = 1000
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RitzPairs:
+    """Converged pairs of (K − σM)⁻¹M: θ = 1/(λ − σ), largest |θ| first.
+
+    Attributes
+    ----------
+    theta : (k,) float64
+    vectors : (f, k) float64, M-orthonormal, purified
+    exhausted : bool
+        The Krylov space filled the range of the operator: there are no further modes.
+    """
+
+    theta: Float
+    vectors: Float
+    exhausted: bool
+
+
+class Krylov:
+    """A growing M-orthonormal basis V with OP·V = V·T + Q·R·Eᵀ, kept exact in all components.
+
+    Parameters
+    ----------
+    factor : Factor
+        Of K − σM.
+    mass : (f, f) csr_array
+    capacity : int
+        Most basis vectors held.
+    rng : Generator
+        For start vectors.
+    """
+
+    def __init__(self, factor: Factor, mass: sparse.csr_array, capacity: int, rng: np.random.Generator) -> None:
+        self.factor, self.mass, self.rng = factor, mass, rng
+        rows = int(mass.shape[0])
+        self.basis = np.zeros((rows, capacity + 2 * BLOCK), order="F")
+        self.projected = np.zeros((capacity + 2 * BLOCK,) * 2)
+        self.held = 0  # columns of V; the block Q stands right behind them
+        self.ahead = 0  # columns of Q
+        self.loaded = np.zeros((rows, 0))  # M Q
+        self.coupling = np.zeros((0, 0))  # R: (ahead, last block)
+
+    def start(self, locked: Float, theta: Float) -> None:
+        """Begin with a random block orthogonal to the converged vectors `locked` (f, k)."""
+        k = theta.size
+        self.basis[:, :k], self.held = locked, k
+        self.projected[:] = 0
+        self.projected[:k, :k] = np.diag(theta)
+        self.coupling = np.zeros((0, 0))
+        self.ahead = 0
+        self._append(np.zeros((self.basis.shape[0], 0)), 0.0)
+
+    def _orthogonalise(self, w: Float, count: int) -> tuple[Float, Float]:
+        """w minus its part in the first `count` columns, and the coefficients; twice is enough (Kahan)."""
+        v = self.basis[:, :count]
+        total = np.zeros((count, w.shape[1]))
+        for _ in range(2):
+            c = v.T @ (self.mass @ w)
+            w = w - v @ c
+            total += c
+        return w, total
+
+    def _norms(self, w: Float) -> Float:
+        return np.asarray(np.sqrt(np.abs(np.einsum("ij,ij->j", w, self.mass @ w))))
+
+    def _append(self, w: Float, floor: float) -> Float:
+        """Put an M-orthonormal basis of w behind V; returns R with w = Q·R. Directions below `floor` are
+        roundoff: random ones, decoupled (zero rows of R), take their place until the space is exhausted."""
+        q, mq, r = self._orthonormal(w, floor)
+        missing = BLOCK - q.shape[1]
+        self._put(q, self.held)
+        self.ahead = q.shape[1]
+        if missing:
+            x = self.factor.solve(self.mass @ self.rng.standard_normal((self.basis.shape[0], missing)))
+            x = x / np.maximum(self._norms(x), np.finfo(float).tiny)
+            x = self._orthogonalise(x, self.held + self.ahead)[0]
+            q = self._orthonormal(x, 1e-10)[0]
+            q = self._orthogonalise(q, self.held + self.ahead)[0]  # what is left of x may be small
+            q, mx, _ = self._orthonormal(q, 0.0)
+            self._put(q, self.held + self.ahead)
+            mq = np.hstack([mq, mx])
+            self.ahead += q.shape[1]
+            r = np.vstack([r, np.zeros((q.shape[1], r.shape[1]))])
+        self.loaded = mq
+        return r
+
+    def _put(self, q: Float, at: int) -> None:
+        self.basis[:, at : at + q.shape[1]] = q
+
+    def _orthonormal(self, w: Float, floor: float) -> tuple[Float, Float, Float]:
+        """Gram-Schmidt in the block, in M, each column twice: q, M q and R with w = q R but for norms below
+        `floor`."""
+        mw = self.mass @ w
+        q, mq = np.zeros((w.shape[0], 0)), np.zeros((w.shape[0], 0))
+        r = np.zeros((w.shape[1], w.shape[1]))
+        for j in range(w.shape[1]):  # at most BLOCK columns
+            x, mx, rank = w[:, j], mw[:, j], q.shape[1]
+            for _ in range(2):
+                c = q.T @ mx
+                x, mx = x - q @ c, mx - mq @ c
+                r[:rank, j] += c
+            size = float(np.sqrt(abs(x @ mx)))
+            if size > floor:
+                r[rank, j] = size
+                q, mq = np.column_stack([q, x / size]), np.column_stack([mq, mx / size])
+        return q, mq, r[: q.shape[1]]
+
+    def step(self) -> None:
+        """One block: V grows by Q, a new Q is made."""
+        k, b = self.held, self.ahead
+        w = self.factor.solve(self.loaded)
+        w, c = self._orthogonalise(w, k + b)
+        floor = 1e-13 * float(np.linalg.norm(c, axis=0).max(initial=0.0))
+        self.projected[: k + b, k : k + b] = c
+        self.projected[k : k + b, :k] = c[:k].T
+        self.held = k + b
+        self.coupling = self._append(w, floor)
+
+    def ritz(self) -> tuple[Float, Float, Float]:
+        """θ (k,) largest modulus first, y (k, k), error ‖R y_last‖ (k,)."""
+        t = self.projected[: self.held, : self.held]
+        theta, y = linalg.eigh((t + t.T) / 2, check_finite=False)
+        order = np.argsort(-np.abs(theta), kind="stable")
+        theta, y = theta[order], y[:, order]
+        last = self.coupling.shape[1]
+        return theta, y, np.linalg.norm(self.coupling @ y[self.held - last :], axis=0)
+
+    def vectors(self, theta: Float, y: Float) -> Float:
+        """Purified Ritz vectors OP·V·y/θ, from the recurrence: no further solve."""
+        last = self.coupling.shape[1]
+        q = self.basis[:, self.held : self.held + self.coupling.shape[0]]
+        return np.asarray(self.basis[:, : self.held] @ y + q @ (self.coupling @ y[self.held - last :] / theta))
+
+    def restart(self, keep: int) -> None:
+        """Thick restart: V becomes its best `keep` Ritz vectors; Q stays."""
+        theta, y, _ = self.ritz()
+        last, n = self.coupling.shape[1], self.held
+        q = self.basis[:, n : n + self.ahead].copy()
+        self.coupling = self.coupling @ y[n - last :, :keep]
+        self.basis[:, :keep] = self.basis[:, :n] @ y[:, :keep]
+        self.basis[:, keep : keep + self.ahead] = q
+        self.projected[:] = 0
+        self.projected[:keep, :keep] = np.diag(theta[:keep])
+        self.held = keep
+
+
+def solve(
+    factor: Factor,
+    mass: sparse.csr_array,
+    enough: Callable[[Float], bool],
+    *,
+    expected: int,
+    locked: tuple[Float, Float] | None = None,
+    tolerance: float = TOLERANCE,
+    progress: Progress | None = None,
+) -> RitzPairs:
+    """Pairs of the largest |θ|, until `enough(theta)` holds for the leading converged ones.
+
+    Parameters
+    ----------
+    factor : Factor
+        Of K − σM.
+    mass : (f, f) csr_array float64
+    enough : callable
+        Takes the converged leading θ (k,), says whether they suffice.
+    expected : int
+        How many pairs that will be, about; sets the size of the basis.
+    locked : (theta (k,), vectors (f, k)), optional
+        Pairs known already; the start block is orthogonal to them.
+
+    Raises
+    ------
+    NotConverged
+        After `MAX_STEPS` blocks.
+    """
+    rows = int(mass.shape[0])
+    known = 0 if locked is None else locked[0].size
+    capacity = min(known + 2 * expected + 48, rows)
+    rng = np.random.default_rng(known)
+    krylov = Krylov(factor, mass, capacity, rng)
+    empty = (np.zeros(0), np.zeros((rows, 0)))
+    theta, vectors = locked or empty
+    krylov.start(vectors, theta)
+    fresh_needed = known  # a repeated root shows only when the new directions have come down to its θ
+    for step in range(MAX_STEPS):
+        if not krylov.ahead:
+            return _pairs(krylov, krylov.held, exhausted=True)
+        krylov.step()
+        exhausted = krylov.ahead == 0
+        if step % 2 and not exhausted and krylov.held < capacity:
+            continue
+        theta, _y, error = krylov.ritz()
+        good = error <= tolerance * np.abs(theta)
+        count = int(good.size if good.all() else np.argmin(good))
+        if progress is not None:
+            progress(min(count / expected, 0.99), f"Lanczos: {count} of about {expected} modes")
+        grown = step + 1 >= 4 if fresh_needed else True
+        if exhausted or (grown and enough(theta[:count])):
+            return _pairs(krylov, count, exhausted=exhausted)
+        if krylov.held + 2 * BLOCK > capacity:
+            krylov.restart(min(max(count, expected) + 2 * BLOCK, krylov.held - 2 * BLOCK))
+    raise NotConverged(f"Lanczos stopped after {MAX_STEPS} blocks with {count} of about {expected} modes")
+
+
+def _pairs(krylov: Krylov, count: int, *, exhausted: bool) -> RitzPairs:
+    theta, y, _ = krylov.ritz()
+    real = np.abs(theta[:count]) > 1e-13 * np.abs(theta).max(initial=0.0)  # θ = 0: infinite λ, no mode
+    theta, y = theta[:count][real], y[:, :count][:, real]
+    return RitzPairs(theta, krylov.vectors(theta, y), exhausted)

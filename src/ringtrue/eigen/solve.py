@@ -1,0 +1,282 @@
+"""Modes of K φ = λ M φ with a proof that none is missing: choice of the shift, solution, inertia counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.eigen import lanczos
+from ringtrue.eigen.dense import DENSE_SIZE, spectrum
+from ringtrue.eigen.factor import Pencil
+from ringtrue.eigen.problem import EigenModes, eigenvalue, frequencies, polish
+from ringtrue.errors import InputError, NumericalError, SingularModel
+
+EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
+GAP = 1e-4  # a gap below this share of λ is too narrow for a count
+ROUNDS = 6  # searches for missing modes before the result is given as incomplete
+
+
+@dataclass(frozen=True, slots=True)
+class _Count:
+    below: int  # eigenvalues under `shift`
+    shift: float
+
+
+def solve_modes(
+    pencil: Pencil,
+    count: int = 20,
+    *,
+    band: tuple[float, float] | None = None,
+    shift: float | None = None,
+    prove: bool = True,
+    progress: Callable[[float, str], None] | None = None,
+) -> EigenModes:
+    """The lowest `count` modes, or all in `band`.
+
+    Parameters
+    ----------
+    pencil : Pencil
+    count : int
+    band : (low, high), Hz, optional
+        In its place.
+    shift : float, optional
+        A known good negative shift (rad/s)²; found from the problem if not given.
+    prove : bool
+        Count by inertia (one more factorisation; two for a band).
+
+    Raises
+    ------
+    InputError
+        On a count below 1 or an empty band.
+    SingularModel
+        If K − σM is singular: a mechanism without mass.
+    NotConverged
+        If Lanczos does not converge.
+    """
+    if band is None and count < 1:
+        raise InputError(f"{count} modes asked for; at least 1")
+    if band is not None and not band[1] > band[0]:
+        raise InputError(f"band {band[0]} to {band[1]} Hz is empty")
+    if not pencil.mass.nnz or not np.abs(pencil.mass.data).max() > 0:
+        raise InputError("the mass matrix is zero: check densities and mass elements")
+    if pencil.size <= DENSE_SIZE:
+        return _dense(pencil, count, band)
+    if band is not None:
+        return _band(pencil, band, shift, progress)
+    return _lowest(pencil, count, shift, prove, progress)
+
+
+def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> EigenModes:
+    shift = _start_shift(pencil)
+    values, vectors = _first_definite(pencil, shift)
+    for _ in range(4):  # each pass places the shift better
+        n = min(count, values.size) if band is None else int((values <= eigenvalue(band[1])).sum())
+        better = -_suitable(values[: max(n, 1)])
+        if 0.1 < better / shift < 10:
+            break
+        shift = better
+        values, vectors = _first_definite(pencil, shift)
+    if band is None:
+        at = np.arange(min(count, values.size))
+    else:
+        at = np.flatnonzero((values >= eigenvalue(band[0])) & (values <= eigenvalue(band[1])))
+    values, vectors, residuals, orthogonality = polish(pencil.stiffness, pencil.mass, values[at], vectors[:, at])
+    proof = f"all eigenvalues of the {pencil.size} DOFs were computed"
+    return EigenModes(values, vectors, residuals, orthogonality, True, proof, shift)
+
+
+def _first_definite(pencil: Pencil, shift: float) -> tuple[Float, Float]:
+    try:
+        return spectrum(pencil.stiffness, pencil.mass, shift)
+    except SingularModel:  # a free structure with a shift too near to zero, or a real mechanism
+        return spectrum(pencil.stiffness, pencil.mass, 1e3 * shift)
+
+
+def _start_shift(pencil: Pencil) -> float:
+    """A first guess from the traces, far below the first elastic mode or near it."""
+    k, m = pencil.stiffness.diagonal(), pencil.mass.diagonal()
+    massive = m > 1e-12 * m.max()
+    return -1e-7 * float(np.median(np.abs(k[massive]) / m[massive])) or -1.0
+
+
+def _suitable(values: Float) -> float:
+    """The distance of a good shift below zero: of the order of the first elastic λ, not under 1e-3 of the last."""
+    top = float(np.abs(values).max())
+    elastic = values[values > 1e-6 * top]
+    first = float(elastic.min()) if elastic.size else top
+    return max(0.3 * first, 1e-3 * top) or 1.0
+
+
+def _find_shift(pencil: Pencil, count: int) -> float:
+    """Probe with a few Lanczos blocks and move the shift until it suits the modes that are asked for."""
+    shift = _start_shift(pencil)
+    for _ in range(4):
+        factor = pencil.at(shift)
+        krylov = lanczos.Krylov(factor, pencil.mass, 24, np.random.default_rng(0))
+        krylov.start(np.zeros((pencil.size, 0)), np.zeros(0))
+        for _ in range(4):
+            if krylov.ahead:
+                krylov.step()
+        theta = krylov.ritz()[0]
+        values = shift + 1 / theta[theta > 1e-12 * theta.max()][: max(2, min(count, 10))]
+        better = -_suitable(values)
+        if 0.02 < better / shift < 50:
+            return shift
+        shift = better
+    return shift
+
+
+def _lowest(
+    pencil: Pencil, count: int, shift: float | None, prove: bool, progress: Callable[[float, str], None] | None
+) -> EigenModes:
+    shift = _find_shift(pencil, count) if shift is None else shift
+    factor = pencil.at(shift)
+    start = _Count(factor.negatives, shift)
+
+    def enough(theta: Float) -> bool:
+        values = np.sort(shift + 1 / theta)
+        return (values.size > count and _gap_after(values, count) is not None) or values.size >= count + 40
+
+    pairs = lanczos.solve(factor, pencil.mass, enough, expected=count + EXTRA, progress=progress)
+    complete, proof = False, "no inertia count was asked for"
+    for _ in range(ROUNDS):
+        values = np.sort(shift + 1 / pairs.theta)
+        at = _gap_after(values, count)
+        if pairs.exhausted:
+            complete, proof = True, f"the mass has rank {values.size}: all modes were found"
+            break
+        if not prove:
+            break
+        if at is None:
+            proof = "no gap above the highest mode: not counted"
+            break
+        mark = float((values[at - 1] + values[at]) / 2) if at < values.size else float(1.01 * values[-1])
+        counted = pencil.at(mark).negatives
+        complete, proof = _judge(counted, at, start, mark)
+        if complete or counted < at or start.below < 0:
+            break
+        missing = counted - at
+        pairs = _again(pencil, shift, pairs, missing)
+    return _finish(pencil, pairs, shift, slice(0, count), complete, proof)
+
+
+def _again(pencil: Pencil, shift: float, pairs: lanczos.RitzPairs, missing: int) -> lanczos.RitzPairs:
+    """Continue with random directions orthogonal to what is known until `missing` more have come."""
+    want = pairs.theta.size + missing
+    locked = (pairs.theta, pairs.vectors)
+    return lanczos.solve(
+        pencil.at(shift), pencil.mass, lambda theta: theta.size >= want, expected=missing + EXTRA, locked=locked
+    )
+
+
+def _gap_after(values: Float, count: int) -> int | None:
+    """How many values stand below the first sufficient gap at or after `count`; None if there is none yet."""
+    if values.size <= count:
+        return None
+    wide = np.diff(values[count - 1 :]) > GAP * np.maximum(np.abs(values[count:]), 1e-6 * np.abs(values[-1]))
+    return count + int(np.argmax(wide)) if wide.any() else None
+
+
+def _judge(counted: int, found: int, start: _Count, mark: float) -> tuple[bool, str]:
+    hz = float(frequencies(np.array([mark]))[0])
+    if counted < 0 or start.below < 0:
+        return False, "the factorisation gives no inertia: not counted"
+    where = f"{counted} eigenvalues below {hz:.6g} Hz by inertia (Sturm), {start.below} below the shift; "
+    if counted == found and start.below == 0:
+        return True, where + f"{found} found"
+    return False, where + f"{found} found: NOT complete"
+
+
+def _band(
+    pencil: Pencil,
+    band: tuple[float, float],
+    shift: float | None,
+    progress: Callable[[float, str], None] | None,
+) -> EigenModes:
+    low, high = eigenvalue(band[0]), eigenvalue(band[1])
+    top = _counted(pencil, high, 1)
+    bottom = _counted(pencil, low, -1) if band[0] > 0 else _Count(0, -np.inf)
+    wanted = top.below - bottom.below
+    few = bottom.below <= 0.5 * wanted + 2 * lanczos.BLOCK  # then it is cheaper to take the lower ones along
+    if few:
+        sigma = shift if shift is not None else -0.03 * high
+        expected = top.below
+    else:
+        sigma, expected = (low + high) / 2, wanted
+    if sigma < 0:
+        below = pencil.at(sigma).negatives
+        if below != 0:
+            raise NumericalError(
+                f"{below} eigenvalues below {sigma:.4g} (rad/s)^2: the stiffness is indefinite or the inertia "
+                "is not available; ask for a number of modes in place of a band"
+            )
+    if not wanted:
+        proof = f"no eigenvalue between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm)"
+        empty = np.zeros((pencil.size, 0))
+        return EigenModes(np.zeros(0), empty, np.zeros(0), 0.0, True, proof, pencil.shift)
+
+    def inside(theta: Float) -> int:
+        values = sigma + 1 / theta
+        return int(((values < top.shift) & (values > (-np.inf if few else bottom.shift))).sum())
+
+    factor = pencil.at(sigma)
+    pairs = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
+    for _ in range(ROUNDS):
+        locked = (pairs.theta, pairs.vectors)
+        pairs = lanczos.solve(
+            factor,
+            pencil.mass,
+            lambda theta: inside(theta) >= expected or _beyond(sigma + 1 / theta, top, bottom, few),
+            expected=expected + EXTRA,
+            locked=locked,
+            progress=progress,
+        )
+        if inside(pairs.theta) >= expected:
+            break
+    found = inside(pairs.theta)
+    proof = f"{wanted} eigenvalues between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm) at both ends"
+    values = sigma + 1 / pairs.theta
+    at = np.flatnonzero((values >= low) & (values <= high))
+    chosen = lanczos.RitzPairs(pairs.theta[at], pairs.vectors[:, at], pairs.exhausted)
+    complete = found == expected and top.below >= 0
+    return _finish(pencil, chosen, sigma, slice(None), complete, proof + f"; {at.size} found")
+
+
+def _beyond(values: Float, top: _Count, bottom: _Count, few: bool) -> bool:
+    """Both ends of the band have been passed by several modes: what is still missing needs new directions."""
+    over = (values > top.shift).sum() >= EXTRA
+    return bool(over and (few or (values < bottom.shift).sum() >= EXTRA))
+
+
+def _counted(pencil: Pencil, value: float, side: int) -> _Count:
+    """Inertia at a band end, moved outward by 1e-9 if a mode stands exactly there."""
+    for push in (0.0, 1e-9, 1e-6):
+        at = value * (1 + side * push)
+        try:
+            return _Count(pencil.at(at).negatives, at)
+        except SingularModel:
+            continue
+    raise NumericalError(f"cannot count at {value:.6g} (rad/s)^2: a band end stands on a mode; move it")
+
+
+def _finish(
+    pencil: Pencil, pairs: lanczos.RitzPairs, shift: float, take: slice, complete: bool, proof: str
+) -> EigenModes:
+    values, vectors, residuals, orthogonality = polish(
+        pencil.stiffness, pencil.mass, shift + 1 / pairs.theta, pairs.vectors
+    )
+    if pairs.theta.size > 1 and orthogonality > 1e-10:
+        values, vectors = _rayleigh_ritz(pencil, vectors)
+        values, vectors, residuals, orthogonality = polish(pencil.stiffness, pencil.mass, values, vectors)
+    return EigenModes(values[take], vectors[:, take], residuals[take], orthogonality, complete, proof, shift)
+
+
+def _rayleigh_ritz(pencil: Pencil, vectors: Float) -> tuple[Float, Float]:
+    from scipy.linalg import eigh
+
+    k, m = vectors.T @ (pencil.stiffness @ vectors), vectors.T @ (pencil.mass @ vectors)
+    values, y = eigh(k, m)
+    return values, vectors @ y

@@ -1,0 +1,173 @@
+"""What the elements need of a model: node positions, displacement frames, and rows of properties and materials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.dofs import DofSet
+from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.model.frames import axes, positions
+from ringtrue.model.model import Model, Table
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """A model with its nodes resolved to the basic frame.
+
+    Attributes
+    ----------
+    model : Model
+    xyz : (n, 3) float64
+        Basic coordinates, in the order of the GRID rows.
+    cd : (n, 3, 3) float64
+        Displacement (CD) frame of each node, unit vectors as rows.
+    scalar : (s,) int64
+        Ids of the scalar points, ascending.
+    """
+
+    model: Model
+    xyz: Float
+    cd: Float
+    scalar: Int
+
+    @property
+    def size(self) -> int:
+        """Number of full DOFs: six a node, then one a scalar point."""
+        return 6 * len(self.xyz) + self.scalar.size
+
+    @property
+    def dofs(self) -> DofSet:
+        """Labels of the full DOFs."""
+        ids = self.model["GRID"].ids
+        node = np.concatenate([np.repeat(ids, 6), self.scalar])
+        direction = np.concatenate([np.tile(np.arange(1, 7), ids.size), np.zeros(self.scalar.size, dtype=np.int64)])
+        return DofSet(node, direction.astype(np.int8))
+
+    def nodes(self, ids: Any_, table: Table, at: Int) -> Int:
+        """Rows of GRID for node ids (e, ...) used by rows `at` (e,) of `table`.
+
+        Raises
+        ------
+        DeckError
+            If a node is absent.
+        """
+        found = self.model["GRID"].find(ids)
+        if (found < 0).any():
+            first = np.argwhere(found < 0)[0]
+            raise error(self.model, table, int(at[first[0]]), f"GRID {np.asarray(ids)[tuple(first)]} is not in the deck")
+        return found
+
+    def dof(self, ids: Int, component: Int, table: Table, at: Int) -> Int:
+        """Full DOF of component 1..6 of a node, or of a scalar point (component 0 or 1); (k,) int64."""
+        point = np.searchsorted(self.scalar, ids).clip(max=max(self.scalar.size - 1, 0))
+        scalar = np.zeros(ids.shape, dtype=bool)
+        if self.scalar.size:
+            scalar = self.scalar[point] == ids
+        out = 6 * len(self.xyz) + point
+        out[~scalar] = 6 * self.nodes(ids[~scalar], table, at[~scalar]) + component[~scalar] - 1
+        bad = ~scalar & ((component < 1) | (component > 6))
+        if bad.any():
+            i = int(np.flatnonzero(bad)[0])
+            raise error(self.model, table, int(at[i]), f"component {component[i]} of GRID {ids[i]}: allowed are 1 to 6")
+        return out
+
+
+def mesh(model: Model) -> Mesh:
+    """Resolve the nodes of a model.
+
+    Raises
+    ------
+    DeckError
+        If there is no GRID, an id occurs twice, or a frame is absent.
+    """
+    if "GRID" not in model or not len(model["GRID"]):
+        raise DeckError("the deck has no GRID")
+    ids, count = np.unique(model["GRID"].ids, return_counts=True)
+    if (count > 1).any():
+        raise DeckError(f"GRID {ids[count > 1][0]} occurs twice")
+    xyz = positions(model)
+    scalar = np.unique(model["SPOINT"].ragged("ID").values) if "SPOINT" in model else np.empty(0, dtype=np.int64)
+    return Mesh(model, xyz, axes(model, model["GRID"]["CD"], xyz), scalar.astype(np.int64))
+
+
+def error(model: Model, table: Table, row: int, message: str) -> DeckError:
+    """A DeckError at the place of a row of a table."""
+    file = int(table.file[row])
+    path = model.files[file] if 0 <= file < len(model.files) else None
+    line = int(table.line[row]) if path else None
+    return DeckError(message, path=path, line=line, card=f"{table.card} {table.ids[row]}")
+
+
+def lookup(model: Model, card: str, ids: Int, table: Table, at: Int) -> Int:
+    """Rows of `card` with these ids (e,), which rows `at` (e,) of `table` refer to.
+
+    Raises
+    ------
+    DeckError, UnsupportedCard
+        If one is absent; the second where it may be a card that was read but is not supported.
+    """
+    found = model[card].find(ids) if card in model else np.full(ids.shape, -1)
+    if (found < 0).any():
+        i = int(np.flatnonzero(found < 0)[0])
+        other = [c for c in model.kept if c[:3] == card[:3] and c != card]
+        if other:
+            raise UnsupportedCard(other[0], why=f"{table.card} {table.ids[at[i]]} refers to {card} {ids[i]}")
+        raise error(model, table, int(at[i]), f"{card} {ids[i]} is not in the deck")
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Isotropic:
+    """MAT1 rows, one an element: `E, G, nu, rho, loss` (e,), real or complex."""
+
+    E: Any_
+    G: Any_
+    nu: Any_
+    rho: Any_
+    loss: Any_
+
+
+def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
+    """MAT1 properties of each element, the one of E, G, NU that is blank completed from the others.
+
+    Raises
+    ------
+    DeckError
+        If a material is absent, or neither E nor G is given.
+    """
+    mat, row = model["MAT1"] if "MAT1" in model else table, lookup(model, "MAT1", mid, table, at)
+    E, G, nu, rho, loss = (mat[c][row] for c in ("E", "G", "NU", "RHO", "GE"))
+    if (np.isnan(E) & np.isnan(G)).any():
+        i = int(np.flatnonzero(np.isnan(E) & np.isnan(G))[0])
+        raise error(model, mat, int(row[i]), "neither E nor G is given")
+    nu = np.where(np.isnan(nu), 0.0, nu)
+    E = np.where(np.isnan(E), 2 * (1 + nu) * G, E)
+    both = ~np.isnan(G)
+    nu = np.where(both & (nu == 0) & (G != 0), E / np.where(both & (G != 0), 2 * G, 1.0) - 1, nu)
+    return Isotropic(E, np.where(both, G, E / (2 * (1 + nu))), nu, rho, loss)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matrices:
+    """Element matrices over full basic-frame DOFs.
+
+    Attributes
+    ----------
+    dofs : (e, d) int64
+        -1 where an element has no such DOF (a grounded end).
+    stiffness : (e, d, d), real or complex
+    mass : (e, d) or (e, d, d)
+        Diagonal (lumped) or full.
+    loss : (e,)
+        Structural damping factor g of the element, K (1 + i g).
+    viscous : (e, d, d), or (0, d, d) where the element has none
+    """
+
+    dofs: Int
+    stiffness: Any_
+    mass: Any_
+    loss: Any_
+    viscous: Any_

@@ -1,0 +1,238 @@
+"""Least-squares frequency-domain residues (LSFD), one global problem over all lines and responses.
+
+The residues of a mode are held to rank one, ψ_k l_kᵀ, with the participation vectors l_k given. Weights are separable
+(line and input times response), so every response shares one normal matrix, and all sums over lines are those of
+scalar functions 1/(s − λ_k): a few dozen columns, whatever the number of responses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lu_factor, lu_solve
+
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import Norm
+from ringtrue.core.signals import FrfSet
+from ringtrue.errors import InputError
+
+POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """A separable model of the standard deviation of the FRFs: σ(f, o, i) = line(f, i) · response(o).
+
+    Attributes
+    ----------
+    line : (freq, in) float64
+    response : (out,) float64
+        Geometric mean 1.
+    """
+
+    line: Float
+    response: Float
+
+
+def noise(frfs: FrfSet) -> Noise:
+    """The noise of the FRFs: from the coherence, σ² = |H|²(1 − γ²)/(2 n γ²), else from the roughness over the lines.
+
+    Where the coherence is unknown an error of 2 % of the local level is added, as systematic errors then dominate.
+    """
+    h2 = np.abs(frfs.data) ** 2
+    floor = _roughness(frfs.data)
+    if np.isfinite(frfs.coherence).all():
+        g = np.clip(frfs.coherence, 1e-3, 1 - 1e-9)
+        n = np.where(np.isfinite(frfs.averages), np.maximum(frfs.averages, 1), 1)
+        var = h2 * (1 - g) / (2 * n * g) + 1e-8 * h2
+    else:
+        var = floor + (0.02**2) * h2
+    var = np.maximum(var, 1e-12 * h2.mean(axis=0) + np.finfo(float).tiny)
+    log = np.log(var)
+    response = log.mean(axis=(0, 2))
+    line = _smooth((log - response[:, None]).mean(axis=1))
+    return Noise(np.exp(0.5 * (line + response.mean())), np.exp(0.5 * (response - response.mean())))
+
+
+def _roughness(h: Complex) -> Float:
+    """(1, out, in) variance per component from the median of squared second differences over the lines."""
+    d = np.abs(h[2:] - 2 * h[1:-1] + h[:-2]) ** 2
+    return np.asarray(np.median(d, axis=0)[None] / (12 * 0.693))
+
+
+def _smooth(line: Float, width: int = 5) -> Float:
+    kernel = np.ones(width) / width
+    pad = np.pad(line, ((width // 2, width // 2), (0, 0)), mode="edge")
+    return np.stack([np.convolve(c, kernel, "valid") for c in pad.T], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """Weighted data with the residual terms of each input projected out.
+
+    Attributes
+    ----------
+    s : (freq,) complex128, rad/s
+    kind : (freq,) complex128
+        s^p that turns receptance into the kind of the data.
+    y : (in, freq, out) complex128
+        Weighted data, without its part in the span of the residual terms.
+    weight : (in, freq) float64
+    terms : (in, freq, t) complex128
+        Orthonormal basis of the weighted residual terms.
+    response : (out,) float64
+        Weight of each response.
+    """
+
+    s: Complex
+    kind: Complex
+    y: Complex
+    weight: Float
+    terms: Complex
+    response: Float
+
+
+def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
+    """Weight the data and project out the lower and upper residuals."""
+    s = 2j * np.pi * frfs.freqs
+    if (frfs.freqs <= 0).any():
+        raise InputError("the line at 0 Hz has no place in a fit of modes: leave it out")
+    kind = s ** POWER[frfs.kind]
+    weight = 1 / sigma.line.T
+    t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size)], axis=1)
+    terms = np.linalg.qr(weight[:, :, None] * t)[0]
+    y = weight[:, :, None] * frfs.data.transpose(2, 0, 1)
+    return Lines(s, kind, _without(terms, y), weight, terms, 1 / sigma.response)
+
+
+def _without(terms: Complex, y: Complex) -> Complex:
+    return np.asarray(y - terms @ (terms.conj().transpose(0, 2, 1) @ y))
+
+
+def functions(lines: Lines, poles: Complex, power: int = 1) -> Complex:
+    """Weighted 1/(s − λ)^power and those of the conjugate poles, (in, freq, 2 m), residual terms projected out."""
+    both = np.concatenate([poles, poles.conj()])
+    q = lines.kind[:, None] / (lines.s[:, None] - both) ** power
+    return _without(lines.terms, lines.weight[:, :, None] * q)
+
+
+def mirrored(a: Complex) -> Complex:
+    """Add what the negative frequencies contribute to products with augmented vectors [x, conj x] (both axes)."""
+    n = a.shape[-1] // 2
+    return np.asarray(a + np.roll(np.roll(a.conj(), n, axis=-1), n, axis=-2))
+
+
+def mirrored_rows(a: Complex) -> Complex:
+    """The same for products with the data: an array (..., 2 m, out) and its partner from the conjugate data."""
+    return np.asarray(a + np.roll(a.conj(), a.shape[-2] // 2, axis=-2))
+
+
+def augment(x: Complex) -> Complex:
+    """[x, conj x] along the first axis."""
+    return np.concatenate([x, x.conj()], axis=0)
+
+
+def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> tuple[Complex, Float]:
+    """Shapes ψ (out, m), given poles (m,) and participation (m, in), and what each mode adds to the fit.
+
+    Returns
+    -------
+    shapes : (out, m) complex128
+    gain : (out, m) float64
+        Fall of the weighted sum of squares (σ = 1) by the mode with all others present.
+    """
+    q = functions(lines, poles)
+    qh = q.conj().transpose(0, 2, 1)
+    d = augment(participation).T[:, :, None]  # (in, 2 m, 1)
+    n = mirrored((d.conj() * (qh @ q) * d.transpose(0, 2, 1)).sum(axis=0))
+    b = mirrored_rows(qh @ lines.y)
+    rhs = (d.conj() * b).sum(axis=0)
+    scale = 1 / np.sqrt(np.maximum(np.diag(n).real, np.finfo(float).tiny))
+    factor = lu_factor(scale[:, None] * n * scale)
+    m = poles.size
+    psi = scale[:, None] * lu_solve(factor, scale[:, None] * rhs)
+    inverse = scale[:, None] * lu_solve(factor, np.diag(scale).astype(np.complex128))
+    gain = np.abs(psi[:m].T) ** 2 / np.maximum(np.diag(inverse).real[:m], np.finfo(float).tiny)
+    return psi[:m].T, np.asarray(gain * lines.response[:, None] ** 2)
+
+
+def lsfd(frfs: FrfSet, poles: Complex, participation: Complex, sigma: Noise | None = None) -> ModalModel:
+    """The modal model of given poles and participation vectors.
+
+    Parameters
+    ----------
+    frfs : FrfSet, lines > 0 Hz
+    poles : (m,) complex128, rad/s
+    participation : (m, in) complex128
+    sigma : Noise, optional
+        By default that of `noise(frfs)`.
+    """
+    sigma = sigma or noise(frfs)
+    lines = prepare(frfs, sigma)
+    shapes, _ = solve_shapes(lines, poles, participation)
+    bare = ModalModel(
+        poles,
+        shapes,
+        participation,
+        np.zeros(frfs.data.shape[1:]),
+        np.zeros(frfs.data.shape[1:]),
+        frfs.outputs,
+        frfs.inputs,
+        frfs.kind,
+    )
+    lower, upper = _residuals(frfs.data - bare.synthesise(frfs.freqs), lines)
+    return normalise(
+        ModalModel(poles, shapes, participation, lower, upper, frfs.outputs, frfs.inputs, frfs.kind)
+    )
+
+
+def _residuals(rest: Complex, lines: Lines) -> tuple[Complex, Complex]:
+    """Lower and upper residuals (out, in) of what the modes leave."""
+    t = np.stack([(lines.s[0] / lines.s) ** 2, np.ones(lines.s.size)], axis=1)
+    t = lines.weight[:, :, None] * (lines.kind[:, None] * t)
+    y = lines.weight[:, :, None] * rest.transpose(2, 0, 1)
+    q, r = np.linalg.qr(t)
+    x = np.linalg.solve(r, q.conj().transpose(0, 2, 1) @ y)  # (in, 2, out)
+    return (x[:, 0] * lines.s[0] ** 2).T, x[:, 1].T
+
+
+def driving_pairs(model: ModalModel | FrfSet) -> list[tuple[int, int, float]]:
+    """(output, input, sign) of the driving points; a hit against the positive direction of its sensor has sign −1."""
+    try:
+        out = DofSet.parse(c.id for c in model.outputs)
+        inp = DofSet.parse(c.id for c in model.inputs)
+    except InputError:
+        at = {c.id: i for i, c in enumerate(model.outputs)}
+        return [(at[c.id], j, 1.0) for j, c in enumerate(model.inputs) if c.id in at]
+    found = out.find(inp.node, inp.direction)
+    return [
+        (int(o), j, -1.0 if int(out.direction[o]) * int(inp.direction[j]) < 0 else 1.0)
+        for j, o in enumerate(found)
+        if o >= 0
+    ]
+
+
+def normalise(model: ModalModel) -> ModalModel:
+    """Shapes of unit modal A where there are driving points, residue = φ φᵀ; else the model as it is."""
+    pairs = driving_pairs(model)
+    if not pairs or not model.poles.size:
+        return model
+    o, i = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
+    sign = np.array([p[2] for p in pairs])[:, None]
+    psi, part = model.shapes[o] * sign, model.participation.T[i]
+    alpha = np.sqrt((psi.conj() * part).sum(axis=0) / np.maximum((np.abs(psi) ** 2).sum(axis=0), 1e-300))
+    alpha = np.where(np.abs(alpha) > 0, alpha, 1.0)
+    return ModalModel(
+        model.poles,
+        model.shapes * alpha,
+        model.participation / alpha[:, None],
+        model.lower,
+        model.upper,
+        model.outputs,
+        model.inputs,
+        model.kind,
+        Norm.MODAL_A,
+    )

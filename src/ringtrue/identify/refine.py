@@ -1,0 +1,202 @@
+"""Coherence-weighted nonlinear least squares on poles and participation vectors, by variable projection.
+
+The shapes and residual terms are eliminated (Golub, Pereyra 1973; Kaufman's form of the Jacobian 1975). With separable
+weights the projected Gauss-Newton matrix of every response is one matrix, scaled entry by entry by products of its shape
+components, so that a step costs no more than one LSFD.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.outcome import Outcome
+from ringtrue.identify.lsfd import Lines, augment, functions, mirrored, mirrored_rows
+
+ITERATIONS = 20
+TOLERANCE = 1e-7  # relative fall of the objective
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """Poles and participation vectors that minimise the weighted error.
+
+    Attributes
+    ----------
+    poles : (m,) complex128, rad/s
+    participation : (m, in) complex128
+    shapes : (out, m) complex128
+    std_frequency : (m,) float64, Hz
+    std_damping : (m,) float64
+    factor : (2 m, 2 m) float64
+        F with FᵀF the covariance of (frequencies, damping).
+    std_shape : (out, m) float64
+        Of the modulus of each component of `shapes`.
+    error : float
+        Weighted rms error; 1 means that the model explains the data down to the noise.
+    outcome : Outcome
+    """
+
+    poles: Complex
+    participation: Complex
+    shapes: Complex
+    std_frequency: Float
+    std_damping: Float
+    factor: Float
+    std_shape: Float
+    error: float
+    outcome: Outcome
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    poles: Complex
+    part: Complex
+    shapes: Complex
+    cost: float
+    hessian: Complex
+    gradient: Complex
+    shape_var: Float
+
+
+def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: int = ITERATIONS) -> Refined:
+    """Refine all modes at once.
+
+    Parameters
+    ----------
+    lines : Lines
+    poles : (m,) complex128, rad/s, start
+    participation : (m, in) complex128, start
+    iterations : int
+
+    Returns
+    -------
+    Refined
+    """
+    part = participation / np.linalg.norm(participation, axis=1, keepdims=True)
+    state = _evaluate(lines, poles, part)
+    damping, outcome = 1e-3, Outcome.MAX_ITERATIONS
+    for _ in range(iterations):
+        new = _try(lines, state, damping)
+        if new is None:
+            damping *= 10
+            if damping > 1e6:
+                outcome = Outcome.STALLED
+                break
+            continue
+        fall = (state.cost - new.cost) / max(state.cost, 1e-300)
+        state, damping = new, max(damping / 10, 1e-9)
+        if fall < TOLERANCE:
+            outcome = Outcome.CONVERGED
+            break
+    return _result(lines, state, outcome)
+
+
+def _try(lines: Lines, state: _State, damping: float) -> _State | None:
+    free = _free(state.part)
+    h = state.hessian[np.ix_(free, free)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
+    h = scale[:, None] * h * scale
+    step = np.zeros(state.hessian.shape[0], dtype=np.complex128)
+    step[free] = scale * np.linalg.solve(h + damping * np.eye(free.size), scale * state.gradient[free])
+    m, n_in = state.part.shape
+    d = step.reshape(1 + n_in, 2, m)[:, 0]
+    poles = state.poles + d[0]
+    if not np.isfinite(d).all() or (poles.imag <= 0).any() or (poles.real >= 0).any():
+        return None
+    part = state.part + d[1:].T
+    new = _evaluate(lines, poles, part / np.linalg.norm(part, axis=1, keepdims=True))
+    return new if new.cost <= state.cost else None
+
+
+def _free(part: Complex) -> Int:
+    """Positions of the parameters but the largest participation of each mode, which fixes the scale of its shape."""
+    m, n_in = part.shape
+    mask = np.ones((1 + n_in, 2, m), dtype=bool)
+    mask[1 + np.abs(part).argmax(axis=1), :, np.arange(m)] = False
+    return np.flatnonzero(mask.ravel())
+
+
+def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
+    """Shapes, cost, gradient and Gauss-Newton matrix in augmented coordinates (λ, then l of each input; value, conj)."""
+    m, n_in = part.shape
+    q, dq = functions(lines, poles), functions(lines, poles, 2)
+    qh, dqh = q.conj().transpose(0, 2, 1), dq.conj().transpose(0, 2, 1)
+    cc, cd, dd = mirrored(qh @ q), mirrored(qh @ dq), mirrored(dqh @ dq)
+    cy, dy = mirrored_rows(qh @ lines.y), mirrored_rows(dqh @ lines.y)
+    l = augment(part).T[:, :, None]
+    lt = l.transpose(0, 2, 1)
+    xx = (l.conj() * cc * lt).sum(axis=0)
+    xy = (l.conj() * cy).sum(axis=0)
+    xg = np.concatenate([(l.conj() * cd * lt).sum(axis=0), *(l.conj() * cc)], axis=1)
+    gy = np.concatenate([(l.conj() * dy).sum(axis=0), *cy])
+    scale = 1 / np.sqrt(np.maximum(np.diag(xx).real, 1e-300))
+    inverse = scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale  # small; its diagonal is needed too
+    psi = inverse @ xy
+    gg = _gram(cc, cd, dd, l)
+    core = gg - xg.conj().T @ inverse @ xg
+    w2 = lines.response**2
+    tile = np.tile(psi, (1 + n_in, 1))
+    hessian = core * ((tile.conj() * w2) @ tile.T)
+    gradient = ((tile.conj() * w2) * (gy - xg.conj().T @ psi)).sum(axis=1)
+    power = (np.abs(lines.y) ** 2).sum(axis=(0, 1))
+    cost = float((w2 * np.maximum(power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
+    var = 2 * np.diag(inverse).real[:m]
+    return _State(poles, part, psi[:m].T, cost, hessian, gradient, np.maximum(var, 0) / w2[:, None])
+
+
+def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
+    """Gram matrix of the derivatives with unit shapes: pole columns share all inputs, participations have one each."""
+    n_in, n = l.shape[:2]
+    gg = np.zeros((1 + n_in, n, 1 + n_in, n), dtype=np.complex128)
+    gg[0, :, 0] = (l.conj() * dd * l.transpose(0, 2, 1)).sum(axis=0)
+    for i in range(n_in):  # a handful of inputs
+        gg[1 + i, :, 1 + i] = cc[i]
+        gg[1 + i, :, 0] = cd[i] * l[i].T
+        gg[0, :, 1 + i] = gg[1 + i, :, 0].conj().T
+    return gg.reshape((1 + n_in) * n, -1)
+
+
+def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
+    m, n_in = state.part.shape
+    n_out = lines.y.shape[2]
+    free = _free(state.part)
+    data = 2 * lines.y.shape[0] * lines.y.shape[1] * n_out
+    error2 = state.cost / max(data - free.size - 2 * m * n_out, 1)
+    h = state.hessian[np.ix_(free, free)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
+    cov = 2 * scale[:, None] * np.linalg.pinv(scale[:, None] * h * scale, hermitian=True) * scale
+    cov = cov[: 2 * m, : 2 * m] * error2
+    f, zeta = np.abs(state.poles) / (2 * np.pi), -state.poles.real / np.abs(state.poles)
+    slope = _slopes(state.poles)
+    real = slope @ _real(cov, m) @ slope.T
+    values, vectors = np.linalg.eigh((real + real.T) / 2)
+    factor = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
+    std = np.sqrt(np.maximum(np.diag(real), 0))
+    assert f.size == zeta.size
+    return Refined(
+        state.poles,
+        state.part,
+        state.shapes,
+        std[:m],
+        std[m:],
+        factor,
+        np.sqrt(state.shape_var * max(error2, 0) / 2),
+        float(np.sqrt(error2)),
+        outcome,
+    )
+
+
+def _real(cov: Complex, m: int) -> Float:
+    """Covariance of (Re, Im) from that of augmented (x, conj x)."""
+    a, b = cov[:m, :m], cov[:m, m:]
+    return np.block([[(a + b).real, (b - a).imag], [(a + b).imag, (a - b).real]]) / 2
+
+
+def _slopes(poles: Complex) -> Float:
+    """(2 m, 2 m) derivatives of (frequency, damping) by (Re λ, Im λ)."""
+    a, b, r = poles.real, poles.imag, np.abs(poles)
+    d = np.diag
+    return np.block([[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]) / (2 * np.pi)

@@ -1,0 +1,236 @@
+"""Covariance-driven stochastic subspace identification: one decomposition, every model order.
+
+Peeters and De Roeck 1999 (reference-based SSI-cov); the orders from the leading blocks of one QR factorisation of the
+observability matrix follow Döhler and Mevel 2012 (fast multi-order computation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh, qr, solve_triangular, svd
+
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.identify import variance as var
+from ringtrue.identify.poles import PoleSet
+from ringtrue.signal.preprocess import block_bounds, block_weights, detrend
+from ringtrue.signal.psd import block_correlations
+
+MAX_REFERENCES = 16
+
+
+@dataclass(frozen=True, slots=True)
+class SsiCov:
+    """Settings of one band.
+
+    Attributes
+    ----------
+    block_rows : int
+        Block rows (and columns) of the Hankel matrix; lags up to 2·block_rows − 1 are used.
+    order_max : int
+        Largest model order (states; two for each mode), even.
+    order_step : int
+    blocks : int
+        Blocks of the record for the variance; 0 chooses.
+    damping_max : float
+        Poles with more damping, or none, are dropped.
+    """
+
+    block_rows: int = 50
+    order_max: int = 80
+    order_step: int = 2
+    blocks: int = 0
+    damping_max: float = 0.3
+
+    def __post_init__(self) -> None:
+        if self.block_rows < 2 or self.order_max < 2 or self.order_step < 1 or self.blocks in (1, 2):
+            raise ConfigError(
+                f"SSI: block_rows {self.block_rows} >= 2, order_max {self.order_max} >= 2, "
+                f"order_step {self.order_step} >= 1, blocks {self.blocks} 0 or >= 3"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subspace:
+    """The decomposition all orders come from: H ≈ U S Vᵀ, O = U, the QR of O without its last block row."""
+
+    u: Float
+    s: Float
+    vs: Float
+    q: Float
+    r: Float
+    qd: Float
+    channels: int
+    rate: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandPoles:
+    """Poles of all orders of one band, with the deviation by each block of the record.
+
+    Attributes
+    ----------
+    poles : PoleSet
+    deviation : (k, block) complex128, rad/s
+    strength : (k,) float64
+        Signal-to-noise ratio of the mode in the correlations.
+    column : (k,) int64
+        Position among the eigenvalues of its order.
+    subspace : Subspace
+    perturbations : Perturbations
+    """
+
+    poles: PoleSet
+    deviation: Complex
+    strength: Float
+    column: Int
+    subspace: Subspace
+    perturbations: var.Perturbations
+
+
+def decompose(h: Float, order: int) -> tuple[Float, Float, Float]:
+    """Leading singular triplets U (i, order), s, V (j, order) of `h`: a Gram start and one Rayleigh-Ritz step."""
+    j = h.shape[1]
+    if j <= 4 * order:
+        u, s, vt = svd(h, full_matrices=False)
+        return u[:, :order], s[:order], vt[:order].T
+    _, v = eigh(h.T @ h, subset_by_index=(j - order, j - 1))
+    basis, _ = qr(h @ v, mode="economic")
+    u, s, vt = svd(basis.T @ h, full_matrices=False)
+    return basis @ u, s, vt.T
+
+
+def subspace(r: Float, rows: int, order: int, rate: float) -> Subspace:
+    """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank ends."""
+    ch = r.shape[1]
+    h = var.hankel(r, rows)
+    u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)))
+    n = int((s > 1e-12 * s[0]).sum())
+    u, s, v = u[:, :n], s[:n], v[:, :n]
+    q, tri = qr(u[:-ch], mode="economic")
+    return Subspace(u, s, v / s, q, tri, q.T @ u[ch:], ch, rate)
+
+
+def transition(sub: Subspace, n: int) -> tuple[Float, Complex, Complex, Complex]:
+    """A (n, n) of order n, its eigenvalues (n,), right vectors (columns) and left vectors (rows), left·right = I."""
+    a = solve_triangular(sub.r[:n, :n], sub.qd[:n, :n])
+    mu, right = np.linalg.eig(a)
+    right = right.astype(np.complex128)
+    return a, mu.astype(np.complex128), right, np.linalg.solve(right, np.eye(n, dtype=np.complex128))
+
+
+def _order(
+    sub: Subspace, p: var.Perturbations | None, n: int, settings: SsiCov, low: float, high: float
+) -> tuple[Int, Complex, Complex, Complex, Float]:
+    """Columns, poles, shapes (ch, k), deviations (k, block) and strengths of one order within the band."""
+    _, mu, right, left = transition(sub, n)
+    log = np.log(np.where(mu == 0, 1e-300, mu)) * sub.rate
+    f, zeta = np.abs(log) / (2 * np.pi), -log.real / np.maximum(np.abs(log), 1e-300)
+    ok = (mu.imag > 0) & (zeta > 0) & (zeta < settings.damping_max) & (f >= low) & (f <= high)
+    keep = np.flatnonzero(ok)
+    psi = sub.u[: sub.channels, :n] @ right[:, keep]
+    if p is None:
+        return keep, log[keep], psi, np.empty((keep.size, 0), np.complex128), np.full(keep.size, np.nan)
+    d_mu = var.pole_deviations(p, sub.r[:n, :n], mu[keep], right[:, keep], left[keep])
+    return keep, log[keep], psi, d_mu / mu[keep, None] * sub.rate, var.strengths(p, sub.s, left[keep])
+
+
+def all_orders(
+    sub: Subspace, p: var.Perturbations | None, settings: SsiCov, band: tuple[float, float]
+) -> tuple[PoleSet, Complex, Float, Int]:
+    """Poles of the orders 2, 2 + step, .. within the band (Hz), their deviations, strengths and columns."""
+    orders = np.arange(2, sub.s.size + 1, settings.order_step)
+    parts = [_order(sub, p, int(n), settings, *band) for n in orders]
+    column = np.concatenate([x[0] for x in parts]).astype(np.int64)
+    pole = np.concatenate([x[1] for x in parts])
+    psi = np.concatenate([x[2] for x in parts], axis=1)
+    dev = np.concatenate([x[3] for x in parts])
+    strength = np.concatenate([x[4] for x in parts])
+    order = np.repeat(orders, [x[0].size for x in parts])
+    df, dz = var.frequency_damping(pole, dev)
+    unknown = np.full(pole.size, np.nan)
+    poles = PoleSet(
+        order, pole, unit(psi), var.std(df) if p is not None else unknown, var.std(dz) if p is not None else unknown
+    )
+    return poles, dev, strength, column
+
+
+def unit(psi: Complex) -> Complex:
+    """Shapes (ch, k) with their largest component 1."""
+    top = np.argmax(np.abs(psi), axis=0)[None] if psi.shape[1] else np.zeros((1, 0), dtype=np.int64)
+    return np.asarray(psi / np.take_along_axis(psi, top, axis=0))
+
+
+def choose_references(data: Float, most: int = MAX_REFERENCES) -> Int:
+    """(ref,) int64 channels that span the motion best: all, or `most` by pivoted QR of the correlation at lag 1."""
+    if len(data) <= most:
+        return np.arange(len(data), dtype=np.int64)
+    lagged = data[:, 1:] @ data[:, :-1].T
+    _, pivots = qr(lagged, mode="r", pivoting=True)
+    return np.sort(np.asarray(pivots[:most], dtype=np.int64))
+
+
+def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> tuple[Float, Float]:
+    """Correlations (block, lag, ch, ref) and weights (block,) of normalised `data` (ch, sample).
+
+    Raises
+    ------
+    DataError
+        If the record is too short for the lags.
+    """
+    lags = 2 * settings.block_rows - 1
+    blocks = settings.blocks or var.blocks_for(data.shape[1], lags)
+    if data.shape[1] < 4 * lags:
+        raise DataError(
+            f"{data.shape[1]} samples are too few for {settings.block_rows} block rows; needed are {4 * lags}"
+        )
+    refs = choose_references(data) if references is None else references
+    bounds = block_bounds(data.shape[1], blocks)
+    r, _ = block_correlations(data, refs, lags, bounds)
+    power = np.array([np.mean(data[:, i:j] ** 2) for i, j in zip(bounds[:-1], bounds[1:], strict=True)])
+    return r, block_weights(power)
+
+
+def identify_band(r: Float, weights: Float, settings: SsiCov, rate: float, band: tuple[float, float]) -> BandPoles:
+    """All orders with their uncertainty from block correlations `r` (block, lag, ch, ref) of signals at `rate`."""
+    mean, dr = var.deviations(r, weights)
+    sub = subspace(mean, settings.block_rows, settings.order_max, rate)
+    p = var.perturb(dr, settings.block_rows, sub.u, sub.vs, sub.q)
+    poles, dev, strength, column = all_orders(sub, p, settings, band)
+    return BandPoles(poles, dev, strength, column, sub, p)
+
+
+def ssi_cov(
+    history: TimeHistory, settings: SsiCov | None = None, *, references: Sequence[str] | None = None
+) -> PoleSet:
+    """Poles of all model orders of the record as it stands: one band, no decimation.
+
+    Parameters
+    ----------
+    history : TimeHistory
+    settings : SsiCov
+    references : sequence of str
+        Channel ids; all channels, or the 16 that span the motion best, where None.
+
+    Raises
+    ------
+    DataError
+        If the record is too short, has dead channels or has no such reference.
+    """
+    settings = settings or SsiCov()
+    data = detrend(history.data)
+    scale = data.std(1, keepdims=True)
+    if not np.isfinite(scale).all() or not (scale > 0).all():
+        lost = [c.id for c, s in zip(history.channels, scale[:, 0], strict=True) if not s > 0]
+        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
+    ids = [c.id for c in history.channels]
+    if references is not None and (lost := [x for x in references if x not in ids]):
+        raise DataError(f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}")
+    refs = None if references is None else np.array([ids.index(x) for x in references], dtype=np.int64)
+    r, weights = blockwise(data / scale, settings, refs)
+    p = identify_band(r, weights, settings, history.rate, (0.0, history.rate / 2)).poles
+    return PoleSet(p.order, p.pole, unit(p.shape * scale), p.std_frequency, p.std_damping)

@@ -1,0 +1,166 @@
+"""From the poles of all orders to modes: checks of each pole, clusters, one estimate with its uncertainty.
+
+What tells a physical pole from a mathematical one is measured, not set: the standard deviation of each pole, the
+strength of its contribution to the correlations, how many orders show it, and whether both halves of the record do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.identify import variance as var
+from ringtrue.identify.cluster import cluster_poles, mac, phase_collinearity
+from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.ssi import BandPoles, transition, unit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Modes of one band before the verdict.
+
+    Attributes
+    ----------
+    pole : (m,) complex128, rad/s
+    deviation : (m, block) complex128, rad/s
+        By each block of the record; the sum of squares is the variance.
+    shape : (ch, m) complex128
+    shape_std : (ch, m) float64
+    share : (m,) float64
+        Fraction of the orders, from the first that shows the mode, that show it.
+    orders : (m, 2) int64
+        Orders that show it, orders tried.
+    strength : (m,) float64
+        Signal-to-noise ratio in the correlations.
+    mpc : (m,) float64
+    halves : (m,) float64
+        Agreement of the two halves of the record, 0..1; NaN where not tried.
+    label : (k,) int64
+        Row of this table for each pole of the band, -1 for none.
+    stable : (k,) bool
+    """
+
+    pole: Complex
+    deviation: Complex
+    shape: Complex
+    shape_std: Float
+    share: Float
+    orders: Int
+    strength: Float
+    mpc: Float
+    halves: Float
+    label: Int
+    stable: Bool
+
+    def stds(self) -> tuple[Float, Float]:
+        """Standard deviations of frequency (Hz) and damping ratio, each (m,)."""
+        df, dz = var.frequency_damping(self.pole, self.deviation)
+        return var.std(df), var.std(dz)
+
+    @property
+    def frequencies(self) -> Float:
+        """(m,) Hz."""
+        return np.abs(self.pole) / (2 * np.pi)
+
+    @property
+    def damping(self) -> Float:
+        """(m,) fraction of critical."""
+        return -self.pole.real / np.abs(self.pole)
+
+
+def stable_poles(band: BandPoles, damping_max: float = 0.2) -> Bool:
+    """(k,) poles worth clustering: damped, known to a few per cent, of some strength, and not wildly complex."""
+    p = band.poles
+    known = (p.std_frequency < 0.025 * p.frequencies) & (p.std_damping < np.maximum(p.damping, 2e-3))
+    return (p.damping < damping_max) & known & (band.strength > 2) & (phase_collinearity(p.shape) > 0.3)
+
+
+def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:
+    """Pole, deviation and shape of the poles `at` of one cluster by inverse variance, and its representative."""
+    p = band.poles
+    # relative to ζ: the variance of a pole grows with its damping, weights from it alone would favour small damping
+    v = (np.abs(band.deviation[at]) ** 2).sum(1) / np.maximum(-p.pole[at].real, 1e-12)
+    w = (1 / v) / (1 / v).sum()
+    pole = complex(w @ p.pole[at])
+    best = int(at[np.argmin(np.abs(p.pole[at] - pole) ** 2 / np.abs(pole) ** 2 + 1e-4 * v / v.min())])
+    psi = p.shape[:, at]
+    turn = p.shape[:, best].conj() @ psi
+    return pole, w @ band.deviation[at], (psi * (turn.conj() / np.abs(turn))) @ w, best
+
+
+def _shape_std(band: BandPoles, k: int) -> Float:
+    """Standard deviation (ch,) of the modulus of the shape of pole `k`, its largest component 1."""
+    sub, n = band.subspace, int(band.poles.order[k])
+    parts = transition(sub, n)
+    c = sub.u[: sub.channels, :n]
+    d = var.shape_deviations(band.perturbations, parts, c, int(band.column[k]), sub.r[:n, :n])
+    return var.modulus_std(unit(c @ parts[2][:, band.column[k], None])[:, 0], d)
+
+
+def candidates(band: BandPoles, least: int = 4) -> Candidates:
+    """Clusters of the stable poles with `least` members or more, ascending in frequency."""
+    stable = stable_poles(band)
+    use = np.flatnonzero(stable)
+    label = cluster_poles(band.poles.pole[use], band.poles.shape[:, use], band.poles.order[use])
+    groups = [use[label == g] for g in range(int(label.max(initial=-1)) + 1)]
+    groups = [g for g in groups if g.size >= least]
+    means = [_average(band, g) for g in groups]
+    rank = np.argsort([abs(m[0]) for m in means], kind="stable")
+    groups, means = [groups[i] for i in rank], [means[i] for i in rank]
+    return _table(band, groups, means, stable)
+
+
+def _table(
+    band: BandPoles, groups: list[Int], means: list[tuple[complex, Complex, Complex, int]], stable: Bool
+) -> Candidates:
+    p, m = band.poles, len(groups)
+    ch, nb = band.subspace.channels, band.deviation.shape[1]
+    tried = p.orders
+    label = np.full(len(p), -1, dtype=np.int64)
+    for i, g in enumerate(groups):
+        label[g] = i
+    first = np.array([p.order[g].min() for g in groups], dtype=np.int64)
+    size = np.array([g.size for g in groups], dtype=np.int64)
+    possible = (tried[:, None] >= first).sum(0) if m else size
+    shape = np.stack([x[2] for x in means], axis=1) if m else np.empty((ch, 0), np.complex128)
+    std = np.stack([_shape_std(band, x[3]) for x in means], axis=1) if m else np.empty((ch, 0))
+    return Candidates(
+        np.array([x[0] for x in means], dtype=np.complex128),
+        np.stack([x[1] for x in means]) if m else np.empty((0, nb), np.complex128),
+        unit(shape),
+        std,
+        size / np.maximum(possible, 1),
+        np.stack([size, np.full(m, tried.size)], axis=1).astype(np.int64),
+        np.array([np.median(band.strength[g]) for g in groups]),
+        phase_collinearity(shape),
+        np.full(m, np.nan),
+        label,
+        stable,
+    )
+
+
+def half_agreement(c: Candidates, halves: tuple[PoleSet, PoleSet]) -> Float:
+    """How far the two halves of the record show each mode, (m,) 0..1.
+
+    The share of orders of the poorer half with a pole within the statistical distance, times the MAC of the halves.
+    """
+    sf, sz = c.stds()
+    found = [_seen(c, h, sf, sz) for h in halves]
+    (share_1, psi_1), (share_2, psi_2) = found
+    same = np.abs((psi_1.conj() * psi_2).sum(0)) ** 2
+    size = (np.abs(psi_1) ** 2).sum(0) * (np.abs(psi_2) ** 2).sum(0)
+    return np.asarray(np.minimum(share_1, share_2) * same / np.maximum(size, np.finfo(np.float64).tiny))
+
+
+def _seen(c: Candidates, h: PoleSet, sf: Float, sz: Float) -> tuple[Float, Complex]:
+    """Share of orders of one half that show each mode, and its mean shape there (ch, m)."""
+    far = np.abs(h.frequencies[:, None] - c.frequencies) > 4 * np.maximum(np.sqrt(2) * sf, 2e-4 * c.frequencies)
+    off = np.abs(h.damping[:, None] - c.damping) > 5 * np.maximum(np.sqrt(2) * sz, 2e-3)
+    like = (mac(h.shape, c.shape) > 0.7) & ~far & ~off
+    tried = h.orders
+    share = np.array([np.unique(h.order[x]).size for x in like.T]) / max(tried.size, 1)
+    turn = (c.shape.conj().T @ h.shape).T
+    phase = np.where(like, turn.conj() / np.maximum(np.abs(turn), 1e-300), 0)
+    return share, np.asarray(h.shape @ phase)

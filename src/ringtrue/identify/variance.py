@@ -1,0 +1,146 @@
+"""First-order uncertainty of poles and shapes from the scatter of blockwise correlations (Döhler and Mevel 2013).
+
+With H = U S Vᵀ and O = U, a perturbation ΔH of the block-Hankel matrix gives ΔO = ΔH V S⁻¹ up to a change of basis,
+which moves no pole and no shape. So each block of the record needs only T_b = ΔH_b V S⁻¹, whatever the order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from ringtrue.core.arrays import Complex, Float, Int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Perturbations:
+    """The perturbation of the observability matrix by each block, in the basis of its QR.
+
+    Attributes
+    ----------
+    up, down : (block, order, order) float64
+        Qᵀ ΔO without its last and without its first block row.
+    output : (block, ch, order) float64
+        First block row of ΔO.
+    inner : (block, order, order) float64
+        Uᵀ ΔO, for the strength of a mode.
+    """
+
+    up: Float
+    down: Float
+    output: Float
+    inner: Float
+
+
+def hankel(r: Float, rows: int) -> Float:
+    """Block-Hankel (rows·ch, rows·ref) of the lags 1 .. 2·rows − 1 of `r` (lag, ch, ref)."""
+    at = 1 + np.arange(rows)[:, None] + np.arange(rows)
+    return r[at].transpose(0, 2, 1, 3).reshape(rows * r.shape[1], rows * r.shape[2])
+
+
+def deviations(r: Float, weights: Float) -> tuple[Float, Float]:
+    """Weighted mean (lag, ch, ref) of the block correlations `r` (block, lag, ch, ref), and each block's deviation.
+
+    The deviations are scaled so that their sum of squares is the variance of the mean.
+    """
+    mean = np.einsum("b,bkij->kij", weights, r)
+    n = weights.size
+    return mean, (r - mean) * (weights * np.sqrt(n / (n - 1)))[:, None, None, None]
+
+
+def perturb(dr: Float, rows: int, u: Float, vs: Float, q: Float) -> Perturbations:
+    """Perturbations by the deviations `dr` (block, lag, ch, ref); `u` left vectors, `vs` = V S⁻¹, `q` of O's QR."""
+    ch, nb, n = dr.shape[2], dr.shape[0], vs.shape[1]
+    shape = (nb, n, n)
+    up, down, inner, output = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((nb, ch, n))
+    for b in range(nb):  # one Hankel matrix in memory at a time
+        t = hankel(dr[b], rows) @ vs
+        up[b], down[b], inner[b], output[b] = q.T @ t[:-ch], q.T @ t[ch:], u.T @ t, t[:ch]
+    return Perturbations(up, down, output, inner)
+
+
+def _bilinear(left: Complex, mid: Float, right: Complex) -> Complex:
+    """(k, block) values left_i mid_b right_i of `left` (k, n), `mid` (block, n, n), `right` (n, k)."""
+    nb, n, _ = mid.shape
+    k = left.shape[0]
+    flat = np.ascontiguousarray(mid.transpose(1, 0, 2)).reshape(n, nb * n)
+    both = np.concatenate([left.real, left.imag]) @ flat
+    half = (both[:k] + 1j * both[k:]).reshape(k, nb, n)
+    return np.asarray((half @ right.T[:, :, None])[..., 0])
+
+
+def pole_deviations(p: Perturbations, r: Float, mu: Complex, right: Complex, left: Complex) -> Complex:
+    """Δμ (k, block) complex128 of the discrete poles `mu` (k,) of one order.
+
+    `right` (n, k) and `left` (k, n) are eigenvectors with left @ right = I, `r` (n, n) the triangle of O's QR.
+    """
+    n = r.shape[0]
+    row = solve_triangular(r.T, left.T, lower=True).T
+    return np.asarray(
+        _bilinear(row, p.down[:, :n, :n], right) - mu[:, None] * _bilinear(row, p.up[:, :n, :n], right)
+    )
+
+
+def strengths(p: Perturbations, s: Float, left: Complex) -> Float:
+    """Signal-to-noise ratio (k,) of the amplitude of each mode in the correlations.
+
+    The amplitude of mode i is ‖c_i‖, c_i = left_i S Vᵀ; its deviation by block b is the component of
+    left_i Uᵀ ΔH_b along c_i.
+    """
+    n = left.shape[1]
+    size2 = (np.abs(left * s[:n]) ** 2).sum(1)
+    along = (left * s[:n] ** 2).conj().T
+    change = _bilinear(left, p.inner[:, :n, :n], np.asarray(along)).real / size2[:, None]
+    return np.asarray(1 / np.sqrt((change**2).sum(1)))
+
+
+def shape_deviations(
+    p: Perturbations, a_parts: tuple[Float, Complex, Complex, Complex], c: Float, i: int, r: Float
+) -> Complex:
+    """Δψ (ch, block) of the shape ψ = C φ_i of one mode, its largest component held at 1.
+
+    `a_parts` = A, its eigenvalues μ (n,), right vectors φ (n, n) and left vectors (n, n); `c` (ch, n).
+    """
+    _, mu, right, left = a_parts
+    n = r.shape[0]
+    phi = right[:, i]
+    load = (p.down[:, :n, :n] - mu[i].real * p.up[:, :n, :n]) @ phi - 1j * mu[i].imag * (p.up[:, :n, :n] @ phi)
+    gain = mu[i] - mu
+    gain[i] = np.inf
+    d_phi = right @ ((left @ solve_triangular(r, load.T)) / gain[:, None])
+    psi = c @ phi
+    d_psi = (p.output[:, :, :n] @ phi).T + c @ d_phi
+    top = int(np.argmax(np.abs(psi)))
+    return np.asarray(d_psi / psi[top] - np.outer(psi, d_psi[top]) / psi[top] ** 2)
+
+
+def modulus_std(psi: Complex, d_psi: Complex) -> Float:
+    """Standard deviation (ch,) of |ψ| from the deviations `d_psi` (ch, block)."""
+    size = np.abs(psi)
+    phase = np.where(size > 1e-12, psi / np.maximum(size, 1e-12), 1.0)
+    return np.asarray(np.sqrt(((d_psi * phase.conj()[:, None]).real ** 2).sum(1)))
+
+
+def frequency_damping(pole: Complex, d_pole: Complex) -> tuple[Float, Float]:
+    """Deviations of frequency (Hz) and damping ratio, each (k, block), from those of the poles, rad/s."""
+    size = np.abs(pole)[:, None]
+    d_size = (pole.conj()[:, None] * d_pole).real / size
+    d_zeta = -d_pole.real / size + pole.real[:, None] * d_size / size**2
+    return d_size / (2 * np.pi), d_zeta
+
+
+def std(d: Float) -> Float:
+    """Root of the sum of squares over blocks."""
+    return np.asarray(np.sqrt((d**2).sum(-1)))
+
+
+def blocks_for(samples: int, lags: int) -> int:
+    """How many blocks: 32, fewer where a block would be shorter than four times the largest lag, at least 8."""
+    return int(np.clip(samples // (4 * lags), 8, 32))
+
+
+def picked(values: Complex, keep: Int) -> Complex:
+    """Rows `keep` of `values`."""
+    return np.asarray(values[keep])

@@ -1,0 +1,121 @@
+"""FRF sets: ringtrue's HDF5, NumPy archives, universal files."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from ringtrue.core.arrays import Any_
+from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io import codec
+from ringtrue.io.atomic import atomic_write
+from ringtrue.io.uff.functions import read_frf_sets, write_frf_sets
+
+GROUP = "frfs"
+_UFF = (".uff", ".unv", ".58")
+_HDF5 = (".h5", ".hdf5")
+
+
+def read_frfs(path: str | Path) -> FrfSet:
+    """Read frequency response functions.
+
+    Parameters
+    ----------
+    path : path
+        `.h5` written by `write_frfs`; `.npz` with `freq (f,)` and `H1 (reference, response, f)`,
+        optional `coherence` like H1, `outputs`, `inputs` (ids), `kind`; `.uff` with data sets 58.
+
+    Raises
+    ------
+    DataError
+        If the file has no FRFs, no references, uneven or repeated lines, or values that are not finite.
+    """
+    path = Path(path)
+    ext = path.suffix.lower()
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    if ext in _HDF5:
+        frfs = _read_h5(path)
+    elif ext == ".npz":
+        frfs = _read_npz(path)
+    elif ext in _UFF:
+        frfs = read_frf_sets(path)
+    else:
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.npz', *_HDF5, *_UFF])}")
+    _check(frfs, path)
+    return frfs
+
+
+def write_frfs(path: str | Path, frfs: FrfSet) -> None:
+    """Write FRFs as `.h5` (everything) or `.uff` (data sets 58: lines, coherence, points)."""
+    path = Path(path)
+    if path.suffix.lower() in _UFF:
+        write_frf_sets(path, frfs)
+        return
+    if path.suffix.lower() not in _HDF5:
+        raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, [*_HDF5, *_UFF])}")
+    with atomic_write(path) as part, h5py.File(part, "w") as file:
+        codec.save(file.create_group(GROUP), frfs)
+
+
+def _check(frfs: FrfSet, path: Path) -> None:
+    if not frfs.inputs:
+        raise DataError(f"{path}: no references (inputs); an FRF needs a response and a reference")
+    if not frfs.outputs or frfs.freqs.size < 3:
+        raise DataError(f"{path}: {len(frfs.outputs)} responses and {frfs.freqs.size} lines; there must be some")
+    step = np.diff(frfs.freqs)
+    if not np.isfinite(step).all() or step.min() <= 0 or np.ptp(step) > 1e-3 * step.mean():
+        raise DataError(
+            f"{path}: the frequency lines must rise in equal steps ({step.min():g} to {step.max():g} Hz)"
+        )
+
+
+def _read_h5(path: Path) -> FrfSet:
+    try:
+        with h5py.File(path, "r") as file:
+            group = file.get(GROUP, file)
+            frfs = codec.load(group)
+    except OSError as exc:
+        raise DataError(f"{path}: not a readable HDF5 file ({exc})") from exc
+    if not isinstance(frfs, FrfSet):
+        raise DataError(f"{path}: holds a {type(frfs).__name__}, not FRFs")
+    return frfs
+
+
+def _read_npz(path: Path) -> FrfSet:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            data = {k: archive[k] for k in archive.files}
+    except (ValueError, OSError, zipfile.BadZipFile) as exc:
+        raise DataError(f"{path}: not a readable .npz file ({exc})") from exc
+    names = ("freq", "H1")
+    if lost := [n for n in names if n not in data]:
+        raise DataError(f"{path}: {' and '.join(lost)} missing; there are {', '.join(data) or 'no arrays'}")
+    freq, h = data["freq"], data["H1"]
+    if h.ndim != 3 or freq.ndim != 1 or h.shape[2] != freq.size:
+        raise DataError(f"{path}: H1 {h.shape} must be (reference, response, f) with f = {freq.size} lines of freq")
+    coherence = data.get("coherence", np.full(h.shape, np.nan))
+    keep = slice(1, None) if freq.size and freq[0] == 0 and not np.isfinite(h[:, :, 0]).all() else slice(None)
+    return FrfSet(
+        np.ascontiguousarray(h.transpose(2, 1, 0)[keep]),
+        freq[keep],
+        _channels(data.get("outputs"), h.shape[1], "out", "acceleration", "m/s^2", path),
+        _channels(data.get("inputs"), h.shape[0], "in", "force", "N", path),
+        np.ascontiguousarray(coherence.transpose(2, 1, 0)[keep]),
+        np.atleast_1d(data.get("averages", np.full(h.shape[0], np.nan))),
+        str(data.get("kind", "accelerance")),  # type: ignore[arg-type]
+        float(data.get("window_decay", 0.0)),
+        str(path),
+    )
+
+
+def _channels(ids: Any_ | None, n: int, prefix: str, quantity: str, unit: str, path: Path) -> tuple[Channel, ...]:
+    names: Sequence[str] = [f"{prefix}{i + 1}" for i in range(n)] if ids is None else [str(x) for x in ids]
+    if len(names) != n:
+        raise DataError(f"{path}: {len(names)} ids of {prefix}puts for {n}")
+    return tuple(Channel(x, quantity, unit) for x in names)  # type: ignore[arg-type]

@@ -1,0 +1,156 @@
+"""Modes as JSON, and the dispatch over the formats that hold modes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io import codec
+from ringtrue.io.atomic import atomic_write
+from ringtrue.io.uff.modes import read_mode_sets, write_mode_sets
+
+GROUP = "modes"
+_UFF = (".uff", ".unv", ".55")
+_HDF5 = (".h5", ".hdf5")
+
+
+def modes_to_json(
+    modes: ModeSet, uncertainty: Uncertainty | None = None, reasons: Sequence[str] = ()
+) -> dict[str, Any]:
+    """A JSON form of the modes; null where a number is unknown.
+
+    Parameters
+    ----------
+    modes : ModeSet
+    uncertainty : Uncertainty, optional
+    reasons : sequence of str, optional
+        Why each mode is believed; one a mode.
+    """
+    nothing = np.full(len(modes), np.nan)
+    std_f = uncertainty.frequency if uncertainty else nothing
+    std_z = uncertainty.damping if uncertainty else nothing
+    rows = [
+        {
+            "frequency_hz": _number(modes.frequencies[k]),
+            "damping": _number(modes.damping[k]),
+            "std_frequency_hz": _number(std_f[k]),
+            "std_damping": _number(std_z[k]),
+            "shape_re": [_number(x) for x in modes.shapes[:, k].real],
+            "shape_im": [_number(x) for x in modes.shapes[:, k].imag],
+            "confidence": _number(modes.confidence[k]),
+            "reason": reasons[k] if k < len(reasons) else None,
+        }
+        for k in range(len(modes))
+    ]
+    return {"modes": rows, "channels": list(modes.channels), "scaling": str(modes.norm), "source": modes.source}
+
+
+def _number(x: float) -> float | None:
+    return float(x) if math.isfinite(x) else None
+
+
+def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
+    """The modes of `modes_to_json`.
+
+    Raises
+    ------
+    DataError
+        If a key is missing or the numbers do not fit together.
+    """
+    try:
+        rows, channels = table["modes"], tuple(str(c) for c in table["channels"])
+        shapes = np.array(
+            [[_complex(r) for r in zip(*_parts(row), strict=True)] for row in rows], dtype=np.complex128
+        )
+        frequency = np.array([_float(r["frequency_hz"]) for r in rows])
+        damping = np.array([_float(r.get("damping")) for r in rows])
+        confidence = np.array([_float(r.get("confidence"), 1.0) for r in rows])
+        norm = Norm(table.get("scaling") or Norm.UNSCALED)
+    except (KeyError, TypeError, ValueError) as exc:
+        raise DataError(f"{source}: not a table of modes ({type(exc).__name__}: {exc})") from exc
+    shapes = shapes.reshape(len(rows), -1).T if rows else np.zeros((len(channels), 0), dtype=np.complex128)
+    if shapes.shape[0] != len(channels):
+        raise DataError(f"{source}: shapes of {shapes.shape[0]} components for {len(channels)} channels")
+    values = shapes if shapes.imag.any() else shapes.real
+    return ModeSet(frequency, damping, values, channels, norm, str(table.get("source") or source), confidence)
+
+
+def _parts(row: Mapping[str, Any]) -> tuple[Sequence[Any], Sequence[Any]]:
+    re = row["shape_re"]
+    return re, row.get("shape_im") or [0.0] * len(re)
+
+
+def _complex(pair: tuple[Any, Any]) -> complex:
+    return complex(_float(pair[0]), _float(pair[1]))
+
+
+def _float(x: Any, default: float = float("nan")) -> float:
+    return default if x is None else float(x)
+
+
+def write_modes(
+    path: str | Path, modes: ModeSet, uncertainty: Uncertainty | None = None, reasons: Sequence[str] = ()
+) -> None:
+    """Write modes as `.json`, `.h5` or `.uff` (data sets 55), by the ending of the path."""
+    path = Path(path)
+    ext = path.suffix.lower()
+    if ext == ".json":
+        text = json.dumps(modes_to_json(modes, uncertainty, reasons), indent=1, allow_nan=False)
+        with atomic_write(path) as part:
+            part.write_text(text + "\n", encoding="utf-8")
+    elif ext in _HDF5:
+        with atomic_write(path) as part, h5py.File(part, "w") as file:
+            codec.save(file.create_group(GROUP), modes)
+            if uncertainty is not None:
+                codec.save(file.create_group("uncertainty"), uncertainty)
+    elif ext in _UFF:
+        write_mode_sets(path, modes)
+    else:
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.json', *_HDF5, *_UFF])}")
+
+
+def read_modes(path: str | Path) -> ModeSet:
+    """Read modes from `.json`, `.h5` or `.uff` (data sets 55).
+
+    Raises
+    ------
+    DataError
+        If the file is missing, unreadable or holds no modes.
+    """
+    path = Path(path)
+    ext = path.suffix.lower()
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    if ext == ".json":
+        try:
+            table = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as exc:
+            raise DataError(f"{path}: not a JSON file ({exc})") from exc
+        if not isinstance(table, dict):
+            raise DataError(f"{path}: not a table of modes; it must have `modes` and `channels`")
+        return modes_from_json(table, str(path))
+    if ext in _HDF5:
+        return _read_h5(path)
+    if ext in _UFF:
+        return read_mode_sets(path)
+    raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.json', *_HDF5, *_UFF])}")
+
+
+def _read_h5(path: Path) -> ModeSet:
+    try:
+        with h5py.File(path, "r") as file:
+            modes = codec.load(file.get(GROUP, file))
+    except OSError as exc:
+        raise DataError(f"{path}: not a readable HDF5 file ({exc})") from exc
+    if not isinstance(modes, ModeSet):
+        raise DataError(f"{path}: holds a {type(modes).__name__}, not modes")
+    return modes

@@ -1,0 +1,278 @@
+"""Sensor sheets: a CSV or Excel table of measuring points and channels becomes the test model."""
+
+from __future__ import annotations
+
+import csv
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import openpyxl
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.testmodel import TestModel
+from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.records import RecordChannel
+from ringtrue.io.si import to_si
+
+REQUIRED = ("point", "x", "y", "z")
+COLUMNS = (
+    *REQUIRED,
+    "direction",
+    "azimuth",
+    "elevation",
+    "channel",
+    "group",
+    "quantity",
+    "unit",
+    "sensitivity",
+    "range",
+    "sensor",
+    "calibration",
+)
+_AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+_PARALLEL = np.cos(np.radians(1.0))
+_SQUARE = np.sin(np.radians(2.0))
+
+Row = dict[str, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorSheet:
+    """What a sensor sheet says.
+
+    Attributes
+    ----------
+    model : TestModel
+    channels : tuple of RecordChannel
+        In the order of `model.channels`.
+    notes : tuple of str
+        Doubts about orientations; empty when there are none.
+    """
+
+    model: TestModel
+    channels: tuple[RecordChannel, ...]
+    notes: tuple[str, ...]
+
+
+def read_sensor_sheet(path: str | Path, lines: str | Path | None = None, *, length: str = "m") -> SensorSheet:
+    """Read a sensor sheet.
+
+    Columns: `point x y z` and `direction` (`X`, `-Y`, `+Z`; a vector `0.5 0 0.87`; empty for a point without a
+    channel) or `azimuth` and `elevation` (degrees from +X towards +Y, and from the XY plane towards +Z).
+    Optional: `channel` (id, default `101+Z`), `group quantity unit sensitivity range sensor calibration`.
+
+    Parameters
+    ----------
+    path : path
+        `.csv` or `.xlsx`; in a workbook the first sheet, and a sheet `lines` if there is one.
+    lines : path, optional
+        `.csv` or `.xlsx` with two columns of point numbers to draw lines between.
+    length : str
+        Unit of x, y, z.
+
+    Raises
+    ------
+    DataError
+        On an unknown or missing column, a value that is not a number, a point given at two places, a channel
+        given twice or a direction that is none; the row is named.
+    """
+    path = Path(path)
+    rows = _rows(path)
+    points, xyz, groups = _points(rows, path, to_si(length, "displacement")[1])
+    used = [(i, r) for i, r in enumerate(rows, start=2) if _has_direction(r)]
+    axes = np.array([_axis(r, f"{path} row {i}") for i, r in used]).reshape(-1, 3)
+    channels = tuple(_channel(r, a, f"{path} row {i}") for (i, r), a in zip(used, axes, strict=True))
+    ids = [c.id for c in channels]
+    if twice := sorted({c for c in ids if ids.count(c) > 1}):
+        raise DataError(f"{path}: channel {' '.join(twice[:8])} occurs twice")
+    pairs = _line_rows(path, lines)
+    if lost := sorted({p for pair in pairs for p in pair} - set(points.tolist())):
+        raise DataError(f"{path}: lines name points that are not there: {lost[:8]}")
+    at = np.array([c.point for c in channels], dtype=np.int64)
+    model = TestModel(points, xyz, tuple(ids), at, axes, np.array(pairs, dtype=np.int64).reshape(-1, 2), groups)
+    return SensorSheet(model, channels, orientation_notes(model))
+
+
+def orientation_notes(model: TestModel) -> tuple[str, ...]:
+    """Doubts about the directions of the channels at one point: parallel, left-handed, not square."""
+    order = np.argsort(model.at, kind="stable")
+    cuts = np.flatnonzero(np.diff(model.at[order])) + 1
+    notes = []
+    for group in np.split(order, cuts):  # few sensors share a point; a report line for each
+        notes += _point_notes(model, group)
+    return tuple(notes)
+
+
+def _point_notes(model: TestModel, group: Int) -> list[str]:
+    if group.size < 2:
+        return []
+    point, names = int(model.at[group[0]]), [model.channels[i] for i in group]
+    axes = model.axes[group]
+    cosine = np.triu(axes @ axes.T, 1)
+    notes = [
+        f"point {point}: {names[i]} and {names[j]} {'agree' if cosine[i, j] > 0 else 'oppose each other'}"
+        for i, j in np.argwhere(np.abs(cosine) > _PARALLEL)
+    ]
+    skew = (np.abs(cosine) > _SQUARE) & (np.abs(cosine) <= _PARALLEL)
+    notes += [f"point {point}: {names[i]} and {names[j]} are not at right angles" for i, j in np.argwhere(skew)]
+    if group.size == 3 and not notes and np.linalg.det(axes) < 0:
+        notes.append(f"point {point}: {' '.join(names)} is a left-handed frame in this order")
+    return notes
+
+
+def _rows(path: Path, sheet: str | None = None, columns: Sequence[str] = COLUMNS) -> list[Row]:
+    table = [r for r in _cells(path, sheet) if any(r) and not r[0].startswith("#")]
+    if len(table) < 2:
+        raise DataError(f"{path}: no rows below the header")
+    head = [x.lower() for x in table[0]]
+    for name in head:
+        if name and name not in columns:
+            raise DataError(f"{path}: unknown column {name!r}{did_you_mean(name, columns)}")
+    if lost := [c for c in columns if c in REQUIRED and c not in head]:
+        raise DataError(
+            f"{path}: the columns {', '.join(lost)} are missing; there are {', '.join(filter(None, head))}"
+        )
+    return [dict(zip(head, r + [""] * (len(head) - len(r)), strict=False)) for r in table[1:]]
+
+
+def _cells(path: Path, sheet: str | None) -> list[list[str]]:
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    if path.suffix.lower() in (".xlsx", ".xlsm"):
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        page = book[sheet] if sheet else book.worksheets[0]
+        table = [[_text(v) for v in row] for row in page.iter_rows(values_only=True)]
+        book.close()
+        return table
+    if path.suffix.lower() not in (".csv", ".txt"):
+        raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.csv', '.xlsx'])}")
+    text = path.read_text(encoding="utf-8-sig")
+    first = next((x for x in text.splitlines() if x.strip() and not x.startswith("#")), "")
+    delimiter = max(",;\t", key=first.count)
+    return [[c.strip() for c in row] for row in csv.reader(text.splitlines(), delimiter=delimiter)]
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    date = getattr(value, "date", None)
+    return str(date()) if callable(date) else str(value).strip()
+
+
+def _number(row: Row, name: str, where: str, default: float | None = None) -> float:
+    text = row.get(name, "")
+    if not text and default is not None:
+        return default
+    try:
+        value = float(text if text.count(",") != 1 or "." in text else text.replace(",", "."))
+    except ValueError as exc:
+        raise DataError(f"{where}: {name} is {text!r}; it must be a number") from exc
+    if not np.isfinite(value):
+        raise DataError(f"{where}: {name} is {text!r}; it must be finite")
+    return value
+
+
+def _point(row: Row, where: str) -> int:
+    value = _number(row, "point", where)
+    if value != int(value) or value < 0:
+        raise DataError(f"{where}: point {row['point']!r} must be a whole number >= 0")
+    return int(value)
+
+
+def _points(rows: Sequence[Row], path: Path, scale: float) -> tuple[Int, Float, tuple[str, ...]]:
+    """Points in order of appearance; coordinates may be left empty where the point was given before."""
+    place: dict[int, tuple[float, ...]] = {}
+    group: dict[int, str] = {}
+    for i, row in enumerate(rows, start=2):
+        where = f"{path} row {i}"
+        p = _point(row, where)
+        if not (p in place and not any(row[c] for c in "xyz")):
+            xyz = tuple(_number(row, c, where) * scale for c in "xyz")
+            if p in place and max(abs(a - b) for a, b in zip(place[p], xyz, strict=True)) > 1e-9:
+                raise DataError(f"{where}: point {p} stands at {xyz}, before it stood at {place[p]}")
+            place[p] = xyz
+        group[p] = group.get(p, "") or row.get("group", "")
+    return np.array(list(place), dtype=np.int64), np.array(list(place.values())), tuple(group.values())
+
+
+def _has_direction(row: Row) -> bool:
+    return bool(row.get("direction") or row.get("azimuth") or row.get("elevation"))
+
+
+def _axis(row: Row, where: str) -> Float:
+    """Unit vector of a row, (3,)."""
+    if not row.get("direction"):
+        return _angles(np.radians([_number(row, c, where, 0.0) for c in ("azimuth", "elevation")]))
+    text = row["direction"].strip().upper()
+    if text.lstrip("+-") in _AXES and len(text) <= 2:
+        return np.array(_AXES[text[-1]]) * (-1.0 if text[0] == "-" else 1.0)
+    try:
+        vector = np.array([float(x) for x in text.strip("()[]").replace(",", " ").replace(";", " ").split()])
+    except ValueError:
+        vector = np.zeros(0)
+    if vector.size == 2:
+        return _angles(np.radians(vector))
+    length = float(np.linalg.norm(vector))
+    if vector.size != 3 or not np.isfinite(length) or length == 0:
+        raise DataError(
+            f"{where}: direction {row['direction']!r}; allowed are X, -Y, +Z, a vector `0.5 0 0.87`, "
+            "or azimuth and elevation in degrees"
+        )
+    return np.asarray(vector / length)
+
+
+def _angles(a: Float) -> Float:
+    return np.array([np.cos(a[1]) * np.cos(a[0]), np.cos(a[1]) * np.sin(a[0]), np.sin(a[1])])
+
+
+def _default_id(point: int, axis: Float) -> str:
+    """`101+Z`; a skewed sensor is named after its nearest axis, with an `s` for skewed: `101+Zs`."""
+    k = int(np.abs(axis).argmax())
+    skewed = "" if abs(axis[k]) > 1 - 1e-9 else "s"
+    return f"{point}{'+' if axis[k] > 0 else '-'}{'XYZ'[k]}{skewed}"
+
+
+def _channel(row: Row, axis: Float, where: str) -> RecordChannel:
+    point = _point(row, where)
+    get = defaultdict(str, row)
+    try:
+        return RecordChannel(
+            get["channel"] or _default_id(point, axis),
+            point,
+            to_si(get["unit"], get["quantity"])[0],
+            get["unit"],
+            _number(row, "sensitivity", where, 1.0),
+            _number(row, "range", where) if get["range"] else float("inf"),
+            get["sensor"],
+            get["calibration"],
+        )
+    except DataError as exc:
+        raise DataError(str(exc) if str(exc).startswith(where) else f"{where}: {exc}") from exc
+
+
+def _line_rows(path: Path, lines: str | Path | None) -> list[tuple[int, int]]:
+    table: list[list[str]] = []
+    if lines is not None:
+        table = _cells(Path(lines), None)
+    elif path.suffix.lower() in (".xlsx", ".xlsm") and "lines" in _sheet_names(path):
+        table = _cells(path, "lines")
+    pairs = []
+    for i, row in enumerate(table, start=1):
+        if len(row) < 2 or not any(row) or (i == 1 and not row[0].isdigit()):
+            continue
+        if not (row[0].isdigit() and row[1].isdigit()):
+            raise DataError(f"{lines or path} lines row {i}: {row[:2]} must be two point numbers")
+        pairs.append((int(row[0]), int(row[1])))
+    return pairs
+
+
+def _sheet_names(path: Path) -> list[str]:
+    book = openpyxl.load_workbook(path, read_only=True)
+    names = list(book.sheetnames)
+    book.close()
+    return names

@@ -1,0 +1,61 @@
+"""Units of measured channels: the factor to SI and the quantity each unit belongs to."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from ringtrue.core.signals import Quantity
+from ringtrue.errors import DataError, did_you_mean
+
+G = 9.80665  # standard gravity, m/s^2
+_INCH = 0.0254
+_UNITS: dict[str, tuple[Quantity, float, str]] = {
+    "m/s^2": ("acceleration", 1.0, "m/s^2"),
+    "mm/s^2": ("acceleration", 1e-3, "m/s^2"),
+    "g": ("acceleration", G, "m/s^2"),
+    "mg": ("acceleration", 1e-3 * G, "m/s^2"),
+    "ug": ("acceleration", 1e-6 * G, "m/s^2"),
+    "in/s^2": ("acceleration", _INCH, "m/s^2"),
+    "m/s": ("velocity", 1.0, "m/s"),
+    "mm/s": ("velocity", 1e-3, "m/s"),
+    "um/s": ("velocity", 1e-6, "m/s"),
+    "in/s": ("velocity", _INCH, "m/s"),
+    "m": ("displacement", 1.0, "m"),
+    "mm": ("displacement", 1e-3, "m"),
+    "um": ("displacement", 1e-6, "m"),
+    "n": ("force", 1.0, "N"),
+    "kn": ("force", 1e3, "N"),
+    "lbf": ("force", 4.4482216152605, "N"),
+    "strain": ("strain", 1.0, "strain"),
+    "ustrain": ("strain", 1e-6, "strain"),
+    "v": ("unknown", 1.0, "V"),
+    "mv": ("unknown", 1e-3, "V"),
+    "pa": ("unknown", 1.0, "Pa"),
+}
+_SAME = {"newton": "n", "newtons": "n", "volt": "v", "volts": "v", "m/s**2": "m/s^2", "m/s2": "m/s^2"}
+
+
+def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
+    """Quantity, factor and SI unit of a unit as written on a sensor sheet.
+
+    An empty unit is taken as SI of the given quantity.
+
+    Raises
+    ------
+    DataError
+        On an unknown unit or quantity, or one that contradicts the other.
+    """
+    allowed = get_args(Quantity)
+    if quantity and quantity not in allowed:
+        raise DataError(f"quantity {quantity!r}{did_you_mean(quantity, allowed)}")
+    text = unit.strip().lower().replace("²", "^2").replace("µ", "u").replace("μ", "u")
+    if not text:
+        default = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m", "force": "N"}
+        return quantity or "unknown", 1.0, default.get(quantity, "")  # type: ignore[return-value]
+    text = _SAME.get(text, text)
+    if text not in _UNITS:
+        raise DataError(f"unit {unit!r}{did_you_mean(text, _UNITS)}")
+    kind, factor, si = _UNITS[text]
+    if quantity not in ("", "unknown", kind) and kind != "unknown":
+        raise DataError(f"unit {unit!r} is {kind}, the channel says {quantity}")
+    return (kind if kind != "unknown" else quantity or "unknown"), factor, si  # type: ignore[return-value]

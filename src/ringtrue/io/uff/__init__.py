@@ -1,0 +1,1 @@
+"""Universal files: functions (58), mode shapes (55)."""

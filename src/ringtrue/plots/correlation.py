@@ -1,0 +1,69 @@
+"""MAC matrices and frequency deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ringtrue.core.arrays import Float
+from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.plots.style import FINAL, INITIAL, REMODELLED, SEQUENTIAL, axis, f32, figure
+
+STAGE_COLORS = {"initial": INITIAL, "remodelled": REMODELLED, "final": FINAL}
+
+
+def matrix(
+    mac: Float, rows: Sequence[str], columns: Sequence[str], row_title: str, column_title: str, height: int = 0
+) -> go.Figure:
+    """A MAC matrix in percent; `mac` (row, column) 0..1. Cells over 10 % carry their number where they fit."""
+    percent = 100 * np.asarray(mac)
+    size = max(percent.shape, default=1)
+    fig = figure(
+        height or int(np.clip(150 + 23 * percent.shape[0], 260, 720)),
+        xaxis=axis(column_title, type="category", tickangle=-90 if size > 8 else 0, showgrid=False, ticks=""),
+        yaxis=axis(row_title, type="category", autorange="reversed", showgrid=False, ticks=""),
+    )
+    for a in (fig.layout.xaxis, fig.layout.yaxis):
+        a.update(tickfont={"size": 10 if size > 12 else 11}, showline=False)
+    text = np.where(percent >= 10, np.char.mod("%.0f", percent), "")
+    bar = {"thickness": 10, "outlinewidth": 0, "title": {"text": "MAC, %", "side": "right"}}
+    fig.add_heatmap(
+        z=f32(percent), x=list(columns), y=list(rows), zmin=0, zmax=100, colorscale=SEQUENTIAL, colorbar=bar
+    )
+    fig.data[0].update(xgap=1, ygap=1, text=text, texttemplate="%{text}", textfont={"size": 9 if size > 12 else 10})
+    fig.data[0].hovertemplate = "%{y}<br>%{x}<br>MAC %{z:.1f} %<extra></extra>"
+    fig.update_layout(plot_bgcolor="#eef1f4", margin={"t": 12, "r": 8, "l": 50, "b": 50})
+    return fig
+
+
+def labels(frequencies: Float) -> list[str]:
+    """`1: 13.42` for each mode."""
+    return [f"{i + 1}: {f:.2f}" for i, f in enumerate(frequencies.tolist())]
+
+
+def table_matrix(table: CorrelationTable, a: Float, b: Float, names: tuple[str, str]) -> go.Figure:
+    """The MAC matrix of a correlation; `a`, `b` (m,) Hz are the modes of its rows and columns."""
+    return matrix(table.mac, labels(a), labels(b), f"{names[0]} mode, Hz", f"{names[1]} mode, Hz")
+
+
+def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
+    """Frequency deviation of each test mode, one mark a stage; hollow marks were left out of the updating."""
+    fig = figure(
+        330,
+        xaxis=axis("Test mode, Hz", type="category", tickangle=-45),
+        yaxis=axis("(f FE − f test)/f test, %", zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1),
+    )
+    order = {int(r.test_mode): r.frequency_test for _, t in stages for r in t.rows}
+    names = {k: f"{k + 1}: {order[k]:.2f}" for k in sorted(order)}
+    for name, table in stages:
+        color = STAGE_COLORS.get(name, FINAL)
+        marks = ["circle" if r.used or name != "final" else "circle-open" for r in table.rows]
+        look = {"size": 10, "color": color, "symbol": marks, "line": {"width": 2, "color": color}}
+        x = [names[int(r.test_mode)] for r in table.rows]
+        y = f32(np.array([r.deviation_percent for r in table.rows]))
+        fig.add_scatter(x=x, y=y, mode="markers", marker=look, name=name)
+        fig.data[-1].hovertemplate = f"{name}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
+    fig.layout.xaxis.update(categoryorder="array", categoryarray=list(names.values()))
+    return fig

@@ -1,0 +1,84 @@
+"""Stabilisation diagrams, damping, expected and found standard deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ringtrue.core.arrays import Bool, Float
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.identify.poles import StableDiagram
+from ringtrue.plots.style import FE, FINAL, MUTED, QUALITATIVE, TEST, axis, f32, figure, ticks
+
+LIMIT = 3000  # strokes of one kind in one diagram; beyond it every n-th is drawn
+
+
+def _strokes(diagram: StableDiagram, chosen: Bool, span: tuple[float, float]) -> tuple[object, object, str]:
+    f, order = diagram.poles.frequencies, diagram.poles.order.astype(np.float64)
+    at = np.flatnonzero(chosen & (f >= span[0]) & (f <= span[1]))
+    every = -(-at.size // LIMIT) or 1
+    at = at[::every]
+    step = float(np.diff(diagram.poles.orders).min(initial=2)) if diagram.poles.orders.size > 1 else 2.0
+    x, y = ticks(f[at], order[at] - 0.42 * step, order[at] + 0.42 * step)
+    return x, y, f" (one in {every} drawn)" if every > 1 else ""
+
+
+def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
+    """Poles by model order over the spectrum; the chosen modes as lines."""
+    span = (float(diagram.freqs.min()), float(diagram.freqs.max())) if diagram.freqs.size else (0.0, np.inf)
+    in_mode = diagram.cluster >= 0
+    fig = figure(
+        320,
+        xaxis=axis("Frequency, Hz", range=list(span) if diagram.freqs.size else None),
+        yaxis=axis("Model order", rangemode="tozero"),
+        yaxis2=axis("Spectrum, dB", overlaying="y", side="right", showgrid=False),
+    )
+    fig.layout.margin.r = 60
+    step = max(1, diagram.freqs.size // 1500)
+    grey = {"width": 1, "color": "#b4bec8"}
+    x, y = f32(diagram.freqs[::step]), f32(diagram.level[::step])
+    fig.add_scatter(x=x, y=y, yaxis="y2", line=grey, name="spectrum", hoverinfo="skip")
+    for name, chosen, color, width in (
+        ("unstable", ~diagram.stable & ~in_mode, "#d3cbbd", 1.0),
+        ("stable", diagram.stable & ~in_mode, QUALITATIVE[5], 1.6),
+        ("taken into a mode", in_mode, FE, 2.0),
+    ):
+        x, y, note = _strokes(diagram, chosen, span)
+        line = {"width": width, "color": color}
+        fig.add_scatter(x=x, y=y, mode="lines", line=line, name=name + note, hoverinfo="skip")
+    top = float(diagram.poles.order.max(initial=1))
+    f = modes.band(*span).frequencies
+    mark = {"symbol": "triangle-down", "size": 8, "color": TEST}
+    hover = "%{x:.3f} Hz<extra>mode</extra>"
+    fig.add_scatter(x=f32(f), y=np.full(f.shape, top * 1.05), mode="markers", marker=mark, name="mode")
+    fig.data[-1].hovertemplate = hover
+    return fig
+
+
+def damping(sets: list[tuple[str, ModeSet, Uncertainty | None]], used: tuple[Float, Float] | None) -> go.Figure:
+    """Damping ratios over frequency with one standard deviation; `used` (f, ζ) is what the model carries."""
+    fig = figure(320, xaxis=axis("Frequency, Hz"), yaxis=axis("Damping ratio, %", rangemode="tozero"))
+    for i, (name, modes, std) in enumerate(sets):
+        color = (TEST, QUALITATIVE[0])[i % 2]
+        bar = {"type": "data", "array": f32(100 * std.damping), "thickness": 1, "width": 3} if std else None
+        mark = {"size": 8, "color": color, "symbol": ("circle", "diamond")[i % 2]}
+        x, y = f32(modes.frequencies), f32(100 * modes.damping)
+        fig.add_scatter(x=x, y=y, error_y=bar, mode="markers", marker=mark, name=name)
+    if used is not None:
+        mark = {"size": 9, "color": FINAL, "symbol": "line-ew-open", "line": {"width": 2}}
+        x, y = f32(used[0]), f32(100 * used[1])
+        fig.add_scatter(x=x, y=y, mode="markers", marker=mark, name="carried by the final model")
+    return fig
+
+
+def precision(modes: ModeSet, std: Float, expected: Float) -> go.Figure:
+    """Relative standard deviation of each target frequency as planned; `std`, `expected` (target,) relative."""
+    fig = figure(
+        280, barmode="group", xaxis=axis("Target mode, Hz", type="category"), yaxis=axis("Standard deviation, %")
+    )
+    fig.layout.yaxis.type = "log"
+    names = [f"{f:.2f}" for f in modes.frequencies]
+    fig.add_bar(x=names, y=f32(100 * std), name="frequency", marker_color=FE)
+    fig.add_bar(x=names, y=f32(100 * expected), name="damping", marker_color=MUTED)
+    return fig

@@ -1,0 +1,176 @@
+"""3D views as data: what the report's viewer draws."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.plots.style import QUALITATIVE
+from ringtrue.study.results import Scene
+
+PLAIN = "#c3ccd5"
+SOFT = ("#9fb4c7", "#d8b98a", "#a9c3a1", "#c9a7b8", "#d9cf9c", "#a7cbd6", "#b8a692", "#b9c0c8")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One 3D figure: a payload for the viewer, ready for JSON."""
+
+    payload: dict[str, Any] = field(default_factory=dict)
+
+
+def _pack(a: Any_, kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(a, dtype=kind).tobytes()).decode("ascii")
+
+
+def _skin(scene: Scene, colors: Sequence[str], alpha: Sequence[float]) -> dict[str, Any]:
+    return {
+        "xyz": _pack(scene.xyz, "<f4"),
+        "tri": _pack(scene.triangles, "<u4"),
+        "tgroup": _pack(scene.triangle_group, "<u2"),
+        "line": _pack(scene.lines, "<u4"),
+        "lgroup": _pack(scene.line_group, "<u2"),
+        "colors": list(colors),
+        "alpha": list(alpha),
+    }
+
+
+def _test(test: TestModel) -> dict[str, Any]:
+    order = np.argsort(test.points)
+    at = order[np.searchsorted(test.points[order], test.lines)] if test.lines.size else np.zeros((0, 2))
+    return {
+        "xyz": _pack(test.xyz, "<f4"),
+        "line": _pack(at, "<u4"),
+        "names": [f"{p} {g}".strip() for p, g in zip(test.points.tolist(), test.groups, strict=True)],
+    }
+
+
+def _sensors(test: TestModel, kinds: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Arrows in one list per kind (`"sensor"` where `kinds` does not say)."""
+    names = list(dict.fromkeys(kinds.get(c, "sensor") for c in test.channels))
+    xyz, axes = test.channel_xyz(), test.directions()
+    out = []
+    for i, name in enumerate(sorted(names)):
+        at = [k for k, c in enumerate(test.channels) if kinds.get(c, "sensor") == name]
+        color = QUALITATIVE[(1, 0, 2, 3)[i % 4]]
+        labels = [test.channels[k] for k in at]
+        packed = {"xyz": _pack(xyz[at], "<f4"), "dir": _pack(axes[at], "<f4")}
+        out.append({"name": name, "color": color, "labels": labels} | packed)
+    return out
+
+
+def model(scene: Scene, test: TestModel | None, kinds: Mapping[str, str]) -> View:
+    """The model by group with its sensors; `kinds` names the kind of a channel (hammer point, ...)."""
+    colors = [SOFT[i % len(SOFT)] for i in range(len(scene.groups))]
+    view: dict[str, Any] = {"kind": "model", "skin": _skin(scene, colors, [1.0] * len(colors))}
+    view["legend"] = [{"name": g, "color": c} for g, c in zip(scene.groups, colors, strict=True)]
+    if test is not None:
+        view |= {"test": _test(test), "sensors": _sensors(test, kinds)}
+    return View(view)
+
+
+def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[str, str]) -> View:
+    """The updated regions coloured: parameter -> groups; `notes` gives the change of each in words."""
+    colors = [PLAIN] * len(scene.groups)
+    alpha = [0.3] * len(scene.groups)
+    legend = []
+    for k, (name, groups) in enumerate(changed.items()):
+        color = QUALITATIVE[k % len(QUALITATIVE)]
+        for g in groups:
+            colors[g], alpha[g] = color, 1.0
+        legend.append({"name": name, "color": color, "note": notes.get(name, "")})
+    return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": legend})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """One selectable shape: a model shape over the skin, a test shape over the wireframe, or both."""
+
+    stage: str
+    label: str
+    info: str
+    fe: tuple[ModeSet, int] | None = None
+    test: tuple[ModeSet, int] | None = None
+    seen: tuple[ModeSet, int] | None = None  # the model's shape at the channels, to bring the test to its phase
+
+
+def _quantised(a: Float) -> dict[str, Any]:
+    peak = float(np.abs(a).max(initial=0.0)) or 1.0
+    return {"peak": peak, "q": _pack(np.round(a * (32767 / peak)), "<i2")}
+
+
+def _at_scene(scene: Scene, modes: ModeSet, k: int) -> Float:
+    """(node, 3) displacements of mode `k`; zero where the mode has no such degree of freedom."""
+    dofs = modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
+    node = np.repeat(scene.node, 3)
+    at = dofs.find(node, np.tile(np.array([1, 2, 3]), scene.node.size))
+    value = np.real(modes.shapes[:, k])[at] * np.sign(dofs.direction[at])
+    return np.asarray(np.where(at >= 0, value, 0.0).reshape(-1, 3))
+
+
+def _at_points(test: TestModel, modes: ModeSet, values: Any_) -> Any_:
+    """(point, 3) displacements from channel readings: each reading along its axis."""
+    here = {c: i for i, c in enumerate(test.channels)}
+    kept = [(k, here[c]) for k, c in enumerate(modes.channels) if c in here]
+    rows = np.array([k for k, _ in kept], dtype=np.int64)
+    channel = np.array([c for _, c in kept], dtype=np.int64)
+    order = np.argsort(test.points)
+    point = order[np.searchsorted(test.points[order], test.at[channel])]
+    out = np.zeros((test.points.size, 3), dtype=values.dtype)
+    np.add.at(out, point, values[rows, None] * test.directions()[channel])
+    return out
+
+
+def _phased(shown: Shown) -> Any_:
+    """The test shape turned and scaled onto the model's shape at the same channels (for drawing only)."""
+    assert shown.test is not None
+    modes, k = shown.test
+    shape = np.asarray(modes.shapes[:, k])
+    if shown.seen is not None:
+        other, j = shown.seen
+        here = {c: i for i, c in enumerate(other.channels)}
+        both = [(i, here[c]) for i, c in enumerate(modes.channels) if c in here]
+        a = shape[[i for i, _ in both]]
+        b = other.shapes[[i for _, i in both], j]
+        scale = np.vdot(a, b) / max(float(np.vdot(a, a).real), 1e-300)
+        return shape * scale if abs(scale) > 0 else shape
+    peak = shape[np.abs(shape).argmax()] if shape.size else 1.0
+    return shape / peak if peak else shape
+
+
+def _mode(scene: Scene | None, test: TestModel | None, shown: Shown) -> dict[str, Any]:
+    out: dict[str, Any] = {"stage": shown.stage, "label": shown.label, "info": shown.info}
+    if scene is not None and shown.fe is not None:
+        out["fe"] = _quantised(_at_scene(scene, *shown.fe))
+    elif test is not None and shown.seen is not None:
+        seen, j = shown.seen
+        out["wire"] = _quantised(np.real(_at_points(test, seen, seen.shapes[:, j])))
+    if test is not None and shown.test is not None:
+        points = _at_points(test, shown.test[0], _phased(shown).astype(np.complex128))
+        out["test"] = _quantised(np.stack([points.real, points.imag], 1))
+    return out
+
+
+def modes(scene: Scene | None, test: TestModel | None, shown: Sequence[Shown]) -> View:
+    """Mode shapes: the test's wireframe over the model's skin, to be animated."""
+    view: dict[str, Any] = {"kind": "modes", "modes": [_mode(scene, test, s) for s in shown]}
+    if scene is not None:
+        n = len(scene.groups)
+        view["skin"] = _skin(scene, [PLAIN] * n, [1.0] * n)
+    if test is not None:
+        view["test"] = _test(test)
+    return View(view)
+
+
+def channel_kinds(references: Sequence[str], ambient: Sequence[str]) -> dict[str, str]:
+    """What a channel is used for: hammer point, ambient and hammer test, or hammer test only (the rest)."""
+    kinds = dict.fromkeys(ambient, "ambient and hammer tests")
+    return kinds | dict.fromkeys(references, "hammer reference")

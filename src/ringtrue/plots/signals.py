@@ -1,0 +1,93 @@
+"""Records, spectra and frequency response functions."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.signals import FrfSet
+from ringtrue.plots.style import FINAL, INITIAL, QUALITATIVE, TEST, axis, f32, figure, joined, thinned
+from ringtrue.study.results import FinalStage, RecordSummary
+
+FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
+
+
+def record(summary: RecordSummary, unit: str) -> go.Figure:
+    """Time previews on the left, power spectral densities on the right."""
+    fig = figure(
+        250,
+        xaxis=axis("Time, s", domain=[0, 0.44]),
+        yaxis=axis(unit, exponentformat="power"),
+        xaxis2=axis("Frequency, Hz", type="log", domain=[0.56, 1], anchor="y2", dtick=1),
+        yaxis2=axis(f"PSD, ({unit})²/Hz", type="log", anchor="x2", exponentformat="power", dtick=2),
+    )
+    ok = summary.psd_freqs > 0
+    for i, name in enumerate(summary.preview_channels):
+        line = {"width": 0.9, "color": QUALITATIVE[i % 8]}
+        x, y = f32(summary.preview_time), f32(summary.preview[i])
+        fig.add_scatter(x=x, y=y, name=name, line=line, legendgroup=name, opacity=0.85)
+        x, y = f32(summary.psd_freqs[ok]), f32(summary.psd[i][ok])
+        fig.add_scatter(x=x, y=y, line=line, xaxis="x2", yaxis="y2", legendgroup=name, showlegend=False, name=name)
+    return fig
+
+
+def _imaginary(frfs: FrfSet, column: int, bins: int = 700) -> tuple[Float, Float]:
+    at, y = thinned(frfs.data[:, :, column].imag.T, bins)
+    return frfs.freqs[at], y
+
+
+def frfs(data: FrfSet, cmif: Float, marks: Float) -> go.Figure:
+    """Imaginary parts of all FRFs over one another, the CMIF below; `marks` (m,) Hz are the identified modes."""
+    fig = figure(
+        560,
+        xaxis=axis(domain=[0, 1], anchor="y", matches="x2", showticklabels=False),
+        yaxis=axis(f"Im H, {FRF_UNITS[data.kind]}", domain=[0.5, 1], exponentformat="power"),
+        xaxis2=axis("Frequency, Hz", anchor="y2"),
+        yaxis2=axis(f"CMIF, {FRF_UNITS[data.kind]}", domain=[0, 0.44], anchor="x2", type="log", dtick=1),
+    )
+    fig.layout.yaxis2.exponentformat = "power"
+    for j, c in enumerate(data.inputs):
+        x, y = joined(*_imaginary(data, j))
+        line = {"width": 0.6, "color": QUALITATIVE[j % 8]}
+        fig.add_scatter(x=x, y=y, line=line, opacity=0.65, name=f"force at {c.id}", hoverinfo="skip")
+    for j in range(cmif.shape[1]):
+        at, y = thinned(cmif[:, j][None], 1500)
+        line = {"width": 1.4 if j == 0 else 1.0, "color": QUALITATIVE[j % 8]}
+        x = f32(data.freqs[at])
+        fig.add_scatter(x=x, y=f32(y[0]), line=line, xaxis="x2", yaxis="y2", name=f"σ{j + 1}", showlegend=False)
+    fig.update_layout(shapes=[_mark(f) for f in marks.tolist()])
+    return fig
+
+
+def _mark(f: float) -> dict[str, object]:
+    line = {"width": 0.8, "color": "#8b97a3", "dash": "dot"}
+    return {"type": "line", "xref": "x2", "yref": "paper", "x0": f, "x1": f, "y0": 0, "y1": 0.44, "line": line}
+
+
+def _modulus(h: Complex) -> Float:
+    return np.maximum(np.abs(h), 1e-300)
+
+
+def frf_pair(final: FinalStage, k: int, unit: str = "(m/s²)/N") -> go.Figure:
+    """One measured FRF with the model's before and after, modulus and phase."""
+    fig = figure(
+        300,
+        title={"text": final.frf_channels[k], "x": 0.99, "xanchor": "right", "y": 0.97, "font": {"size": 13}},
+        xaxis=axis(anchor="y", matches="x2", showticklabels=False),
+        yaxis=axis(f"|H|, {unit}", domain=[0.36, 1], type="log", exponentformat="power", dtick=1),
+        xaxis2=axis("Frequency, Hz", anchor="y2"),
+        yaxis2=axis("Phase, °", domain=[0, 0.28], anchor="x2", tickvals=[-180, 0, 180], range=[-190, 190]),
+    )
+    x = f32(final.frf_freqs)
+    for name, h, color, width in (
+        ("initial model", final.frf_initial, INITIAL, 1.2),
+        ("test", final.frf_test, TEST, 1.2),
+        ("final model", final.frf_final, FINAL, 1.6),
+    ):
+        line = {"color": color, "width": width}
+        fig.add_scatter(x=x, y=f32(_modulus(h[:, k])), name=name, line=line, legendgroup=name)
+        y = f32(np.degrees(np.angle(h[:, k])))
+        mark = {"color": color, "width": 0.9}
+        fig.add_scatter(x=x, y=y, line=mark, xaxis="x2", yaxis="y2", showlegend=False, legendgroup=name, name=name)
+    return fig

@@ -1,0 +1,73 @@
+"""Sensitivities, convergence and parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ringtrue.core.arrays import Float
+from ringtrue.plots.style import DIVERGING, MUTED, QUALITATIVE, axis, f32, figure
+from ringtrue.study.results import SensitivityStage, SetResult
+
+
+def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float) -> go.Figure:
+    """Heat map of one (mode, candidate) table; `modes` (mode,) Hz, `name` with its unit."""
+    peak = float(np.nanmax(np.abs(values), initial=1e-12))
+    y = [f"{i + 1}: {f:.2f} Hz" for i, f in zip(stage.fe_modes.tolist(), modes.tolist(), strict=True)]
+    fig = figure(
+        120 + 17 * len(y) + 90,
+        xaxis=axis(tickangle=-45, side="bottom", showgrid=False, showline=False, ticks=""),
+        yaxis=axis("FE mode", autorange="reversed", showgrid=False, showline=False, ticks="", tickfont={"size": 11}),
+    )
+    bar = {"title": {"text": name, "side": "right"}, "thickness": 12, "outlinewidth": 0}
+    fig.add_heatmap(
+        z=f32(values), x=list(stage.names), y=y, zmin=-peak, zmax=peak, colorscale=DIVERGING, colorbar=bar, xgap=1, ygap=1
+    )
+    fig.data[0].hovertemplate = "mode %{y}<br>%{x}<br>%{z:.3f}<extra></extra>"
+    fig.layout.margin.t = 10
+    return fig
+
+
+def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
+    """Objective, mean |Δf| and mean MAC by iteration for every set."""
+    thirds = ([0, 0.27], [0.365, 0.635], [0.73, 1.0])
+    titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean MAC, %")
+    fig = figure(300)
+    for k, (domain, title) in enumerate(zip(thirds, titles, strict=True), start=1):
+        n = "" if k == 1 else str(k)
+        fig.layout[f"xaxis{n}"] = axis("Iteration", domain=domain, anchor=f"y{n}", dtick=1)
+        fig.layout[f"yaxis{n}"] = axis(title, anchor=f"x{n}")
+    fig.layout.yaxis.update(type="log", exponentformat="power", dtick=1)
+    for i, s in enumerate(sets):
+        look = {"color": QUALITATIVE[i % 8], "width": 2.6 if i == chosen else 1.4}
+        name = s.name + (" (chosen)" if i == chosen else "")
+        start = s.objective[0] if s.objective.size and s.objective[0] > 0 else 1.0
+        for k, y in enumerate((s.objective / start, s.deviation, s.mac), start=1):
+            n = "" if k == 1 else str(k)
+            x = np.arange(y.size)
+            fig.add_scatter(x=x, y=f32(y), line=look, mode="lines+markers", marker={"size": 5}, name=name)
+            fig.data[-1].update(xaxis=f"x{n}", yaxis=f"y{n}", legendgroup=name, showlegend=k == 1)
+    return fig
+
+
+def path(result: SetResult) -> go.Figure:
+    """Factors of the parameters by iteration, with one standard deviation at the end."""
+    fig = figure(
+        320, xaxis=axis("Iteration", dtick=1), yaxis=axis("Updated / initial", type="log", minor={"ticks": "outside"})
+    )
+    fig.layout.yaxis.update(tickvals=[0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 20, 50], ticktext=None)
+    one = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 1, "y1": 1, "line": {"color": MUTED, "width": 1}}
+    fig.update_layout(shapes=[one])
+    for j, name in enumerate(result.parameters):
+        bar = np.zeros(result.path.shape[0])
+        bar[-1] = result.path[-1, j] * result.std[j]
+        fig.add_scatter(
+            x=np.arange(bar.size),
+            y=f32(result.path[:, j]),
+            name=name,
+            mode="lines+markers",
+            marker={"size": 5, "symbol": j % 6},
+            line={"color": QUALITATIVE[j % 8], "width": 1.8},
+            error_y={"type": "data", "array": f32(bar), "thickness": 1.2, "width": 5},
+        )
+    return fig

@@ -1,0 +1,264 @@
+"""The blocks a section is made of; the templates draw them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import plotly.graph_objects as go
+
+from ringtrue.errors import ConfigError, InputError
+from ringtrue.plots.scene import View
+
+IMAGES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp", ".gif": "image/gif"}
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptance:
+    """When a mode is accepted; a limit of None is not asked for.
+
+    Attributes
+    ----------
+    percent : float or None
+        Largest |frequency deviation|, %.
+    hz : float or None
+        Largest |frequency deviation|, Hz; with `percent` given too, one of the two is enough.
+    mac : float or None
+        Smallest MAC, %.
+    """
+
+    percent: float | None = 5.0
+    hz: float | None = None
+    mac: float | None = 80.0
+
+    def holds(self, deviation_percent: float, deviation_hz: float, mac_percent: float) -> bool:
+        """Whether a pair is accepted."""
+        limits = [
+            abs(value) <= limit
+            for value, limit in ((deviation_percent, self.percent), (deviation_hz, self.hz))
+            if limit is not None
+        ]
+        return (any(limits) if limits else True) and (self.mac is None or mac_percent >= self.mac)
+
+    def words(self) -> str:
+        """The rule in words."""
+        limit = " or ".join(
+            f"|Δf| ≤ {number(value, 3)} {unit}" for value, unit in ((self.percent, "%"), (self.hz, "Hz")) if value is not None
+        )
+        mac = f"MAC ≥ {number(self.mac, 3)} %" if self.mac is not None else ""
+        return " and ".join(x for x in (limit, mac) if x) or "every pair"
+
+
+@dataclass(frozen=True, slots=True)
+class Photo:
+    """A photograph of the user's.
+
+    Attributes
+    ----------
+    path : Path
+        PNG, JPEG, WebP or GIF; it is embedded.
+    caption : str
+    section : str
+        The id of the section it stands in: `survey`, `model`, `plan`, `signals`, ...
+    """
+
+    path: Path
+    caption: str = ""
+    section: str = "survey"
+
+    def read(self) -> tuple[str, bytes]:
+        """MIME type and bytes.
+
+        Raises
+        ------
+        ConfigError
+            If the type is not one of those above.
+        InputError
+            If there is no such file.
+        """
+        mime = IMAGES.get(self.path.suffix.lower())
+        if mime is None:
+            raise ConfigError(f"photo {self.path}: allowed are {', '.join(sorted(IMAGES))}")
+        if not self.path.is_file():
+            raise InputError(f"photo {self.path}: no such file")
+        return mime, self.path.read_bytes()
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A table cell that is more than text: `tone` in good, bad, warn, muted, chip, "" and a hint on hover."""
+
+    text: str
+    tone: str = ""
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of texts or cells; a head that starts with `|` is left-aligned text, others are numbers."""
+
+    heads: tuple[str, ...]
+    rows: Sequence[Sequence[str | Cell]]
+    caption: str = ""
+    foot: Sequence[str | Cell] = ()
+    scroll: bool = False
+    kind: str = field(default="table", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A paragraph; `tone` lead, note or empty."""
+
+    text: str
+    tone: str = ""
+    kind: str = field(default="text", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """A heading inside a section."""
+
+    text: str
+    kind: str = field(default="heading", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Items:
+    """A bulleted list."""
+
+    items: Sequence[str]
+    title: str = ""
+    kind: str = field(default="items", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """One number of the headline, with the one it came from."""
+
+    label: str
+    value: str
+    unit: str = ""
+    before: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Headline numbers side by side."""
+
+    facts: Sequence[Fact]
+    kind: str = field(default="facts", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Checks:
+    """What must hold, and whether it held."""
+
+    checks: Sequence[tuple[str, bool]]
+    kind: str = field(default="checks", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """A figure with its caption."""
+
+    figure: go.Figure
+    caption: str = ""
+    kind: str = field(default="plot", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Scene3D:
+    """A 3D figure with its caption."""
+
+    view: View
+    caption: str = ""
+    height: int = 520
+    kind: str = field(default="scene", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Diff:
+    """A unified diff."""
+
+    text: str
+    caption: str = ""
+    kind: str = field(default="diff", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """Preformatted text, folded away on screen."""
+
+    title: str
+    text: str
+    kind: str = field(default="code", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A photograph, embedded."""
+
+    photo: Photo
+    kind: str = field(default="picture", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Tabs:
+    """Alternatives behind tabs; on paper one after the other."""
+
+    tabs: Sequence[tuple[str, Sequence[Block]]]
+    kind: str = field(default="tabs", init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Blocks side by side where the page is wide enough."""
+
+    columns: Sequence[Sequence[Block]]
+    kind: str = field(default="columns", init=False)
+
+
+Block = (
+    Table | Text | Heading | Items | Facts | Checks | Plot | Scene3D | Diff | Code | Picture | Tabs | Columns
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A numbered section with an anchor."""
+
+    id: str
+    title: str
+    blocks: Sequence[Block]
+
+
+MISSING = "–"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with `digits` significant digits, plain where that is readable; `–` where unknown."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    power = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    if power < -4 or power > 6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa.replace('-', '−')} × 10{_raised(int(exponent))}"
+    text = f"{value:.{max(digits - 1 - power, 0)}f}"
+    if abs(value) >= 10000:
+        text = f"{value:,.0f}".replace(",", "\u202f")
+    return text.replace("-", "−")
+
+
+def fixed(value: float | None, decimals: int, sign: bool = False) -> str:
+    """A number with fixed decimals, so that a column lines up; `–` where unknown."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return f"{value:{'+' if sign else ''}.{decimals}f}".replace("-", "−")
+
+
+def _raised(n: int) -> str:
+    return str(n).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

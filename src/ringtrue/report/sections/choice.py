@@ -1,0 +1,36 @@
+"""Sensitivities and the choice of the parameters."""
+
+from __future__ import annotations
+
+from ringtrue.plots import updating as plots
+from ringtrue.report.parts import Block, Items, Plot, Section, Table, Tabs
+from ringtrue.report.stages import Stages
+
+
+def section(data: Stages) -> Section | None:
+    """Heat maps of both sensitivities, sets with their rules, clusters."""
+    s = data.sensitivity
+    if s is None:
+        return None
+    if data.correlate is not None:
+        f = data.correlate.fe_remodelled.frequencies[s.fe_modes]
+    elif data.model is not None:
+        f = data.model.modes.frequencies[s.fe_modes]
+    else:
+        return None
+    one = plots.sensitivity(s, s.d_frequency, "∂ ln f / ∂x", f)
+    two = plots.sensitivity(s, s.d_mac, "∂ MAC / ∂x", f)
+    caption = "Sensitivity of the {} to the candidates, x = 0 at the initial value (logarithmic parameters: x = ln factor)."
+    blocks: list[Block] = [
+        Tabs(
+            [
+                ("Frequencies", [Plot(one, caption.format("natural frequencies"))]),
+                ("Mode shapes", [Plot(two, caption.format("MAC with the paired test shape"))]),
+            ]
+        )
+    ]
+    rows = [(k, str(len(v)), ", ".join(v), s.rules.get(k, "")) for k, v in s.sets.items()]
+    blocks.append(Table(("|Set", "Size", "|Parameters", "|Rule"), rows, "Parameter sets and how each was chosen."))
+    if s.clusters:
+        blocks.append(Items(s.clusters, "Candidates that the data cannot tell apart"))
+    return Section("sensitivities", "Sensitivities and parameters", blocks)

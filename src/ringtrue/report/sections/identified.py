@@ -1,0 +1,72 @@
+"""Identification: stabilisation diagrams and the modes found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.identify.poles import StableDiagram
+from ringtrue.plots import identification as plots
+from ringtrue.report.parts import Block, Cell, Columns, Heading, Plot, Section, Table, Tabs, Text, fixed, number
+from ringtrue.report.stages import Stages
+
+
+def section(data: Stages) -> Section | None:
+    """Diagrams behind tabs, a table of modes for each test."""
+    ident = data.identify
+    if ident is None:
+        return None
+    tabs = [(r.record, _diagrams(r.record, r.diagrams, r.modes)) for r in ident.ambient_records if r.diagrams]
+    if ident.hammer is not None and ident.hammer_diagrams:
+        tabs.append(("hammer", _diagrams("hammer", ident.hammer_diagrams, ident.hammer)))
+    blocks: list[Block] = [Heading("Stabilisation diagrams"), Tabs(tabs)] if tabs else []
+    sides: list[list[Block]] = []
+    if len(ident.ambient):
+        modes, std = ident.ambient, ident.ambient_uncertainty
+        sides.append([_modes(modes, std, ident.ambient_reasons, "Ambient modes, merged over the records.")])
+    if ident.hammer is not None:
+        sides.append([_modes(ident.hammer, ident.hammer_uncertainty, ident.hammer_reasons, "Modes of the hammer test.")])
+    if sides:
+        blocks.append(Columns(sides) if len(sides) > 1 else sides[0][0])
+    if len(ident.ambient_records) > 1:
+        blocks.append(_by_record(data))
+    return Section("identification", "Identification", blocks)
+
+
+def _diagrams(name: str, diagrams: Sequence[StableDiagram], modes: ModeSet) -> list[Block]:
+    out: list[Block] = []
+    for d in diagrams:
+        span = f"{number(float(d.freqs.min()), 3)} to {number(float(d.freqs.max()), 3)} Hz" if d.freqs.size else "all"
+        out.append(Plot(plots.stabilisation(d, modes), f"Stabilisation diagram, {name}, {span}."))
+    return out
+
+
+def _modes(modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str], caption: str) -> Table:
+    rows = []
+    for k in range(len(modes)):
+        why = reasons[k] if k < len(reasons) else ""
+        confidence = float(modes.confidence[k])
+        sf = float(std.frequency[k]) if std is not None else float("nan")
+        sz = float(std.damping[k]) if std is not None else float("nan")
+        rows.append(
+            (
+                str(k + 1),
+                fixed(float(modes.frequencies[k]), 3),
+                number(sf, 2),
+                fixed(100 * float(modes.damping[k]), 2),
+                number(100 * sz, 2),
+                Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
+            )
+        )
+    return Table(("#", "f, Hz", "σ, Hz", "ζ, %", "σ, %", "Confidence, %"), rows, caption)
+
+
+def _by_record(data: Stages) -> Block:
+    assert data.identify is not None
+    rows = [
+        (r.record, str(len(r.modes)), " ".join(fixed(f, 2) for f in r.modes.frequencies.tolist()) or "–")
+        for r in data.identify.ambient_records
+    ]
+    table = Table(("|Record", "Modes", "|Frequencies, Hz"), rows, "Modes by excitation record, before merging.")
+    return table if rows else Text("")

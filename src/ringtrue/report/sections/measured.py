@@ -1,0 +1,53 @@
+"""Signals and frequency response functions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.plots import signals as plots
+from ringtrue.report.parts import Block, Items, Plot, Section, Tabs, Text
+from ringtrue.report.stages import Stages
+from ringtrue.study.results import RecordSummary
+
+
+def signals(data: Stages) -> Section | None:
+    """Time previews and spectra of every record."""
+    if data.identify is None or not data.identify.records:
+        return None
+    groups: dict[str, list[RecordSummary]] = {}
+    for r in data.identify.records:
+        groups.setdefault(r.test, []).append(r)
+    tabs = [(name, [_record(r) for r in records]) for name, records in groups.items()]
+    return Section("signals", "Signals", list(tabs[0][1]) if len(tabs) == 1 else [Tabs(tabs)])
+
+
+def _unit(r: RecordSummary) -> str:
+    known = {"(a)": "m/s²", "(b)": "m/s", "(c)": "m/s²"}
+    return next((u for k, u in known.items() if k in r.test), "SI unit")
+
+
+def _record(r: RecordSummary) -> Block:
+    notes = f" {'; '.join(r.notes)}." if r.notes else ""
+    return Plot(plots.record(r, _unit(r)), f"{r.name}, {r.excitation}: time preview and power spectral density.{notes}")
+
+
+def functions(data: Stages) -> Section | None:
+    """All FRFs and the CMIF."""
+    ident = data.identify
+    if ident is None or ident.frfs is None:
+        return None
+    frfs = ident.frfs
+    marks = ident.hammer.frequencies if ident.hammer is not None else np.empty(0)
+    count = f"{len(frfs.outputs)} responses × {len(frfs.inputs)} references"
+    caption = (
+        f"Imaginary parts of all {len(frfs.outputs) * len(frfs.inputs)} FRFs ({count}) and the complex mode "
+        "indicator function; dotted: identified modes."
+    )
+    blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks), caption)]
+    if ident.synthesis_error.size:
+        middle, worst = np.nanmedian(ident.synthesis_error), np.nanmax(ident.synthesis_error)
+        text = f"The FRFs synthesised from the identified modes differ from the measured ones by {100 * middle:.1f} % "
+        blocks.append(Text(text + f"in the median and {100 * worst:.1f} % at worst (relative norm over the band)."))
+    if ident.rejected_hits:
+        blocks.append(Items(ident.rejected_hits, f"Rejected hits ({len(ident.rejected_hits)})"))
+    return Section("frfs", "Frequency response functions", blocks)

@@ -1,0 +1,40 @@
+"""The finite element model and the sensors."""
+
+from __future__ import annotations
+
+from ringtrue.core.testmodel import TestModel
+from ringtrue.plots import scene
+from ringtrue.report.parts import Block, Columns, Items, Scene3D, Section, Table, Text, number
+from ringtrue.report.stages import Stages
+from ringtrue.study.results import ModelStage
+
+
+def section(data: Stages) -> Section | None:
+    """Deck, 3D view with the sensors, modes."""
+    if data.model is None:
+        return None
+    m, test = data.model, data.test
+    kinds = scene.channel_kinds(data.plan.references, data.plan.ambient) if data.plan is not None else {}
+    blocks: list[Block] = [Scene3D(scene.model(m.scene, test, kinds), _caption(test))]
+    cards = Table(("|Card", "Count"), [(k, str(v)) for k, v in sorted(m.cards.items())], "Cards of the deck.")
+    blocks.append(Columns([[_modes(m)], [cards]]))
+    blocks.append(Text(f"Files: {', '.join(m.files)} (units {m.units}). {m.proof}", "note"))
+    if m.findings:
+        blocks.append(Items(m.findings, "Findings of the deck check"))
+    title = "Finite element model and sensors" if test is not None else "Finite element model"
+    return Section("model", title, blocks)
+
+
+def _caption(test: TestModel | None) -> str:
+    text = "The model by part"
+    if test is not None:
+        text += f", with {len(test.channels)} channels at {test.points.size} points; arrows point in the positive reading"
+    return text + ". Drag to turn, shift-drag to move, click and use the wheel to zoom."
+
+
+def _modes(m: ModelStage) -> Table:
+    rows = [
+        (str(i + 1), number(f, 4), number(r, 2))
+        for i, (f, r) in enumerate(zip(m.modes.frequencies.tolist(), m.residuals.tolist(), strict=True))
+    ]
+    return Table(("#", "Frequency, Hz", "Residual"), rows, "Modes of the delivered model, relative residual norm.")

@@ -1,0 +1,81 @@
+"""Mode shapes in motion."""
+
+from __future__ import annotations
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.plots.scene import Shown, modes
+from ringtrue.report.parts import Scene3D, Section, fixed
+from ringtrue.report.stages import Stages
+
+
+def section(data: Stages) -> Section | None:
+    """One viewer for all stages and modes."""
+    scene = data.model.scene if data.model is not None else None
+    shown = _final(data) + _initial(data) + _remodelled(data) + _model_only(data) + _test_only(data)
+    if not shown:
+        return None
+    parts = ["Mode shapes: the model's skin, coloured by its displacement" if scene is not None else "Mode shapes"]
+    if data.test is not None:
+        parts.append("the test's wireframe in orange, turned and scaled onto the model's shape")
+    return Section("shapes", "Mode shapes", [Scene3D(modes(scene, data.test, shown), "; ".join(parts) + ".", 600)])
+
+
+def _paired(
+    stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, skin: ModeSet | None
+) -> list[Shown]:
+    out = []
+    for r in table.rows:
+        t, k = int(r.test_mode), int(r.fe_mode)
+        label = f"test {t + 1} · FE {k + 1} · {fixed(r.frequency_test, 2)} Hz"
+        info = f"test {fixed(r.frequency_test, 3)} Hz, FE {fixed(r.frequency_fe, 3)} Hz, "
+        info += f"Δf {fixed(r.deviation_percent, 2, sign=True)} %, MAC {fixed(r.mac_percent, 1)} %"
+        fe = (skin, k) if skin is not None and k < len(skin) else None
+        out.append(Shown(stage, label, info, fe, (test, t), (seen, k)))
+    return out
+
+
+def _final(data: Stages) -> list[Shown]:
+    if data.final is None or data.reference is None:
+        return []
+    f = data.final
+    return _paired("Final model and test", f.table, data.reference, f.observed, f.modes)
+
+
+def _initial(data: Stages) -> list[Shown]:
+    c = data.correlate
+    if c is None or data.model is None:
+        return []
+    return _paired("Initial model and test", c.initial, c.reference, c.fe_initial, data.model.modes)
+
+
+def _remodelled(data: Stages) -> list[Shown]:
+    c = data.correlate
+    if c is None:
+        return []
+    return _paired("Remodelled and test", c.remodelled, c.reference, c.fe_remodelled, None)
+
+
+def _model_only(data: Stages) -> list[Shown]:
+    if data.correlate is not None or data.model is None:
+        return []
+    m = data.model.modes
+    return [_alone("Model", m, k, (m, k), None) for k in range(len(m))]
+
+
+def _test_only(data: Stages) -> list[Shown]:
+    if data.identify is None:
+        return []
+    out = []
+    for name, m in (("Ambient test", data.identify.ambient), ("Hammer test", data.identify.hammer)):
+        if m is not None:
+            out += [_alone(name, m, k, None, (m, k)) for k in range(len(m))]
+    return out
+
+
+def _alone(
+    stage: str, m: ModeSet, k: int, fe: tuple[ModeSet, int] | None, test: tuple[ModeSet, int] | None
+) -> Shown:
+    f, zeta = float(m.frequencies[k]), float(m.damping[k])
+    info = f"{fixed(f, 3)} Hz" + (f", damping {fixed(100 * zeta, 2)} %" if zeta > 0 else "")
+    return Shown(stage, f"mode {k + 1} · {fixed(f, 2)} Hz", info, fe, test)

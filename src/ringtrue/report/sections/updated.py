@@ -1,0 +1,72 @@
+"""Updating: sets compared, convergence, regions; and the tuning of the suspension."""
+
+from __future__ import annotations
+
+from ringtrue.plots import scene
+from ringtrue.plots import updating as plots
+from ringtrue.report.parts import Block, Cell, Heading, Plot, Scene3D, Section, Table, Text, fixed, number
+from ringtrue.report.sections.correlation import pairs
+from ringtrue.report.stages import Stages
+from ringtrue.study.results import SetResult, UpdateStage
+
+
+def section(data: Stages) -> Section | None:
+    """The parameter sets compared, the chosen one in detail."""
+    u = data.update
+    if u is None:
+        return None
+    best = u.sets[u.chosen]
+    blocks: list[Block] = [_compared(u), Text(u.why)]
+    caption = "Convergence of every parameter set."
+    blocks.append(Plot(plots.convergence(u.sets, u.chosen), caption))
+    blocks += [Heading(f"The chosen set: {best.name}"), _parameters(u, best)]
+    text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. {best.outcome}."
+    blocks.append(Plot(plots.path(best), text))
+    if data.model is not None and u.regions:
+        notes = {p: f"× {number(f, 3)}" for p, f in zip(best.parameters, best.factor.tolist(), strict=True)}
+        view = scene.regions(data.model.scene, u.regions, notes)
+        blocks.append(Scene3D(view, "The updated regions, each with its factor updated / initial.", 460))
+    return Section("updating", "Updating", blocks)
+
+
+def _compared(u: UpdateStage) -> Table:
+    heads = ("|Set", "Parameters", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Left out: mean |Δf|, %")
+    heads += ("Condition", "AICc", "Iterations", "|Outcome")
+    rows = []
+    for i, s in enumerate(u.sets):
+        name = Cell(s.name, "chosen", "chosen") if i == u.chosen else s.name
+        values = [fixed(s.mean_deviation, 2), fixed(s.max_deviation, 2), fixed(s.mean_mac, 1)]
+        values += [fixed(s.mean_deviation_left_out, 2), number(s.condition, 3), fixed(s.criterion, 1)]
+        outcome = s.outcome.split(":")[0]
+        rows.append([name, str(len(s.parameters)), *values, str(max(len(s.objective) - 1, 0)), Cell(outcome, "", s.outcome)])
+    return Table(heads, rows, "Parameter sets updated and compared; the chosen one is marked.")
+
+
+def _parameters(u: UpdateStage, s: SetResult) -> Table:
+    heads = ("|Parameter", "Initial", "Updated", "Factor", "σ, %", "Bounds", "σ after / before")
+    rows = []
+    for j, name in enumerate(s.parameters):
+        low, high = (float(x) for x in s.bounds[j])
+        factor = float(s.factor[j])
+        at_bound = min(abs(factor / low - 1), abs(factor / high - 1)) < 0.01
+        shown = Cell(fixed(factor, 3), "warn", "at its bound") if at_bound else fixed(factor, 3)
+        values = [number(u.initial_values.get(name), 4), number(u.updated_values.get(name), 4), shown]
+        spread = [number(100 * float(s.std[j]), 2), f"{number(low, 3)} to {number(high, 3)}"]
+        rows.append([name, *values, *spread, fixed(float(s.identifiability[j]), 2)])
+    text = "The updated parameters, deck units. σ after / before near 1: the data say nothing about it."
+    return Table(heads, rows, text)
+
+
+def suspension(data: Stages) -> Section | None:
+    """Rigid-body modes before and after tuning."""
+    t = data.tune
+    if t is None:
+        return None
+    names = ("test", "FE")
+    blocks: list[Block] = [
+        pairs(t.before, data, "Rigid-body modes before tuning.", names, updating=False),
+        pairs(t.after, data, "Rigid-body modes after tuning.", names, updating=False),
+    ]
+    rows = [(k, fixed(v, 3), number(100 * t.std[k] if k in t.std else None, 2)) for k, v in t.factors.items()]
+    blocks.append(Table(("|Suspension parameter", "Factor", "σ, %"), rows, "Tuned stiffnesses of the suspension."))
+    return Section("suspension", "Rigid-body tuning", blocks)

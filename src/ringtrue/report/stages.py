@@ -1,0 +1,86 @@
+"""The stage results of a study by name, any of them absent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.report.parts import Acceptance
+from ringtrue.study.results import (
+    CompareStage,
+    CorrelateStage,
+    FinalStage,
+    IdentifyStage,
+    ModelStage,
+    PlanStage,
+    Provenance,
+    SensitivityStage,
+    TuneStage,
+    UpdateStage,
+)
+
+KINDS: dict[str, type] = {
+    "model": ModelStage,
+    "plan": PlanStage,
+    "identify": IdentifyStage,
+    "compare": CompareStage,
+    "correlate": CorrelateStage,
+    "sensitivity": SensitivityStage,
+    "update": UpdateStage,
+    "tune": TuneStage,
+    "final": FinalStage,
+    "provenance": Provenance,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Stages:
+    """What a report is made of; a stage that was not run is None."""
+
+    title: str
+    system_text: str
+    acceptance: Acceptance
+    model: ModelStage | None = None
+    plan: PlanStage | None = None
+    identify: IdentifyStage | None = None
+    compare: CompareStage | None = None
+    correlate: CorrelateStage | None = None
+    sensitivity: SensitivityStage | None = None
+    update: UpdateStage | None = None
+    tune: TuneStage | None = None
+    final: FinalStage | None = None
+    provenance: Provenance | None = None
+
+    @classmethod
+    def of(cls, stages: Mapping[str, object], title: str, system_text: str, acceptance: Acceptance) -> Stages:
+        """From a mapping.
+
+        Raises
+        ------
+        ConfigError
+            On an unknown name or a result of the wrong type.
+        """
+        known: dict[str, Any] = {}
+        for name, value in stages.items():
+            if name not in KINDS:
+                raise ConfigError(f"no stage {name!r}{did_you_mean(name, KINDS)}")
+            if value is not None and not isinstance(value, KINDS[name]):
+                raise ConfigError(f"stage {name}: got {type(value).__name__}, needs {KINDS[name].__name__}")
+            known[name] = value
+        return cls(title, system_text, acceptance, **known)
+
+    @property
+    def test(self) -> TestModel | None:
+        """The test model as measured, else as planned."""
+        if self.identify is not None:
+            return self.identify.test
+        return self.plan.test if self.plan is not None else None
+
+    @property
+    def reference(self) -> ModeSet | None:
+        """The test modes the model is judged by."""
+        return self.correlate.reference if self.correlate is not None else None

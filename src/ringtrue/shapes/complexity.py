@@ -1,0 +1,64 @@
+"""How far a complex mode shape is from a real one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Float
+
+
+def mpc(shapes: Any_) -> Float:
+    """Modal phase collinearity, (m,) float64: 1 for a shape that is real up to a phase.
+
+    |φᵀφ|²/(φᴴφ)², equal to ((Sxx − Syy)² + 4 Sxy²)/(Sxx + Syy)² (Pappa, Elliott and Schenk, 1993).
+
+    Parameters
+    ----------
+    shapes : (n, m) float64 or complex128
+    """
+    p = np.asarray(shapes)
+    energy = (np.abs(p) ** 2).sum(axis=0)
+    return np.asarray(np.abs((p * p).sum(axis=0)) ** 2 / np.where(energy > 0, energy, 1.0) ** 2, dtype=np.float64)
+
+
+def mean_phase(shapes: Any_) -> Float:
+    """Angle (m,), rad in (−π/2, π/2], of the line through the origin that fits the components best (total least squares)."""
+    p = np.asarray(shapes)
+    return np.asarray(0.5 * np.angle((p * p).sum(axis=0)), dtype=np.float64)
+
+
+def mpd(shapes: Any_) -> Float:
+    """Mean phase deviation, (m,) rad: amplitude-weighted angle of the components from the mean phase (Reynders, 2012)."""
+    p = np.asarray(shapes) * np.exp(-1j * mean_phase(shapes))
+    weight = np.abs(p)
+    angle = np.arctan2(np.abs(p.imag), np.abs(p.real))
+    total = weight.sum(axis=0)
+    return np.asarray((weight * angle).sum(axis=0) / np.where(total > 0, total, 1.0), dtype=np.float64)
+
+
+def mcf(shapes: Any_) -> Float:
+    """Modal complexity factor, (m,): area of the convex hull of the components over that of their circle.
+
+    0 for a real shape, towards 1 for components of equal size at all phases (Imregun and Ewins, 1995, MCF1).
+    """
+    p = np.asarray(shapes, dtype=np.complex128)
+    radius = np.abs(p).max(axis=0, initial=0.0)
+    z = p / np.where(radius > 0, radius, 1.0)
+    return np.array([_hull_area(z[:, k]) / np.pi for k in range(z.shape[1])])  # hulls do not vectorise over modes
+
+
+def _hull_area(z: Any_) -> float:
+    """Area of the convex hull of complex points: monotone chain (Andrew, 1979)."""
+    points = np.unique(z)  # sorts by real, then imaginary part
+    ring = _chain(points)[:-1] + _chain(points[::-1])[:-1]
+    v = np.array(ring)
+    return float(abs((v.conj() * np.roll(v, -1)).imag.sum()) / 2) if v.size > 2 else 0.0
+
+
+def _chain(points: Any_) -> list[complex]:
+    out: list[complex] = []
+    for p in points.tolist():
+        while len(out) > 1 and ((out[-1] - out[-2]).conjugate() * (p - out[-1])).imag <= 0:
+            out.pop()
+        out.append(p)
+    return out

@@ -1,0 +1,219 @@
+"""Preparing a record: trend, bands (zero-phase, decimated), the state of the channels, harmonics of machines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.ndimage import median_filter
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.signal.psd import segments_spectrum
+from ringtrue.signal.windows import step, window
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A frequency band and the rate that it is decimated to, Hz.
+
+    Attributes
+    ----------
+    low, high : float
+        Modes are taken from here.
+    rate : float
+        Sampling rate after decimation; the true one may differ by rounding to a fast FFT length.
+    """
+
+    low: float
+    high: float
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelState:
+    """What is wrong with a channel: `usable` or left out, and why."""
+
+    id: str
+    usable: bool
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Harmonic:
+    """A spectral line of a machine or the mains: frequency in Hz and why it is taken for one."""
+
+    frequency: float
+    why: str
+
+
+def detrend(data: Any_) -> Float:
+    """`data` (ch, sample) as float64 less mean and straight line of each channel."""
+    y = np.asarray(data, dtype=np.float64)
+    t = np.linspace(-1.0, 1.0, y.shape[1])
+    y = y - y.mean(1, keepdims=True)
+    return np.asarray(y - np.outer(y @ t / (t @ t), t))
+
+
+def band_signals(data: Any_, rate: float, bands: Sequence[Band]) -> tuple[tuple[Float, float], ...]:
+    """Each band of the record, filtered with zero phase and decimated, by one FFT per channel.
+
+    The gain falls from 1 at 0.4 to 0 at 0.5 of the new rate (no edge where nothing is decimated) and from 1 at two
+    thirds to 0 at one third of the lower band limit.
+
+    Parameters
+    ----------
+    data : (ch, sample) float
+    rate : float, Hz
+    bands : sequence of Band
+
+    Returns
+    -------
+    tuple of (signals (ch, sample) float64, rate Hz), one for each band
+    """
+    samples = data.shape[1]
+    n = int(next_fast_len(samples + samples // 50, real=True))
+    freqs = rfftfreq(n, 1 / rate)
+    sizes = [n if b.rate >= rate else int(next_fast_len(round(n * b.rate / rate), real=True)) for b in bands]
+    keep = [samples * m // n for m in sizes]
+    out = [np.empty((len(data), k)) for k in keep]
+    gains = []
+    for b, m in zip(bands, sizes, strict=True):
+        f, new = freqs[: m // 2 + 1], rate * m / n
+        edge = step(f, 0.5 * new, 0.4 * new) if m < n else np.ones(f.size)
+        gains.append(step(f, b.low / 3, b.low / 1.5) * edge * (m / n))
+    batch = max(1, 8_000_000 // n)
+    for i in range(0, len(data), batch):  # the whole spectrum of all channels would double the memory
+        spectrum = rfft(detrend(data[i : i + batch]), n, axis=1)
+        for y, g, m, k in zip(out, gains, sizes, keep, strict=True):
+            y[i : i + batch] = irfft(spectrum[:, : g.size] * g, m, axis=1)[:, :k]
+    return tuple((y, rate * m / n) for y, m in zip(out, sizes, strict=True))
+
+
+def high_pass(history: TimeHistory, corner: float) -> TimeHistory:
+    """The record without what is below `corner` Hz (zero phase; edge from corner/2 to corner)."""
+    band = Band(1.5 * corner, history.rate / 2, history.rate)
+    return replace(history, data=band_signals(history.data, history.rate, (band,))[0][0])
+
+
+def decimate(history: TimeHistory, rate: float) -> TimeHistory:
+    """The record at a lower rate, Hz (zero phase; usable to 0.4 of the new rate, which is rounded)."""
+    if not 0 < rate < history.rate:
+        raise DataError(f"decimation to {rate} Hz: must be > 0 and below the rate {history.rate} Hz")
+    data, new = band_signals(history.data, history.rate, (Band(0.0, 0.4 * rate, rate),))[0]
+    return replace(history, data=data, rate=new)
+
+
+def _runs(flag: Bool) -> int:
+    """Samples in runs of at least three."""
+    return int((flag[2:] & flag[1:-1] & flag[:-2]).sum())
+
+
+def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
+    """The channels that are dead, constant, not finite (left out), clipped or very weak (kept, but said)."""
+    finite = np.isfinite(history.data).all(1)
+    std = np.array([np.std(x, dtype=np.float64) if ok else np.nan for x, ok in zip(history.data, finite, strict=True)])
+    typical = float(np.median(std[finite & (std > 0)])) if (finite & (std > 0)).any() else np.nan
+    out = []
+    for channel, x, ok, s in zip(history.channels, history.data, finite, std, strict=True):
+        if not ok:
+            out.append(ChannelState(channel.id, False, f"{int((~np.isfinite(x)).sum())} samples are not finite"))
+        elif s <= 1e-12 * max(float(np.abs(x).max()), typical if np.isfinite(typical) else 0.0):
+            out.append(ChannelState(channel.id, False, f"constant at {float(x[0]):.4g}: a dead sensor"))
+        elif (stuck := max(_runs(x == x.max()), _runs(x == x.min()))) > max(4, x.size // 50000):
+            out.append(ChannelState(channel.id, True, f"clipped: {stuck} samples stand at its largest value"))
+        elif s < 1e-4 * typical:
+            out.append(ChannelState(channel.id, True, f"very weak: {s / typical:.1e} of the typical channel"))
+    return tuple(out)
+
+
+def usable(history: TimeHistory) -> tuple[TimeHistory, tuple[ChannelState, ...]]:
+    """The record without the channels that cannot be used, and what was found.
+
+    Raises
+    ------
+    DataError
+        If no channel is left.
+    """
+    states = channel_states(history)
+    bad = {s.id for s in states if not s.usable}
+    good = [c.id for c in history.channels if c.id not in bad]
+    if not good:
+        raise DataError(f"{history.source}: no usable channel; {'; '.join(f'{s.id} {s.why}' for s in states[:6])}")
+    return (history.pick(good) if bad else history), states
+
+
+def block_bounds(samples: int, blocks: int) -> Int:
+    """(block + 1,) first sample of each block, and the end."""
+    return np.linspace(0, samples, blocks + 1).round().astype(np.int64)
+
+
+def block_weights(power: Float) -> Float:
+    """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones count as typical ones.
+
+    A jump or a blow would otherwise outweigh the rest of the record, and its variance with it.
+    """
+    loud = np.maximum(power / max(float(np.median(power)), np.finfo(np.float64).tiny), 1.0)
+    return np.asarray((1 / loud) / (1 / loud).sum())
+
+
+def _name(f: float, resolution: float, found: Sequence[float]) -> str:
+    for mains in (50.0, 60.0, 50.0 / 3):
+        k = round(f / mains)
+        if k >= 1 and abs(f - k * mains) < max(resolution, 2e-3 * f):
+            return f"mains hum, {k} x {mains:.4g} Hz"
+    for base in found:
+        k = round(f / base)
+        if k >= 2 and abs(f - k * base) < 2 * resolution:
+            return f"{k} x {base:.4g} Hz"
+    return "a rotating machine"
+
+
+def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tuple[Harmonic, ...]:
+    """Lines with a steady amplitude and no width: machines and mains hum, not modes.
+
+    The normalised fourth moment E|Y|⁴/(E|Y|²)² of the short-time spectra over time is 2 for a mode in random
+    vibration and 1 for a sine (Antoni 2006, spectral kurtosis); the line must also be as narrow as the window.
+
+    Parameters
+    ----------
+    low : float, Hz
+        Look above this frequency.
+    cycles : int
+        Segments of the record; 0 chooses 120 of half overlap, or fewer lines in a short record.
+    """
+    data, rate = history.data, history.rate
+    segments = cycles or 120
+    length = int(next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True))
+    if data.shape[1] < 16 * length // 2:
+        return ()
+    starts = np.arange(0, data.shape[1] - length + 1, length // 2, dtype=np.int64)
+    second, fourth, freqs = _moments(data, starts, length, rate)
+    kurtosis = fourth / np.maximum(second**2, np.finfo(np.float64).tiny)
+    floor = median_filter(second, size=41, mode="nearest")
+    at = np.arange(8, second.size - 8)
+    side = np.maximum(second[at - 5], second[at + 5])
+    peak = (second[at] >= second[at - 1]) & (second[at] > second[at + 1])
+    line = peak & (second[at] > 30 * side) & (second[at] > 10 * floor[at]) & (kurtosis[at] < 1.35)
+    found = [float(freqs[i]) for i in at[line] if freqs[i] > low]
+    names = [_name(f, freqs[1], found[:i]) for i, f in enumerate(found)]
+    return tuple(
+        Harmonic(f, f"{name}: steady line (fourth moment {kurtosis[round(f / freqs[1])]:.2f}, a mode has 2)")
+        for f, name in zip(found, names, strict=True)
+    )
+
+
+def _moments(data: Any_, starts: Int, length: int, rate: float) -> tuple[Float, Float, Float]:
+    """Second and fourth moment (freq,) of the power summed over normalised channels, and frequencies."""
+    win = window("blackmanharris", length)
+    freqs = rfftfreq(length, 1 / rate)
+    scale = 1 / np.maximum(np.std(data, axis=1, dtype=np.float64), np.finfo(np.float64).tiny)
+    power = np.empty((starts.size, freqs.size))
+    batch = max(1, 4_000_000 // (length * len(data)))
+    for i in range(0, starts.size, batch):  # streamed
+        y = segments_spectrum(data, starts[i : i + batch], win) * scale[:, None]
+        power[i : i + batch] = (y.real**2 + y.imag**2).sum(1)
+    return power.mean(0), (power**2).mean(0), freqs

@@ -1,0 +1,208 @@
+"""study.toml as a typed tree; unknown keys are refused with the nearest allowed one."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.errors import ConfigError, did_you_mean
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class StudyInfo(_Section):
+    """What is studied."""
+
+    title: str = "Model validation"
+    system: str = ""  # a paragraph or more for the report
+    seed: int = 0
+
+
+class ModelSection(_Section):
+    """The deck."""
+
+    deck: str
+    units: Literal["SI", "mm-t-s"] = "SI"
+    fmax: float = Field(100.0, gt=0)  # Hz, modes are computed up to here
+    regions: dict[str, list[int]] = {}  # name -> property numbers, for drawing and naming
+
+
+class PlanSection(_Section):
+    """What to plan."""
+
+    fmin: float = 0.0
+    fmax: float = Field(80.0, gt=0)
+    sensors: int = Field(45, gt=0)  # measuring points for the hammer test
+    ambient_sensors: int = Field(12, gt=0)  # measuring points for the ambient tests
+    references: int = Field(4, gt=0)
+    candidates: dict[str, list[int]] = {}  # region -> candidate nodes; empty: the skin of the model
+    min_distance: float = Field(0.8, ge=0)  # m
+    damping: float = Field(0.01, gt=0)  # expected, for the resolution
+    max_auto_mac: float = Field(0.25, gt=0, lt=1)
+
+
+class TestSection(_Section):
+    """The measurements: a crew's log that lists the records, and the sensor sheet."""
+
+    sheet: str
+    log: str
+
+
+class IdentifySection(_Section):
+    """Bands of the identification; None: found from the data."""
+
+    ambient_fmin: float | None = None
+    ambient_fmax: float | None = None
+    hammer_fmin: float | None = None
+    hammer_fmax: float | None = None
+    confidence: float = Field(0.5, ge=0, le=1)  # modes below are not used, but listed
+
+
+class CorrelateSection(_Section):
+    """Pairing and acceptance."""
+
+    mac_gate: float = Field(0.6, gt=0, lt=1)
+    frequency_gate: float = Field(0.4, gt=0)
+    rigid_below: float | None = None  # Hz: rigid-body modes lie below; None: the largest gap decides
+    tolerance: float = Field(0.3, gt=0)  # m, sensor to node
+    accept_percent: float = 5.0
+    accept_hz: float | None = None
+    accept_mac: float = 80.0
+
+
+class RemodelSection(_Section):
+    """A stated edit of the deck before updating: cards added to one of its files."""
+
+    file: str
+    cards: str
+    reason: str
+
+
+class Candidate(_Section):
+    """One uncertain region: `targets = ["MAT1 7 E", "PBUSH 3 K1,K2,K3"]`."""
+
+    name: str
+    targets: list[str]
+    lower: float = 0.2
+    upper: float = 5.0
+    std: float = Field(0.7, gt=0)
+    scale: Literal["log", "linear"] = "log"
+
+    @field_validator("targets")
+    @classmethod
+    def _readable(cls, value: list[str]) -> list[str]:
+        for text in value:
+            parse_target(text)
+        return value
+
+    def parameter(self) -> Parameter:
+        """As a core parameter."""
+        targets = tuple(t for text in self.targets for t in parse_target(text))
+        return Parameter(self.name, targets, self.lower, self.upper, self.scale, self.std)
+
+
+def parse_target(text: str) -> tuple[Target, ...]:
+    """`"PBUSH 3 K1,K2"` -> two targets."""
+    words = text.split()
+    if len(words) != 3 or not words[1].isdigit():
+        raise ValueError(f"{text!r} is not a target; the form is 'CARD id FIELD[,FIELD]', as in 'MAT1 7 E'")
+    return tuple(Target(words[0].upper(), int(words[1]), f.upper()) for f in words[2].split(","))
+
+
+class UpdateSection(_Section):
+    """Updating."""
+
+    choose: int = Field(6, gt=0)
+    left_out: int = Field(5, ge=0)
+    step: Literal["gauss-newton", "published"] = "gauss-newton"
+    shape_weight: float = Field(0.3, ge=0)
+    iterations: int = Field(30, gt=0)
+
+
+class ReportSection(_Section):
+    """The report."""
+
+    photos: list[str] = []
+    captions: list[str] = []
+
+
+class StudyConfig(_Section):
+    """The whole study; `model` or `test` may be absent, not both."""
+
+    study: StudyInfo = StudyInfo()
+    model: ModelSection | None = None
+    plan: PlanSection | None = None
+    test: TestSection | None = None
+    identify: IdentifySection = IdentifySection()
+    correlate: CorrelateSection = CorrelateSection()
+    remodel: RemodelSection | None = None
+    candidate: list[Candidate] = []
+    suspension: list[Candidate] = []
+    update: UpdateSection = UpdateSection()
+    report: ReportSection = ReportSection()
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if self.model is None and self.test is None:
+            raise ValueError("a study needs a [model], a [test] or both")
+        return self
+
+    def candidates(self) -> ParameterSet:
+        """The candidate parameters."""
+        return ParameterSet(tuple(c.parameter() for c in self.candidate))
+
+    def suspensions(self) -> ParameterSet:
+        """The suspension parameters."""
+        return ParameterSet(tuple(c.parameter() for c in self.suspension))
+
+
+def _allowed(location: tuple[Any, ...]) -> list[str]:
+    here: Any = StudyConfig
+    for step in location:
+        if isinstance(step, int):
+            continue
+        annotation = here.model_fields[step].annotation
+        options = [annotation, *getattr(annotation, "__args__", ())]
+        here = next((o for o in options if isinstance(o, type) and issubclass(o, BaseModel)), None)
+        if here is None:
+            return []
+    return list(here.model_fields)
+
+
+def _explain(path: Path, error: ValidationError) -> str:
+    lines = []
+    for e in error.errors():
+        place = ".".join(str(x) for x in e["loc"])
+        if e["type"] == "extra_forbidden":
+            hint = did_you_mean(str(e["loc"][-1]), _allowed(e["loc"][:-1]))
+            lines.append(f"{path}: unknown key {place!r}{hint}")
+        else:
+            got = "" if e["type"] == "missing" else f" (got {e['input']!r})"
+            lines.append(f"{path}: {place or 'study'}: {e['msg']}{got}")
+    return "\n".join(lines)
+
+
+def read_config(path: Path) -> StudyConfig:
+    """Read study.toml.
+
+    Raises
+    ------
+    ConfigError
+        On a file that is not there, is not TOML, or has a key or value that is not allowed.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as e:
+        raise ConfigError(f"{path}: no such file") from e
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{path}: not TOML: {e}") from e
+    try:
+        return StudyConfig.model_validate(raw)
+    except ValidationError as e:
+        raise ConfigError(_explain(path, e)) from e

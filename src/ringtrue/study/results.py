@@ -1,0 +1,246 @@
+"""What each stage of a study leaves in the store: one frozen type a stage, nothing filled in later."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.signals import FrfSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.identify.poles import StableDiagram
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What is drawn of the model: skin triangles and lines, by group (property or region).
+
+    Attributes
+    ----------
+    node : (n,) int64
+    xyz : (n, 3) float64, m, basic
+    triangles : (t, 3) int64, positions in `node`
+    triangle_group : (t,) int64, positions in `groups`
+    lines : (l, 2) int64
+    line_group : (l,) int64
+    groups : tuple of str
+    """
+
+    node: Int
+    xyz: Float
+    triangles: Int
+    triangle_group: Int
+    lines: Int
+    line_group: Int
+    groups: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelStage:
+    """The deck and its modes."""
+
+    title: str
+    files: tuple[str, ...]
+    units: str
+    cards: dict[str, int]
+    findings: tuple[str, ...]
+    nodes: int
+    dof: int
+    mass: float
+    cg: Float
+    inertia: Float
+    modes: ModeSet  # at the scene's translations: labels node+X.. of the scene nodes
+    residuals: Float
+    proof: str
+    scene: Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanStage:
+    """The planned test."""
+
+    candidates: int
+    target_modes: Int  # positions in the deck's modes
+    test: TestModel  # the planned channels
+    ambient: tuple[str, ...]  # channels planned for the ambient tests
+    references: tuple[str, ...]  # hammer points
+    auto_mac: Float  # (target, target)
+    worst_off_diagonal: float
+    frequency_step: float  # Hz
+    block: float  # s
+    record_length: float  # s
+    expected_std_frequency: Float  # (target,) relative, 1 sigma
+    expected_std_damping: Float  # (target,) relative
+    rule: str  # the selection rule in words
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordSummary:
+    """One raw record as the report shows it."""
+
+    name: str
+    test: str  # test (a), (b), (c)
+    excitation: str
+    file: str
+    channels: int
+    rate: float
+    duration: float  # s
+    preview_time: Float  # (k,) s, thinned for drawing
+    preview: Float  # (channel<=4, k), SI unit
+    preview_channels: tuple[str, ...]
+    psd_freqs: Float  # (f,) Hz
+    psd: Float  # (channel<=4, f) one-sided, unit²/Hz
+    notes: tuple[str, ...]  # harmonics found, channels dropped, band of the sensor correction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IdentifiedRecord:
+    """Modes of one record."""
+
+    record: str
+    modes: ModeSet
+    uncertainty: Uncertainty
+    reasons: tuple[str, ...]
+    diagrams: tuple[StableDiagram, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IdentifyStage:
+    """All identified modes."""
+
+    test: TestModel
+    records: tuple[RecordSummary, ...]
+    ambient_records: tuple[IdentifiedRecord, ...]
+    ambient: ModeSet  # merged over the records; may hold no mode
+    ambient_uncertainty: Uncertainty
+    ambient_reasons: tuple[str, ...]
+    frfs: FrfSet | None
+    cmif: Float  # (f, in)
+    rejected_hits: tuple[str, ...]
+    hammer: ModeSet | None
+    hammer_uncertainty: Uncertainty | None
+    hammer_reasons: tuple[str, ...]
+    hammer_diagrams: tuple[StableDiagram, ...]
+    hammer_model: ModalModel | None
+    synthesis_error: Float  # (out, in) relative
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompareStage:
+    """Ambient against hammer."""
+
+    table: CorrelationTable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrelateStage:
+    """The model as delivered against the test, and after the stated remodelling."""
+
+    reference: ModeSet  # the test modes that the model is judged by (rigid from ambient, elastic from hammer)
+    reference_uncertainty: Uncertainty
+    initial: CorrelationTable
+    remodelled: CorrelationTable
+    remodelling: str  # in words
+    diff: str  # unified diff of the deck
+    fe_initial: ModeSet  # observed at the channels
+    fe_remodelled: ModeSet
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensitivityStage:
+    """Sensitivities of the candidates and the choice of parameters."""
+
+    names: tuple[str, ...]  # candidates
+    d_frequency: Float  # (mode, candidate) ∂ln f/∂x
+    d_mac: Float  # (mode, candidate) ∂MAC/∂x
+    fe_modes: Int
+    sets: dict[str, tuple[str, ...]]  # named parameter sets
+    rules: dict[str, str]  # how each set was chosen
+    clusters: tuple[str, ...]  # candidates that the data cannot tell apart, in words
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetResult:
+    """One parameter set, updated."""
+
+    name: str
+    parameters: tuple[str, ...]
+    factor: Float  # (p,) updated / initial
+    std: Float  # (p,) relative standard deviation of the factor
+    bounds: Float  # (p, 2)
+    identifiability: Float  # (p,) posterior / prior std
+    mean_deviation: float  # %, used modes
+    max_deviation: float
+    mean_mac: float  # %
+    mean_deviation_left_out: float
+    condition: float
+    criterion: float  # AICc
+    outcome: str
+    objective: Float  # (iteration,)
+    step: Float  # (iteration,)
+    deviation: Float  # (iteration,) mean |Δf| %
+    mac: Float  # (iteration,) mean MAC %
+    path: Float  # (iteration, p) factors
+    gradient: float  # norm at the end, relative to the start
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpdateStage:
+    """The parameter sets compared and the chosen one."""
+
+    sets: tuple[SetResult, ...]
+    chosen: int
+    why: str
+    left_out: Int  # positions in the reference modes, fixed before
+    initial_values: dict[str, float]  # of the chosen parameters: first target's value in the deck
+    updated_values: dict[str, float]
+    regions: dict[str, tuple[int, ...]]  # parameter -> scene groups that it changes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TuneStage:
+    """Rigid-body tuning of the suspension."""
+
+    before: CorrelationTable
+    after: CorrelationTable
+    factors: dict[str, float]
+    std: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinalStage:
+    """The delivered deck, read back: correlation, damping and FRFs."""
+
+    files: tuple[str, ...]
+    changes: tuple[str, ...]  # "anchors.bdf:12 PBUSH 31 K3 1.2e9 -> 2.9e9"
+    table: CorrelationTable
+    rigid: CorrelationTable
+    modes: ModeSet  # at the scene's translations
+    observed: ModeSet  # at the channels
+    damping: Float  # (m,) taken over from the test or interpolated
+    damping_from: tuple[str, ...]  # per mode: "test mode 3" or "interpolated"
+    frf_freqs: Float  # (f,)
+    frf_channels: tuple[str, ...]  # "out / in"
+    frf_test: Complex  # (f, k)
+    frf_initial: Complex
+    frf_final: Complex
+    checks: dict[str, bool]  # what must hold -> held
+    facts: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Provenance:
+    """Where everything came from."""
+
+    version: str
+    python: str
+    packages: dict[str, str]
+    platform: str
+    seed: int
+    started: str
+    inputs: dict[str, str]  # file -> SHA-256
+    settings: str  # the resolved study.toml
+    timings: dict[str, float]  # stage -> s

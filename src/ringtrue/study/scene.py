@@ -1,0 +1,92 @@
+"""What is drawn of a model: the skin of its solids, its shells and its lines, by region."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet
+from ringtrue.model.frames import positions
+from ringtrue.model.model import Model
+from ringtrue.study.results import Scene
+
+# corner positions of each face, outward; triangles repeat their last corner
+_FACES = {
+    "CHEXA": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+    "CPENTA": ((0, 2, 1, 1), (3, 4, 5, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+    "CTETRA": ((0, 2, 1, 1), (0, 1, 3, 3), (1, 2, 3, 3), (2, 0, 3, 3)),
+    "CQUAD4": ((0, 1, 2, 3),),
+    "CTRIA3": ((0, 1, 2, 2),),
+}
+_CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4, "CQUAD4": 4, "CTRIA3": 3}
+_LINES = {"CBAR": ("GA", "GB"), "CBEAM": ("GA", "GB"), "CROD": ("G1", "G2"), "CTUBE": ("G1", "G2")}
+
+
+def _faces(model: Model) -> tuple[Int, Int]:
+    """Quads (q, 4) of node numbers and their property numbers, inner faces of solids left out."""
+    solid: list[Int] = []
+    shell: list[Int] = []
+    for card, faces in _FACES.items():
+        if card not in model:
+            continue
+        t = model[card]
+        g = t.stack(*(f"G{i + 1}" for i in range(_CORNERS[card])))
+        quads = np.concatenate([np.column_stack([g[:, list(f)], t["PID"]]) for f in faces])
+        (shell if len(faces) == 1 else solid).append(quads)
+    kept = shell
+    if solid:
+        q = np.concatenate(solid)
+        key = np.sort(q[:, :4], axis=1)
+        _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
+        kept = [q[np.sort(first[count == 1])], *shell]
+    every = np.concatenate(kept) if kept else np.zeros((0, 5), dtype=np.int64)
+    return every[:, :4], every[:, 4]
+
+
+def _lines(model: Model) -> tuple[Int, Int]:
+    parts = [
+        np.column_stack([model[c].stack(a, b), model[c]["PID"]]) for c, (a, b) in _LINES.items() if c in model
+    ]
+    every = np.concatenate(parts) if parts else np.zeros((0, 3), dtype=np.int64)
+    return every[:, :2], every[:, 2]
+
+
+def _groups(pids: Int, regions: Mapping[str, Sequence[int]]) -> tuple[Int, tuple[str, ...]]:
+    named = {pid: name for name, members in regions.items() for pid in members}
+    labels = [named.get(p, f"property {p}") for p in pids.tolist()]
+    names = tuple(dict.fromkeys([*regions, *labels]))
+    at = {n: i for i, n in enumerate(names)}
+    return np.array([at[x] for x in labels], dtype=np.int64), names
+
+
+def make_scene(model: Model, regions: Mapping[str, Sequence[int]], length: float = 1.0) -> Scene:
+    """The drawing of a model; `regions` names property numbers, `length` turns its unit to metres."""
+    quads, quad_pid = _faces(model)
+    lines, line_pid = _lines(model)
+    group, names = _groups(np.concatenate([quad_pid, line_pid]), regions)
+    triangle = quads[:, 2] == quads[:, 3]
+    tris = np.concatenate([quads[:, [0, 1, 2]], quads[~triangle][:, [0, 2, 3]]])
+    tri_group = np.concatenate([group[: len(quads)], group[: len(quads)][~triangle]])
+    node = np.unique(np.concatenate([tris.ravel(), lines.ravel()]))
+    grid = model["GRID"]
+    return Scene(
+        node,
+        positions(model)[grid.find(node)] * length,
+        np.searchsorted(node, tris),
+        tri_group,
+        np.searchsorted(node, lines),
+        group[len(quads) :],
+        names,
+    )
+
+
+def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
+    """The translations of the scene's nodes, rows ordered node by node, X Y Z; single precision is enough to draw."""
+    labels = DofSet(np.repeat(scene.node, 3), np.tile(np.array([1, 2, 3], dtype=np.int8), scene.node.size))
+    assert isinstance(modes.labels, DofSet)
+    at, sign = modes.labels.align(labels)
+    shapes: Float = np.asarray(modes.shapes[at] * sign[:, None]).astype(np.float32).astype(np.float64)
+    return ModeSet(modes.frequencies, modes.damping, shapes, labels, modes.norm, modes.source)

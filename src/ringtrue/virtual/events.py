@@ -1,0 +1,165 @@
+"""Short forces: hammer blows, a dropped weight, jumping people; as half-sine pulses with a known impulse."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.errors import InputError
+
+G = 9.80665  # m/s²
+OVERSAMPLE = 4096.0  # Hz: a 3 ms pulse spans 12 cells, each holding its exact share of the impulse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pulses:
+    """Half-sine forces.
+
+    Attributes
+    ----------
+    start, duration : (p,) float64, s
+    impulse : (p,) float64, N·s; its sign is that of the input
+    at : (p,) int64
+        Input of the modal model.
+    """
+
+    start: Float
+    duration: Float
+    impulse: Float
+    at: Int
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, start=np.float64, duration=np.float64, impulse=np.float64, at=np.int64)
+
+    @property
+    def peak(self) -> Float:
+        """(p,) largest force, N."""
+        return np.asarray(0.5 * np.pi * self.impulse / self.duration)
+
+    @staticmethod
+    def join(parts: Sequence[Pulses]) -> Pulses:
+        """All pulses of all parts."""
+        return Pulses(
+            *(np.concatenate([getattr(p, name) for p in parts]) for name in ("start", "duration", "impulse", "at"))
+        )
+
+
+def pulse_spectrum(pulses: Pulses, inputs: int, samples: int, rate: float) -> Complex:
+    """Spectra (in, line) of band-limited pulses.
+
+    Built on a fine grid whose cells hold the exact impulse, then cut at half the rate, as an ideal
+    anti-aliasing filter does. What lies beyond the record is cut off.
+    """
+    if pulses.at.size and pulses.at.max() >= inputs:
+        raise InputError(f"pulse at input {int(pulses.at.max())}: there are {inputs}")
+    factor = int(np.ceil(OVERSAMPLE / rate))
+    out = np.zeros((inputs, samples // 2 + 1), dtype=np.complex128)
+    for i in np.unique(pulses.at):  # a handful of struck points
+        keep = pulses.at == i
+        fine = _sampled(pulses.start[keep], pulses.duration[keep], pulses.impulse[keep], samples * factor, rate * factor)
+        out[i] = fft.rfft(fine)[: samples // 2 + 1] / factor
+    return out
+
+
+def _sampled(start: Float, duration: Float, impulse: Float, samples: int, rate: float) -> Float:
+    """(sample,) mean force of each cell [k − ½, k + ½]/rate."""
+    width = int(np.ceil(duration.max() * rate)) + 2
+    first = np.floor(start * rate).astype(np.int64)
+    edges = (first[:, None] + np.arange(width + 1) - 0.5) / rate
+    phase = np.clip((edges - start[:, None]) / duration[:, None], 0.0, 1.0)
+    force = 0.5 * impulse[:, None] * np.diff(-np.cos(np.pi * phase), axis=1) * rate
+    cell = first[:, None] + np.arange(width)
+    ok = (cell >= 0) & (cell < samples)
+    return np.bincount(cell[ok], force[ok], minlength=samples)
+
+
+def event_times(spacing: Sequence[float], duration: float, rng: np.random.Generator) -> Float:
+    """(event,) starts, s: the given spacings in turn, ±5 %, the first after a tenth of one; none in the last."""
+    if not len(spacing) or min(spacing) <= 0:
+        raise InputError(f"event spacing {list(spacing)} s: must be positive")
+    count = int(np.ceil(duration / min(spacing))) + 1
+    steps = np.resize(np.asarray(spacing, dtype=np.float64), count) * rng.uniform(0.95, 1.05, count)
+    times = 0.1 * steps[0] + np.concatenate([[0.0], np.cumsum(steps[:-1])])
+    return times[times < max(duration - 0.8 * min(spacing), 0.5 * duration)]
+
+
+def dropped_weight(
+    times: Float, points: Int, rng: np.random.Generator, *, mass: float = 30.0, height: float = 1.5
+) -> Pulses:
+    """A weight dropped on the floor, with two rebounds; forces downwards on inputs that are positive upwards.
+
+    The impact speed is √(2gh); the impulse of the first contact m·v·(1 + e), of the n-th eⁿ⁻¹ of it, after a flight
+    of 2·e·v/g.
+
+    Parameters
+    ----------
+    times : (event,) float64, s
+    points : (event,) int64
+        Input struck by each event.
+    """
+    n = times.size
+    e = rng.uniform(0.15, 0.35, n)
+    contact = rng.uniform(0.006, 0.014, n)
+    speed = np.sqrt(2 * G * height) * np.stack([np.ones(n), e, e**2])
+    flight = 2 * speed[1:] / G + contact
+    start = times + np.vstack([np.zeros(n), np.cumsum(flight, axis=0)])
+    impulse = -mass * speed * (1 + e)
+    return Pulses(start.ravel(), np.tile(contact, 3), impulse.ravel(), np.tile(points, 3))
+
+
+def sledge(
+    times: Float,
+    points: Int,
+    rng: np.random.Generator,
+    *,
+    peak: tuple[float, float] = (5e3, 25e3),
+    contact: tuple[float, float] = (0.003, 0.008),
+) -> Pulses:
+    """Blows of a 5.4 kg sledge: peak force and contact time drawn so that long contacts go with low peaks."""
+    n = times.size
+    hard = rng.uniform(0, 1, n)
+    force = peak[0] + (peak[1] - peak[0]) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
+    duration = contact[1] - (contact[1] - contact[0]) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
+    return Pulses(times, duration, -2 / np.pi * force * duration, points)
+
+
+def jumping(
+    times: Float, points: Sequence[int], rng: np.random.Generator, *, weight: float = 80.0, jumps: int = 6
+) -> Pulses:
+    """People jumping in bursts at about 2 Hz; the constant weight itself is left out.
+
+    One person per point. In each period the ground reaction is a half-sine over the contact ratio (Bachmann and
+    Ammann, 1987) whose impulse is the weight times the period, preceded by a heel strike of a few milliseconds;
+    minus the constant weight over the burst.
+
+    Parameters
+    ----------
+    times : (event,) float64, s
+    points : sequence of int
+        Input under each person.
+    weight : float, kg
+        Mean of the people.
+    """
+    return Pulses.join([_jumper(times, p, rng, weight * rng.uniform(0.8, 1.2), jumps) for p in points])
+
+
+def _jumper(times: Float, point: int, rng: np.random.Generator, mass: float, jumps: int) -> Pulses:
+    shape = (times.size, jumps)
+    period = rng.normal(0.5, 0.02, (times.size, 1)) * np.clip(rng.normal(1, 0.04, shape), 0.8, 1.2)
+    start = times[:, None] + rng.uniform(0, 0.15, (times.size, 1)) + np.cumsum(period, axis=1) - period[:, :1]
+    ratio = rng.uniform(0.35, 0.55, shape)
+    heel = rng.uniform(0.05, 0.12, shape) * mass * G * period
+    body = mass * G * period - heel
+    away = rng.uniform(0.5, 0.5, shape) * period  # weight missing in the air: the reaction's mean is the weight
+    parts = [
+        (start, rng.uniform(0.006, 0.015, shape), -heel),
+        (start, ratio * period, -body),
+        (start + ratio * period - 0.5 * away, away, 0.0 * body),
+    ]
+    parts = [*parts[:2], (start, period, mass * G * period)]
+    at = np.full(times.size * jumps, point)
+    return Pulses.join([Pulses(s.ravel(), d.ravel(), i.ravel(), at) for s, d, i in parts])
