@@ -33,8 +33,9 @@ class Slope:
 
 def groups(values: Float, close: float = CLOSE) -> Int:
     """(m,) int64, equal for eigenvalues (ascending) that are repeated within `close`; rigid-body modes are one."""
-    scale = np.maximum(np.abs(values[1:]), 1e-9 * np.abs(values).max(initial=0.0))
-    return np.concatenate([[0], np.cumsum(np.diff(values) > close * scale)]).astype(np.int64)
+    noise = 1e-9 * np.abs(values).max(initial=0.0)
+    apart = np.diff(values) > np.maximum(close * np.abs(values[1:]), noise)
+    return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(apart)]).astype(np.int64)
 
 
 def eigenvalue_derivatives(modes: EigenModes, slopes: Sequence[Slope]) -> Float:

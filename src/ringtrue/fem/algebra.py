@@ -20,9 +20,9 @@ def unit(v: Float) -> Float:
     return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
 
 
-def arm(r: Float) -> Float:
+def arm(r: Any_) -> Any_:
     """Motion (6) of a point at r from a node, by that of the node: (..., 3) -> (..., 6, 6)."""
-    out = np.zeros((*r.shape[:-1], 6, 6))
+    out = np.zeros((*r.shape[:-1], 6, 6), dtype=r.dtype)
     out[...] = np.eye(6)
     out[..., :3, 3:] = -skew(r)
     return out
@@ -59,7 +59,7 @@ def condense(K: Any_, keep: Int, drop: Int) -> Any_:
 
 def scaled(c: Any_, K: Any_) -> Any_:
     """c (e,) times K (e, ...)."""
-    return c.reshape(-1, *(1,) * (K.ndim - 1)) * K
+    return np.asarray(c.reshape(-1, *(1,) * (K.ndim - 1)) * K)
 
 
 def scatter(e: int, d: int, *blocks: tuple[list[int], Any_]) -> Any_:

@@ -48,7 +48,9 @@ def jacobian(derivatives: Float, x: Float) -> tuple[Float, Float, Float]:
     """
     J = np.einsum("gnr,ena->egra", derivatives, x)
     det = np.linalg.det(J)
-    gradients = np.linalg.solve(J, np.broadcast_to(derivatives.swapaxes(1, 2), (*J.shape[:2], *derivatives.shape[:0:-1])))
+    gradients = np.linalg.solve(
+        J, np.broadcast_to(derivatives.swapaxes(1, 2), (*J.shape[:2], *derivatives.shape[:0:-1]))
+    )
     return J, det, gradients.swapaxes(2, 3)
 
 

@@ -57,7 +57,9 @@ class Mesh:
         found = self.model["GRID"].find(ids)
         if (found < 0).any():
             first = np.argwhere(found < 0)[0]
-            raise error(self.model, table, int(at[first[0]]), f"GRID {np.asarray(ids)[tuple(first)]} is not in the deck")
+            raise error(
+                self.model, table, int(at[first[0]]), f"GRID {np.asarray(ids)[tuple(first)]} is not in the deck"
+            )
         return found
 
     def dof(self, ids: Int, component: Int, table: Table, at: Int) -> Int:
@@ -71,7 +73,9 @@ class Mesh:
         bad = ~scalar & ((component < 1) | (component > 6))
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
-            raise error(self.model, table, int(at[i]), f"component {component[i]} of GRID {ids[i]}: allowed are 1 to 6")
+            raise error(
+                self.model, table, int(at[i]), f"component {component[i]} of GRID {ids[i]}: allowed are 1 to 6"
+            )
         return out
 
 
@@ -138,7 +142,8 @@ def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     DeckError
         If a material is absent, or neither E nor G is given.
     """
-    mat, row = model["MAT1"] if "MAT1" in model else table, lookup(model, "MAT1", mid, table, at)
+    row = lookup(model, "MAT1", mid, table, at)
+    mat = model["MAT1"]
     E, G, nu, rho, loss = (mat[c][row] for c in ("E", "G", "NU", "RHO", "GE"))
     if (np.isnan(E) & np.isnan(G)).any():
         i = int(np.flatnonzero(np.isnan(E) & np.isnan(G))[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.algebra import unit
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.model.frames import axes
@@ -67,3 +67,9 @@ def any_triad(axis: Float) -> Float:
 def frame(m: Mesh, cid: Int, at: Float) -> Float:
     """Axes (e, 3, 3) of frames `cid` (e,) at points (e, 3)."""
     return axes(m.model, cid, at)
+
+
+def components(text: Any_) -> Bool:
+    """Component lists such as "1246" (e,) as flags (e, 6)."""
+    as_text = text.astype(str)
+    return np.stack([np.char.find(as_text, str(c)) >= 0 for c in range(1, 7)], axis=1)

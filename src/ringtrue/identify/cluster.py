@@ -7,22 +7,9 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
 from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.shapes.mac import mac
 
 CUT = 0.08  # a pole-and-shape distance within which poles of different orders are one mode
-
-
-def mac(a: Complex, b: Complex) -> Float:
-    """MAC (i, j) of the columns of `a` (ch, i) and `b` (ch, j)."""
-    size = np.outer((np.abs(a) ** 2).sum(0), (np.abs(b) ** 2).sum(0))
-    return np.asarray(np.abs(a.conj().T @ b) ** 2 / np.maximum(size, np.finfo(np.float64).tiny))
-
-
-def phase_collinearity(psi: Complex) -> Float:
-    """MPC (k,) of the shapes (ch, k): 1 for a shape that is real but for a common phase (Pappa et al. 1993)."""
-    x, y = psi.real, psi.imag
-    xx, yy, xy = (x * x).sum(0), (y * y).sum(0), (x * y).sum(0)
-    total = np.maximum(xx + yy, np.finfo(np.float64).tiny)
-    return np.asarray(((xx - yy) ** 2 + 4 * xy**2) / total**2)
 
 
 def distances(pole: Complex, psi: Complex) -> Float:
@@ -42,7 +29,9 @@ def cluster_poles(pole: Complex, psi: Complex, order: Int, cut: float = CUT) -> 
     d = distances(pole, psi)
     np.fill_diagonal(d, 0.0)
     d = 0.5 * (d + d.T)
-    label = np.asarray(fcluster(linkage(squareform(d, checks=False), "average"), cut, "distance"), dtype=np.int64) - 1
+    label = (
+        np.asarray(fcluster(linkage(squareform(d, checks=False), "average"), cut, "distance"), dtype=np.int64) - 1
+    )
     together = label[:, None] == label
     away = (d * together).sum(1)
     rank = np.lexsort((away, order, label))

@@ -1,7 +1,7 @@
 """Least-squares frequency-domain residues (LSFD), one global problem over all lines and responses.
 
-The residues of a mode are held to rank one, ψ_k l_kᵀ, with the participation vectors l_k given. Weights are separable
-(line and input times response), so every response shares one normal matrix, and all sums over lines are those of
+The residues of a mode are held to rank one, ψ_k l_kᵀ, with the participation vectors l_k given. Weights are
+separable (line and input times response), so every response shares one normal matrix, and all sums over lines are those of
 scalar functions 1/(s − λ_k): a few dozen columns, whatever the number of responses.
 """
 
@@ -38,7 +38,7 @@ class Noise:
 
 
 def noise(frfs: FrfSet) -> Noise:
-    """The noise of the FRFs: from the coherence, σ² = |H|²(1 − γ²)/(2 n γ²), else from the roughness over the lines.
+    """The noise of the FRFs: from the coherence, σ² = |H|²(1 − γ²)/(2 n γ²), else from the roughness over lines.
 
     Where the coherence is unknown an error of 2 % of the local level is added, as systematic errors then dominate.
     """
@@ -96,15 +96,19 @@ class Lines:
 
 
 def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
-    """Weight the data and project out the lower and upper residuals."""
-    s = 2j * np.pi * frfs.freqs
+    """Weight the data and project out the lower and upper residuals.
+
+    An exponential window e^{-σt} on force and response moves the FRF from s to s + σ, poles, s² of the accelerance
+    and all: so the fit is done at s = iω + σ, and the poles come out without the window.
+    """
+    s: Complex = 2j * np.pi * frfs.freqs + frfs.window_decay
     if (frfs.freqs <= 0).any():
         raise InputError("the line at 0 Hz has no place in a fit of modes: leave it out")
-    kind = s ** POWER[frfs.kind]
+    kind: Complex = s ** POWER[frfs.kind]
     weight = 1 / sigma.line.T
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size)], axis=1)
-    terms = np.linalg.qr(weight[:, :, None] * t)[0]
-    y = weight[:, :, None] * frfs.data.transpose(2, 0, 1)
+    terms: Complex = np.linalg.qr(weight[:, :, None] * t)[0]
+    y: Complex = weight[:, :, None] * frfs.data.transpose(2, 0, 1)
     return Lines(s, kind, _without(terms, y), weight, terms, 1 / sigma.response)
 
 
@@ -153,40 +157,48 @@ def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> tuple[
     scale = 1 / np.sqrt(np.maximum(np.diag(n).real, np.finfo(float).tiny))
     factor = lu_factor(scale[:, None] * n * scale)
     m = poles.size
-    psi = scale[:, None] * lu_solve(factor, scale[:, None] * rhs)
+    psi: Complex = scale[:, None] * lu_solve(factor, scale[:, None] * rhs)
     inverse = scale[:, None] * lu_solve(factor, np.diag(scale).astype(np.complex128))
     gain = np.abs(psi[:m].T) ** 2 / np.maximum(np.diag(inverse).real[:m], np.finfo(float).tiny)
     return psi[:m].T, np.asarray(gain * lines.response[:, None] ** 2)
 
 
-def lsfd(frfs: FrfSet, poles: Complex, participation: Complex, sigma: Noise | None = None) -> ModalModel:
+def lsfd(frfs: FrfSet, poles: Complex, participation: Complex, lines: Lines | None = None) -> ModalModel:
     """The modal model of given poles and participation vectors.
 
     Parameters
     ----------
     frfs : FrfSet, lines > 0 Hz
-    poles : (m,) complex128, rad/s
+    poles : (m,) complex128, rad/s, without the exponential window
     participation : (m, in) complex128
-    sigma : Noise, optional
-        By default that of `noise(frfs)`.
+    lines : Lines, optional
+        By default those of `prepare(frfs, noise(frfs))`.
+
+    Returns
+    -------
+    ModalModel
+        Of unit modal A where there are driving points.
     """
-    sigma = sigma or noise(frfs)
-    lines = prepare(frfs, sigma)
+    lines = lines or prepare(frfs, noise(frfs))
     shapes, _ = solve_shapes(lines, poles, participation)
-    bare = ModalModel(
-        poles,
-        shapes,
-        participation,
-        np.zeros(frfs.data.shape[1:]),
-        np.zeros(frfs.data.shape[1:]),
-        frfs.outputs,
-        frfs.inputs,
-        frfs.kind,
-    )
-    lower, upper = _residuals(frfs.data - bare.synthesise(frfs.freqs), lines)
-    return normalise(
-        ModalModel(poles, shapes, participation, lower, upper, frfs.outputs, frfs.inputs, frfs.kind)
-    )
+    rest = frfs.data - modal_part(lines, poles, shapes, participation)
+    lower, upper = _residuals(rest, lines)
+    return normalise(ModalModel(poles, shapes, participation, lower, upper, frfs.outputs, frfs.inputs, frfs.kind))
+
+
+def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Complex) -> Complex:
+    """(freq, out, in) what the modes contribute, at the lines and in the kind of the data."""
+    left = shapes[None] / (lines.s[:, None, None] - poles)
+    right = shapes.conj()[None] / (lines.s[:, None, None] - poles.conj())
+    h = left @ participation + right @ participation.conj()
+    return np.asarray(h * lines.kind[:, None, None])
+
+
+def synthesise_windowed(model: ModalModel, lines: Lines) -> Complex:
+    """(freq, out, in) the FRFs of the model as measured: under the exponential window of the data."""
+    h = modal_part(lines, model.poles, model.shapes, model.participation)
+    s = lines.s[:, None, None]
+    return np.asarray(h + (model.lower / s**2 + model.upper) * lines.kind[:, None, None])
 
 
 def _residuals(rest: Complex, lines: Lines) -> tuple[Complex, Complex]:
@@ -195,12 +207,12 @@ def _residuals(rest: Complex, lines: Lines) -> tuple[Complex, Complex]:
     t = lines.weight[:, :, None] * (lines.kind[:, None] * t)
     y = lines.weight[:, :, None] * rest.transpose(2, 0, 1)
     q, r = np.linalg.qr(t)
-    x = np.linalg.solve(r, q.conj().transpose(0, 2, 1) @ y)  # (in, 2, out)
+    x: Complex = np.linalg.solve(r, q.conj().transpose(0, 2, 1) @ y)  # (in, 2, out)
     return (x[:, 0] * lines.s[0] ** 2).T, x[:, 1].T
 
 
 def driving_pairs(model: ModalModel | FrfSet) -> list[tuple[int, int, float]]:
-    """(output, input, sign) of the driving points; a hit against the positive direction of its sensor has sign −1."""
+    """(output, input, sign) of the driving points; a hit against the direction of its sensor has sign −1."""
     try:
         out = DofSet.parse(c.id for c in model.outputs)
         inp = DofSet.parse(c.id for c in model.inputs)

@@ -88,7 +88,7 @@ def _plausible(poles: Complex, freqs: Float, settings: Plscf) -> Bool:
 def _factor(h: Complex, n: int) -> Float:
     """Lower Cholesky factor of the reduced normal matrix, highest power of z first, ((n+1) in, (n+1) in).
 
-    With z on the upper half circle the blocks Re Σ z^(l-k) (...) depend on l - k alone, so trigonometric sums give all.
+    With z on the upper half circle the blocks Re Σ z^(l-k) (...) depend on l - k alone: trigonometric sums give all.
     """
     lines, n_out, m = h.shape
     k = np.arange(-n, n + 1)
@@ -114,9 +114,10 @@ def _order(factor: Float, n: int, m: int, freqs: Float) -> tuple[Complex, Comple
     a = -solve_triangular(
         factor[: n * m, : n * m], factor[n * m : (n + 1) * m, : n * m].T, lower=True, trans="T", check_finite=False
     )
-    a = a.reshape(n, m, m)  # coefficients of z^n .. z^1
     companion = np.eye(n * m, k=-m)
-    companion[:m] = -a[::-1].transpose(2, 0, 1).reshape(m, n * m)  # transposed: left null vectors of A(z)
+    companion[:m] = (
+        -a.reshape(n, m, m)[::-1].transpose(2, 0, 1).reshape(m, n * m)
+    )  # A transposed: left null vectors
     mu, vectors = np.linalg.eig(companion)
     keep = (mu.imag < 0) & (np.abs(mu) > 1e-6)  # z = 1/mu in the upper half plane
     step = 2 * (freqs[-1] - freqs[0])
@@ -199,7 +200,9 @@ def _summary(poles: PoleSet, g: Int) -> tuple[complex, Complex, float, float]:
     """Medians over the upper half of the orders that hold the pole."""
     late = g[poles.order[g] >= np.median(poles.order[g])]
     pole = complex(np.median(poles.pole[late].real), np.median(poles.pole[late].imag))
-    u = np.linalg.svd(poles.shape[:, late] / np.linalg.norm(poles.shape[:, late], axis=0), full_matrices=False)[0][:, 0]
+    u = np.linalg.svd(poles.shape[:, late] / np.linalg.norm(poles.shape[:, late], axis=0), full_matrices=False)[0][
+        :, 0
+    ]
     here = np.unique(poles.order[g])
     support = here.size / np.count_nonzero(poles.orders >= here[0])
     scatter = float(np.median(np.abs(poles.pole[late] - pole)) / max(-pole.real, 1e-12))

@@ -1,8 +1,8 @@
 """Coherence-weighted nonlinear least squares on poles and participation vectors, by variable projection.
 
-The shapes and residual terms are eliminated (Golub, Pereyra 1973; Kaufman's form of the Jacobian 1975). With separable
-weights the projected Gauss-Newton matrix of every response is one matrix, scaled entry by entry by products of its shape
-components, so that a step costs no more than one LSFD.
+The shapes and residual terms are eliminated (Golub, Pereyra 1973; Kaufman's form of the Jacobian 1975). With
+separable weights the projected Gauss-Newton matrix of every response is one matrix, scaled entry by entry by products
+of its shape components, so that a step costs no more than one LSFD.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: 
     part = participation / np.linalg.norm(participation, axis=1, keepdims=True)
     state = _evaluate(lines, poles, part)
     damping, outcome = 1e-3, Outcome.MAX_ITERATIONS
-    for _ in range(iterations):
+    for _ in range(iterations if poles.size else 0):
         new = _try(lines, state, damping)
         if new is None:
             damping *= 10
@@ -112,7 +112,7 @@ def _try(lines: Lines, state: _State, damping: float) -> _State | None:
 
 
 def _free(part: Complex) -> Int:
-    """Positions of the parameters but the largest participation of each mode, which fixes the scale of its shape."""
+    """Positions of the parameters but the largest participation of each mode, which fixes the scale."""
     m, n_in = part.shape
     mask = np.ones((1 + n_in, 2, m), dtype=bool)
     mask[1 + np.abs(part).argmax(axis=1), :, np.arange(m)] = False
@@ -120,7 +120,7 @@ def _free(part: Complex) -> Int:
 
 
 def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
-    """Shapes, cost, gradient and Gauss-Newton matrix in augmented coordinates (λ, then l of each input; value, conj)."""
+    """Shapes, cost, gradient and Gauss-Newton matrix; augmented coordinates (λ, then l of each input; value, conj)."""
     m, n_in = part.shape
     q, dq = functions(lines, poles), functions(lines, poles, 2)
     qh, dqh = q.conj().transpose(0, 2, 1), dq.conj().transpose(0, 2, 1)
@@ -133,7 +133,9 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
     xg = np.concatenate([(l.conj() * cd * lt).sum(axis=0), *(l.conj() * cc)], axis=1)
     gy = np.concatenate([(l.conj() * dy).sum(axis=0), *cy])
     scale = 1 / np.sqrt(np.maximum(np.diag(xx).real, 1e-300))
-    inverse = scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale  # small; its diagonal is needed too
+    inverse = (
+        scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale
+    )  # small; its diagonal is needed too
     psi = inverse @ xy
     gg = _gram(cc, cd, dd, l)
     core = gg - xg.conj().T @ inverse @ xg
@@ -148,7 +150,7 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
 
 
 def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
-    """Gram matrix of the derivatives with unit shapes: pole columns share all inputs, participations have one each."""
+    """Gram matrix of the derivatives with unit shapes: pole columns span all inputs, participations one each."""
     n_in, n = l.shape[:2]
     gg = np.zeros((1 + n_in, n, 1 + n_in, n), dtype=np.complex128)
     gg[0, :, 0] = (l.conj() * dd * l.transpose(0, 2, 1)).sum(axis=0)
@@ -160,7 +162,7 @@ def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
 
 
 def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
-    m, n_in = state.part.shape
+    m = state.poles.size
     n_out = lines.y.shape[2]
     free = _free(state.part)
     data = 2 * lines.y.shape[0] * lines.y.shape[1] * n_out
@@ -169,13 +171,11 @@ def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
     scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
     cov = 2 * scale[:, None] * np.linalg.pinv(scale[:, None] * h * scale, hermitian=True) * scale
     cov = cov[: 2 * m, : 2 * m] * error2
-    f, zeta = np.abs(state.poles) / (2 * np.pi), -state.poles.real / np.abs(state.poles)
     slope = _slopes(state.poles)
     real = slope @ _real(cov, m) @ slope.T
     values, vectors = np.linalg.eigh((real + real.T) / 2)
     factor = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
     std = np.sqrt(np.maximum(np.diag(real), 0))
-    assert f.size == zeta.size
     return Refined(
         state.poles,
         state.part,
@@ -199,4 +199,6 @@ def _slopes(poles: Complex) -> Float:
     """(2 m, 2 m) derivatives of (frequency, damping) by (Re λ, Im λ)."""
     a, b, r = poles.real, poles.imag, np.abs(poles)
     d = np.diag
-    return np.block([[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]) / (2 * np.pi)
+    return np.block([[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]) / (
+        2 * np.pi
+    )

@@ -1,13 +1,14 @@
 """Covariance-driven stochastic subspace identification: one decomposition, every model order.
 
-Peeters and De Roeck 1999 (reference-based SSI-cov); the orders from the leading blocks of one QR factorisation of the
-observability matrix follow Döhler and Mevel 2012 (fast multi-order computation).
+Peeters and De Roeck 1999 (reference-based SSI-cov); the orders from the leading blocks of one QR factorisation of
+the observability matrix follow Döhler and Mevel 2012 (fast multi-order computation).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import eigh, qr, solve_triangular, svd
@@ -112,11 +113,11 @@ def subspace(r: Float, rows: int, order: int, rate: float) -> Subspace:
     n = int((s > 1e-12 * s[0]).sum())
     u, s, v = u[:, :n], s[:n], v[:, :n]
     q, tri = qr(u[:-ch], mode="economic")
-    return Subspace(u, s, v / s, q, tri, q.T @ u[ch:], ch, rate)
+    return Subspace(u, s, v / s, np.asarray(q, np.float64), np.asarray(tri, np.float64), q.T @ u[ch:], ch, rate)
 
 
 def transition(sub: Subspace, n: int) -> tuple[Float, Complex, Complex, Complex]:
-    """A (n, n) of order n, its eigenvalues (n,), right vectors (columns) and left vectors (rows), left·right = I."""
+    """A (n, n) of order n, its eigenvalues (n,), right vectors (columns), left vectors (rows); left·right = I."""
     a = solve_triangular(sub.r[:n, :n], sub.qd[:n, :n])
     mu, right = np.linalg.eig(a)
     right = right.astype(np.complex128)
@@ -128,11 +129,11 @@ def _order(
 ) -> tuple[Int, Complex, Complex, Complex, Float]:
     """Columns, poles, shapes (ch, k), deviations (k, block) and strengths of one order within the band."""
     _, mu, right, left = transition(sub, n)
-    log = np.log(np.where(mu == 0, 1e-300, mu)) * sub.rate
+    log: Complex = np.log(np.where(mu == 0, 1e-300, mu)) * sub.rate
     f, zeta = np.abs(log) / (2 * np.pi), -log.real / np.maximum(np.abs(log), 1e-300)
     ok = (mu.imag > 0) & (zeta > 0) & (zeta < settings.damping_max) & (f >= low) & (f <= high)
-    keep = np.flatnonzero(ok)
-    psi = sub.u[: sub.channels, :n] @ right[:, keep]
+    keep = np.flatnonzero(ok).astype(np.int64)
+    psi: Complex = sub.u[: sub.channels, :n] @ right[:, keep]
     if p is None:
         return keep, log[keep], psi, np.empty((keep.size, 0), np.complex128), np.full(keep.size, np.nan)
     d_mu = var.pole_deviations(p, sub.r[:n, :n], mu[keep], right[:, keep], left[keep])
@@ -191,7 +192,7 @@ def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> t
     refs = choose_references(data) if references is None else references
     bounds = block_bounds(data.shape[1], blocks)
     r, _ = block_correlations(data, refs, lags, bounds)
-    power = np.array([np.mean(data[:, i:j] ** 2) for i, j in zip(bounds[:-1], bounds[1:], strict=True)])
+    power = np.array([np.mean(data[:, i:j] ** 2) for i, j in pairwise(bounds.tolist())])
     return r, block_weights(power)
 
 
@@ -226,10 +227,14 @@ def ssi_cov(
     scale = data.std(1, keepdims=True)
     if not np.isfinite(scale).all() or not (scale > 0).all():
         lost = [c.id for c, s in zip(history.channels, scale[:, 0], strict=True) if not s > 0]
-        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
+        raise DataError(
+            f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out"
+        )
     ids = [c.id for c in history.channels]
     if references is not None and (lost := [x for x in references if x not in ids]):
-        raise DataError(f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}")
+        raise DataError(
+            f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}"
+        )
     refs = None if references is None else np.array([ids.index(x) for x in references], dtype=np.int64)
     r, weights = blockwise(data / scale, settings, refs)
     p = identify_band(r, weights, settings, history.rate, (0.0, history.rate / 2)).poles

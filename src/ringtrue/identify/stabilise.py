@@ -12,9 +12,11 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.identify import variance as var
-from ringtrue.identify.cluster import cluster_poles, mac, phase_collinearity
+from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.ssi import BandPoles, transition, unit
+from ringtrue.shapes.complexity import mpc
+from ringtrue.shapes.mac import mac
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +76,7 @@ def stable_poles(band: BandPoles, damping_max: float = 0.2) -> Bool:
     """(k,) poles worth clustering: damped, known to a few per cent, of some strength, and not wildly complex."""
     p = band.poles
     known = (p.std_frequency < 0.025 * p.frequencies) & (p.std_damping < np.maximum(p.damping, 2e-3))
-    return (p.damping < damping_max) & known & (band.strength > 2) & (phase_collinearity(p.shape) > 0.3)
+    return (p.damping < damping_max) & known & (band.strength > 2) & (mpc(p.shape) > 0.3)
 
 
 def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:
@@ -134,7 +136,7 @@ def _table(
         size / np.maximum(possible, 1),
         np.stack([size, np.full(m, tried.size)], axis=1).astype(np.int64),
         np.array([np.median(band.strength[g]) for g in groups]),
-        phase_collinearity(shape),
+        mpc(shape),
         np.full(m, np.nan),
         label,
         stable,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.arrays import Complex, Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class Perturbations:
 def hankel(r: Float, rows: int) -> Float:
     """Block-Hankel (rows·ch, rows·ref) of the lags 1 .. 2·rows − 1 of `r` (lag, ch, ref)."""
     at = 1 + np.arange(rows)[:, None] + np.arange(rows)
-    return r[at].transpose(0, 2, 1, 3).reshape(rows * r.shape[1], rows * r.shape[2])
+    return np.asarray(r[at].transpose(0, 2, 1, 3).reshape(rows * r.shape[1], rows * r.shape[2]))
 
 
 def deviations(r: Float, weights: Float) -> tuple[Float, Float]:
@@ -139,8 +139,3 @@ def std(d: Float) -> Float:
 def blocks_for(samples: int, lags: int) -> int:
     """How many blocks: 32, fewer where a block would be shorter than four times the largest lag, at least 8."""
     return int(np.clip(samples // (4 * lags), 8, 32))
-
-
-def picked(values: Complex, keep: Int) -> Complex:
-    """Rows `keep` of `values`."""
-    return np.asarray(values[keep])

@@ -12,6 +12,9 @@ with a pattern of their own are expanded in `io.nastran.reader`; the columns the
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache
+
 _TEXT = """
 GRID    ID CP X1:f X2:f X3:f CD PS:s SEID
 SPOINT  *ID
@@ -60,3 +63,38 @@ SPECIAL = {
 }
 
 CARDS = {line.split()[0]: line.split(maxsplit=1)[1] for line in _TEXT.strip().splitlines()}
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSpec:
+    """One data field of a card: its column, type, default, and the integer column it shares the field with."""
+
+    name: str
+    kind: str = "i"
+    default: int | float | str = 0
+    other: str = ""
+    tail: bool = False
+    blank: bool = False
+
+
+_ZERO: dict[str, int | float | str] = {"i": 0, "f": 0.0, "s": ""}
+
+
+def _field(text: str) -> FieldSpec:
+    if text == "_":
+        return FieldSpec("_", blank=True)
+    tail = text.startswith("*")
+    name, _, default = text.lstrip("*").partition("=")
+    name, _, kind = name.partition(":")
+    kind = kind or "i"
+    other, _, real = name.partition("|")
+    value: int | float | str = _ZERO[kind]
+    if default:
+        value = {"i": int, "f": float, "s": str}[kind](default)
+    return FieldSpec(real or other, kind, value, other if real else "", tail)
+
+
+@cache
+def columns(card: str) -> tuple[FieldSpec, ...]:
+    """The fields of a card in order."""
+    return tuple(_field(t) for t in CARDS[card].split())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
@@ -126,16 +127,19 @@ def block_correlations(data: Float, references: Int, lags: int, bounds: Int) -> 
     nfft = int(next_fast_len(int(min(max(12 * lags, 256), sizes.max() + lags)), real=True))
     hop = nfft - lags
     out = np.empty((sizes.size, lags + 1, ch, references.size))
-    padded = np.concatenate([data, np.zeros((ch, nfft + lags))], axis=1)
-    for b, (start, end) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
-        at = np.arange(start, end, hop)[:, None] + np.arange(nfft)
-        y = rfft(padded[:, at], axis=-1)
-        inside = (np.arange(nfft) < hop) & (at < end)
-        x = rfft(padded[references][:, at] * inside, axis=-1)
+    for b, (start, end) in enumerate(pairwise(bounds.tolist())):  # a block at a time in memory
+        at = np.arange(0, end - start, hop)[:, None] + np.arange(nfft)
+        block = np.zeros((ch, int(at[-1, -1]) + 1))
+        part = data[:, start : min(end + lags, n)]
+        block[:, : part.shape[1]] = part
+        y = rfft(block[:, at], axis=-1)
+        x = rfft(block[references][:, at] * ((np.arange(nfft) < hop) & (at < end - start)), axis=-1)
         left = np.ascontiguousarray(y.transpose(2, 0, 1))
         right = np.ascontiguousarray(x.conj().transpose(2, 1, 0))
         out[b] = irfft(left @ right, nfft, axis=0)[: lags + 1]
-    count = np.minimum(sizes[:, None], np.maximum(n - np.arange(lags + 1) - bounds[:-1, None], 0)).astype(np.float64)
+    count = np.minimum(sizes[:, None], np.maximum(n - np.arange(lags + 1) - bounds[:-1, None], 0)).astype(
+        np.float64
+    )
     return out / np.maximum(count, 1.0)[:, :, None, None], count
 
 

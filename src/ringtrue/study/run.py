@@ -13,10 +13,10 @@ from typing import Any
 
 from ringtrue import __version__
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.study.workbench import Workbench
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.store import Store
+from ringtrue.study.workbench import Workbench
 
 log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,8 +62,7 @@ def _cultural(f: Float) -> Float:
     return np.asarray((f / 2) ** 2 / (1 + (f / 2) ** 2) / (1 + (f / 40) ** 4) + 0.02 / (1 + f**2))
 
 
-def _normal(shape: object, freqs: Float) -> Float:
-    assert callable(shape)
+def _normal(shape: Callable[[Float], Float], freqs: Float) -> Float:
     area = np.trapezoid(shape(_GRID), _GRID)
     return np.asarray(np.where(freqs > 0, shape(np.maximum(freqs, 1e-6)), 0.0) / area)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from scipy import fft
 
-from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.errors import InputError
 
 G = 9.80665  # m/s²
@@ -25,27 +25,33 @@ class Pulses:
     impulse : (p,) float64, N·s; its sign is that of the input
     at : (p,) int64
         Input of the modal model.
+    flat : (p,) bool
+        Constant over the duration instead of a half-sine; a single value serves for all.
     """
 
     start: Float
     duration: Float
     impulse: Float
     at: Int
+    flat: Bool = field(default_factory=lambda: np.zeros(1, dtype=bool))
 
     def __post_init__(self) -> None:
-        freeze_fields(self, start=np.float64, duration=np.float64, impulse=np.float64, at=np.int64)
+        object.__setattr__(self, "flat", np.broadcast_to(self.flat, np.shape(self.start)))
+        freeze_fields(self, start=np.float64, duration=np.float64, impulse=np.float64, at=np.int64, flat=np.bool_)
 
     @property
     def peak(self) -> Float:
         """(p,) largest force, N."""
-        return np.asarray(0.5 * np.pi * self.impulse / self.duration)
+        return np.asarray(np.where(self.flat, 1.0, 0.5 * np.pi) * self.impulse / self.duration)
+
+    def pick(self, which: Bool | Int) -> Pulses:
+        """Some of the pulses."""
+        return Pulses(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @staticmethod
     def join(parts: Sequence[Pulses]) -> Pulses:
         """All pulses of all parts."""
-        return Pulses(
-            *(np.concatenate([getattr(p, name) for p in parts]) for name in ("start", "duration", "impulse", "at"))
-        )
+        return Pulses(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Pulses)))
 
 
 def pulse_spectrum(pulses: Pulses, inputs: int, samples: int, rate: float) -> Complex:
@@ -60,21 +66,22 @@ def pulse_spectrum(pulses: Pulses, inputs: int, samples: int, rate: float) -> Co
     out = np.zeros((inputs, samples // 2 + 1), dtype=np.complex128)
     for i in np.unique(pulses.at):  # a handful of struck points
         keep = pulses.at == i
-        fine = _sampled(pulses.start[keep], pulses.duration[keep], pulses.impulse[keep], samples * factor, rate * factor)
+        fine = _sampled(pulses.pick(keep), samples * factor, rate * factor)
         out[i] = fft.rfft(fine)[: samples // 2 + 1] / factor
     return out
 
 
-def _sampled(start: Float, duration: Float, impulse: Float, samples: int, rate: float) -> Float:
+def _sampled(p: Pulses, samples: int, rate: float) -> Float:
     """(sample,) mean force of each cell [k − ½, k + ½]/rate."""
-    width = int(np.ceil(duration.max() * rate)) + 2
-    first = np.floor(start * rate).astype(np.int64)
+    width = int(np.ceil(p.duration.max() * rate)) + 2
+    first = np.floor(p.start * rate).astype(np.int64)
     edges = (first[:, None] + np.arange(width + 1) - 0.5) / rate
-    phase = np.clip((edges - start[:, None]) / duration[:, None], 0.0, 1.0)
-    force = 0.5 * impulse[:, None] * np.diff(-np.cos(np.pi * phase), axis=1) * rate
+    x = np.clip((edges - p.start[:, None]) / p.duration[:, None], 0.0, 1.0)
+    given = np.where(p.flat[:, None], x, 0.5 - 0.5 * np.cos(np.pi * x))  # share of the impulse so far
+    force = p.impulse[:, None] * np.diff(given, axis=1) * rate
     cell = first[:, None] + np.arange(width)
     ok = (cell >= 0) & (cell < samples)
-    return np.bincount(cell[ok], force[ok], minlength=samples)
+    return np.asarray(np.bincount(cell[ok], force[ok], minlength=samples), dtype=np.float64)
 
 
 def event_times(spacing: Sequence[float], duration: float, rng: np.random.Generator) -> Float:
@@ -84,7 +91,7 @@ def event_times(spacing: Sequence[float], duration: float, rng: np.random.Genera
     count = int(np.ceil(duration / min(spacing))) + 1
     steps = np.resize(np.asarray(spacing, dtype=np.float64), count) * rng.uniform(0.95, 1.05, count)
     times = 0.1 * steps[0] + np.concatenate([[0.0], np.cumsum(steps[:-1])])
-    return times[times < max(duration - 0.8 * min(spacing), 0.5 * duration)]
+    return np.asarray(times[times < max(duration - 0.8 * min(spacing), 0.5 * duration)])
 
 
 def dropped_weight(
@@ -133,8 +140,8 @@ def jumping(
     """People jumping in bursts at about 2 Hz; the constant weight itself is left out.
 
     One person per point. In each period the ground reaction is a half-sine over the contact ratio (Bachmann and
-    Ammann, 1987) whose impulse is the weight times the period, preceded by a heel strike of a few milliseconds;
-    minus the constant weight over the burst.
+    Ammann, 1987), with a heel strike of a few milliseconds at its start; both together have the impulse of the
+    weight over the period, and the constant weight, which stands there all day, is taken off.
 
     Parameters
     ----------
@@ -149,17 +156,16 @@ def jumping(
 
 def _jumper(times: Float, point: int, rng: np.random.Generator, mass: float, jumps: int) -> Pulses:
     shape = (times.size, jumps)
-    period = rng.normal(0.5, 0.02, (times.size, 1)) * np.clip(rng.normal(1, 0.04, shape), 0.8, 1.2)
+    period = 0.5 * np.clip(rng.normal(1, 0.04, (times.size, 1)) * rng.normal(1, 0.04, shape), 0.8, 1.2)
     start = times[:, None] + rng.uniform(0, 0.15, (times.size, 1)) + np.cumsum(period, axis=1) - period[:, :1]
-    ratio = rng.uniform(0.35, 0.55, shape)
-    heel = rng.uniform(0.05, 0.12, shape) * mass * G * period
-    body = mass * G * period - heel
-    away = rng.uniform(0.5, 0.5, shape) * period  # weight missing in the air: the reaction's mean is the weight
+    weight = mass * G * period
+    heel = rng.uniform(0.05, 0.12, shape) * weight
     parts = [
-        (start, rng.uniform(0.006, 0.015, shape), -heel),
-        (start, ratio * period, -body),
-        (start + ratio * period - 0.5 * away, away, 0.0 * body),
+        (rng.uniform(0.006, 0.015, shape), -heel, False),
+        (rng.uniform(0.35, 0.55, shape) * period, heel - weight, False),
+        (period, weight, True),
     ]
-    parts = [*parts[:2], (start, period, mass * G * period)]
-    at = np.full(times.size * jumps, point)
-    return Pulses.join([Pulses(s.ravel(), d.ravel(), i.ravel(), at) for s, d, i in parts])
+    at = np.full(start.size, point)
+    return Pulses.join(
+        [Pulses(start.ravel(), d.ravel(), i.ravel(), at, flat=np.full(at.size, c)) for d, i, c in parts]
+    )

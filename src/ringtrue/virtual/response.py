@@ -6,7 +6,8 @@ A first-order hold would droop by sinc² (12 % at 0.2 of the rate) and bias ever
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,8 @@ from ringtrue.core.modal import ModalModel
 from ringtrue.errors import InputError
 
 Motion = Literal["displacement", "velocity", "acceleration"]
-POWER: dict[str, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
+MOTIONS: tuple[Motion, ...] = ("displacement", "velocity", "acceleration")
+POWER: dict[Motion, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 _CHUNK = 1 << 14  # lines at a time: 60 modes take 16 MB
 
 
@@ -93,10 +95,25 @@ def simulate(
     pad = decay_time(model) if tail is None else tail
     full = int(fft.next_fast_len(n + int(np.ceil(pad * rate)), real=True))
     full = n if tail == 0 else full
-    spectrum = response_spectrum(
-        model, np.asarray(fft.rfft(forces, full)), lines(full, rate), quantity=quantity
-    )
+    spectrum = response_spectrum(model, np.asarray(fft.rfft(forces, full)), lines(full, rate), quantity=quantity)
     return np.asarray(fft.irfft(spectrum, full, overwrite_x=True)[:, :n])
+
+
+def at_outputs(model: ModalModel, ids: Sequence[str]) -> ModalModel:
+    """The model seen at the named outputs only, in the given order."""
+    here = {c.id: i for i, c in enumerate(model.outputs)}
+    if lost := [c for c in ids if c not in here]:
+        raise InputError(
+            f"no output {' '.join(lost[:8])} in the modal model; there are {' '.join(list(here)[:40])}"
+        )
+    at = [here[c] for c in ids]
+    return replace(
+        model,
+        shapes=model.shapes[at],
+        lower=model.lower[at],
+        upper=model.upper[at],
+        outputs=tuple(model.outputs[i] for i in at),
+    )
 
 
 def decay_time(model: ModalModel, nepers: float = 9.0) -> float:
@@ -104,9 +121,7 @@ def decay_time(model: ModalModel, nepers: float = 9.0) -> float:
     return float(nepers / np.abs(model.poles.real).min())
 
 
-def streamed(
-    segment: Callable[[int, Float], Float], count: int, hop: int, fade: int, tail: int
-) -> Iterator[Float]:
+def streamed(segment: Callable[[int, Float], Float], count: int, hop: int, fade: int, tail: int) -> Iterator[Float]:
     """A long stationary record from independent segments, cross-faded with equal power and overlap-added.
 
     Segment b covers the samples b·hop .. b·hop + hop + fade; its window rises as a sine and falls as a cosine over

@@ -10,7 +10,7 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, scatter
 from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
-from ringtrue.fem.place import node_dofs, orientation, segment, triad
+from ringtrue.fem.place import components, node_dofs, orientation, segment, triad
 
 PLANE1, PLANE2 = [1, 5, 7, 11], [2, 4, 8, 10]  # (v, θz) and (w, θy) at both ends
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -121,11 +121,6 @@ def _stiff(K: Any_, drop: Int) -> Any_:
     return out
 
 
-def _pins(text: Any_) -> Any_:
-    """Component lists (e,) as flags (e, 6)."""
-    return np.stack([np.char.find(text.astype(str), str(c)) >= 0 for c in range(1, 7)], axis=1)
-
-
 def _section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     t = m.model[card]
     beam = "PBEAM" in m.model and card == "CBEAM"
@@ -156,12 +151,12 @@ def _offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
     """
     t = m.model[card]
     w = t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")[at].reshape(-1, 2, 3)
-    frame = [np.char.ljust(t["OFFT"][at].astype(str), 3) if "OFFT" in t.columns else np.full(at.size, "GGG")][0]
+    frame = np.char.ljust(t["OFFT"][at].astype(str), 3)
     used = (w != 0).any(axis=(1, 2))
     other = used & ~np.isin(frame, ["GGG", "BGG", "   "])
     if other.any():
         raise UnsupportedCard(card, why=f"{t.ids[at[other][0]]} has OFFT {frame[other][0]}; allowed are GGG, BGG")
-    return np.einsum("eki,ekij->ekj", w, m.cd[nodes])
+    return np.asarray(np.einsum("eki,ekij->ekj", w, m.cd[nodes]))
 
 
 def _eccentric(y: Float, z: Float) -> Float:
@@ -204,7 +199,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     R = triad(m, axis, orientation(m, t, at, nodes[:, 0]), t, at)
     to_local = rotation(R, 2)
     to_ends = nodal(arm(arms))
-    pins = np.concatenate([_pins(t["PA"][at]), _pins(t["PB"][at])], axis=1)
+    pins = np.concatenate([components(t["PA"][at]), components(t["PB"][at])], axis=1)
     K = release(congruent(_axial_at(s.neutral), kernel(L, iso, s)), pins)
     M = _mass(L, iso, s, m.model.param("COUPMASS", -1) > 0, card == "CBEAM")
     local = to_local @ to_ends

@@ -9,7 +9,8 @@ from ringtrue.fem.elements.solid import Rule, assemble, refuse_midside
 from ringtrue.fem.mesh import Matrices, Mesh
 
 _SIGNS = np.array(
-    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], dtype=float
+    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]],
+    dtype=float,
 )
 
 

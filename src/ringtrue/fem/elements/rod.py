@@ -30,7 +30,7 @@ def mass(x: Float, per_length: Any_, coupled: bool) -> Any_:
     L, axis = segment(x)
     ends = np.tile([0.5, 0.5, 0.5, 0.0, 0.0, 0.0], 2)
     if not coupled:
-        return (per_length * L)[:, None] * ends
+        return np.asarray((per_length * L)[:, None] * ends)
     along = np.einsum("kl,ei,ej->ekilj", _PAIR / 12, axis, axis)
     M = np.broadcast_to(np.diag(ends), (len(x), 12, 12)).copy().reshape(-1, 2, 6, 2, 6)
     M[:, :, :3, :, :3] -= along

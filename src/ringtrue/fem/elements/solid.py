@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.algebra import condense
+from ringtrue.errors import UnsupportedCard
+from ringtrue.fem.algebra import condense, scaled
 from ringtrue.fem.isotropy import elastic, gram, incompatible, jacobian, solid
 from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import node_dofs
-from ringtrue.errors import UnsupportedCard
 
 
 class Rule:
@@ -55,15 +55,13 @@ def mass(x: Float, rho: Any_, rule: Rule, coupled: bool) -> Any_:
     n = rule.values.shape[1]
     if coupled:
         scalar = np.einsum("eg,gi,gj->eij", w, rule.values, rule.values)
-        return rho[:, None, None] * np.einsum("eij,ab->eiajb", scalar, np.eye(3)).reshape(-1, 3 * n, 3 * n)
+        return scaled(rho, np.einsum("eij,ab->eiajb", scalar, np.eye(3)).reshape(-1, 3 * n, 3 * n))
     diagonal = np.einsum("eg,gi->ei", w, rule.values**2)
     share = diagonal * (w.sum(1) / diagonal.sum(1))[:, None]
-    return rho[:, None] * np.repeat(share, 3, axis=1)
+    return scaled(rho, np.repeat(share, 3, axis=1))
 
 
-def assemble(
-    m: Mesh, card: str, at: Int, names: list[str], rules: tuple[Rule, Rule], *extra: Float
-) -> Matrices:
+def assemble(m: Mesh, card: str, at: Int, names: list[str], rules: tuple[Rule, Rule], *extra: Float) -> Matrices:
     """Matrices of rows `at` of a solid card; rules for stiffness and mass; `extra` are bubbles and centre.
 
     Raises
@@ -80,7 +78,9 @@ def assemble(
     K, det = kernel(x, iso, rules[0], *extra)
     if (det <= 0).any():
         bad = int(at[np.flatnonzero((det <= 0).any(axis=1))[0]])
-        raise error(m.model, t, bad, "inside out or too distorted (its Jacobian is not positive); check its node order")
+        raise error(
+            m.model, t, bad, "inside out or too distorted (its Jacobian is not positive); check its node order"
+        )
     M = mass(x, iso.rho, rules[1], m.model.param("COUPMASS", -1) > 0)
     return Matrices(node_dofs(nodes, 3), K, M, iso.loss, np.empty((0, K.shape[1], K.shape[1])))
 
@@ -90,4 +90,6 @@ def refuse_midside(m: Mesh, card: str, at: Int, first: int, last: int) -> None:
     t = m.model[card]
     names = [f"G{i}" for i in range(first, last + 1) if f"G{i}" in t.columns]
     if names and (used := (t.stack(*names)[at] > 0).any(axis=1)).any():
-        raise UnsupportedCard(card, why=f"{t.ids[at[used][0]]} has {first - 1}+ nodes; only corner nodes are supported")
+        raise UnsupportedCard(
+            card, why=f"{t.ids[at[used][0]]} has {first - 1}+ nodes; only corner nodes are supported"
+        )

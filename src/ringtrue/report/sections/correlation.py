@@ -27,8 +27,8 @@ def pairs(table: CorrelationTable, data: Stages, caption: str, heads: tuple[str,
     a, b = heads
     names = ["#", f"{a} #", f"{b} #", f"f {a}, Hz", f"f {b}, Hz", "Δf, %", "Δf, Hz", "MAC, %", "|Acceptance"]
     names += ["|Updating"] if updating else []
-    n, mean, peak, mac = figures_of(table)
-    foot = ["", "", "", "", f"{n} pairs, mean of", f"|{fixed(mean, 2)}|", f"max |{fixed(peak, 2)}| %", fixed(mac, 1), ""]
+    _, mean, _, mac = figures_of(table)
+    foot = ["", "", "", "", "mean, of |Δf|", fixed(mean, 2), "", fixed(mac, 1), ""]
     text = f"{caption} Accepted: {data.acceptance.words()}."
     return Table((*names, "|"), rows, text, [*foot, *([""] * (len(names) + 1 - len(foot)))])
 

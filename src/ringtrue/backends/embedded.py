@@ -1,0 +1,235 @@
+"""The embedded solver: assembly and eigensolution in this process, one pencil behind all answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Literal, Self
+
+import numpy as np
+from scipy import sparse
+
+from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.eigen import damped
+from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
+from ringtrue.eigen.factor import Method, Pencil
+from ringtrue.eigen.problem import EigenModes, eigenvalue
+from ringtrue.eigen.solve import solve_modes
+from ringtrue.errors import InputError
+from ringtrue.fem.assembly import System, assemble
+from ringtrue.fem.derivatives import terms
+from ringtrue.model.model import Model
+from ringtrue.model.ports import ModesRequest, ModesResult
+
+Progress = Callable[[float, str], None]
+Kind = Literal["receptance", "mobility", "accelerance"]
+_POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
+BUFFER = 4  # modes above the requested ones that derivatives converge on
+
+
+class EmbeddedAnalysis:
+    """An assembled model; see `ringtrue.model.ports.Analysis`.
+
+    Attributes
+    ----------
+    system : System
+        K, M, damping and the transformation from free to full basic-frame DOFs.
+    pencil : Pencil
+    """
+
+    capabilities = frozenset({"modes", "derivatives", "frf", "static", "complex_modes"})
+
+    def __init__(
+        self, model: Model, system: System, *, method: Method = "auto", progress: Progress | None = None
+    ) -> None:
+        self.model, self.system, self._progress = model, system, progress
+        self.dofs: DofSet = system.dofs
+        self.pencil = Pencil(system.stiffness, system.mass, method=method, labels=self._labels)
+        self._lowest: EigenModes | None = None
+        self._shift: float | None = None
+
+    def _labels(self, rows: Int) -> list[str]:
+        columns = abs(sparse.csc_array(self.system.transform)[:, rows]).toarray()
+        at = columns.argmax(axis=0)
+        return list(DofSet(self.dofs.node[at], self.dofs.direction[at]).labels()) if rows.size else []
+
+    def eigen(self, request: ModesRequest) -> EigenModes:
+        """Modes in the free DOFs: the lowest `count` (and a few above), or the band."""
+        if request.band is not None:
+            found = solve_modes(self.pencil, band=request.band, shift=self._shift, progress=self._progress)
+        else:
+            if self._lowest is None or self._lowest.values.size < request.count:
+                self._lowest = solve_modes(
+                    self.pencil, request.count + BUFFER, shift=self._shift, progress=self._progress
+                )
+            found = self._lowest
+        self._shift = found.shift if found.shift < 0 else self._shift
+        return found
+
+    def modes(self, request: ModesRequest) -> ModesResult:
+        """Natural modes; those asked for and no more."""
+        found = self.eigen(request)
+        n = found.values.size if request.band is not None else min(request.count, found.values.size)
+        modes = ModeSet(
+            found.frequencies[:n],
+            np.zeros(n),
+            self.system.transform @ found.vectors[:, :n],
+            self.dofs,
+            Norm.MASS,
+            "embedded",
+        )
+        return ModesResult(modes, found.residuals[:n], found.complete, found.proof)
+
+    def free(self, shapes: Any_) -> Float:
+        """Shapes (f, m) in the free DOFs of shapes (dof, m) in the full set."""
+        t = self.system.transform
+        normal = Pencil(sparse.csr_array(t.T @ t), sparse.csr_array((t.shape[1],) * 2, dtype=np.float64))
+        found = normal.at(0.0).solve(np.asarray(t.T @ shapes))
+        normal.close()
+        return found
+
+    def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
+        """∂λ/∂a (m, p) and ∂φ/∂a (dof, m, p) at a = 1 of modes of this model."""
+        slopes = [self._slope(terms(self.model, p, self.system)) for p in parameters.parameters]
+        phi = self.free(modes.shapes)
+        top = float(modes.frequencies.max(initial=0.0))
+        lowest = self._lowest_up_to(top, len(modes))
+        turn = lowest.vectors.T @ (self.system.mass @ phi)  # signs and rotations of the given modes
+        count = int(np.flatnonzero(np.abs(turn).max(axis=1) > 1e-3).max(initial=-1)) + 1
+        d_phi = eigenvector_derivatives(self.pencil, lowest, slopes, count=count)
+        d_phi = np.einsum("fnp,nm->fmp", d_phi, turn[:count])
+        lam = np.array([eigenvalue(f) for f in modes.frequencies])
+        columns = [np.einsum("fm,fm->m", phi, s.stiffness @ phi - (s.mass @ phi) * lam) for s in slopes]
+        d_lambda = np.stack(columns, axis=1) if columns else np.zeros((len(modes), 0))
+        full = self.system.transform @ d_phi.reshape(phi.shape[0], -1)
+        return d_lambda, full.reshape(-1, len(modes), len(slopes))
+
+    def _slope(self, parts: Sequence[object]) -> Slope:
+        shape = self.system.stiffness.shape
+        k, m = sparse.csr_array(shape, dtype=np.float64), sparse.csr_array(shape, dtype=np.float64)
+        for t in parts:  # over powers of the parameter
+            k, m = k + t.power * t.stiffness, m + t.power * t.mass  # type: ignore[attr-defined]
+        return Slope(sparse.csr_array(k), sparse.csr_array(m))
+
+    def _lowest_up_to(self, top: float, count: int) -> EigenModes:
+        """All modes from the lowest to well above `top` Hz."""
+        while True:
+            lowest = self.eigen(ModesRequest(count))
+            above = int((lowest.frequencies > top * (1 + 1e-6)).sum())
+            if above >= min(BUFFER, lowest.values.size) or lowest.values.size < count:
+                return lowest
+            count = max(lowest.values.size + BUFFER, int(1.3 * count))
+
+    def static(self, loads: Any_) -> Float:
+        """Displacements (dof, k) under loads (dof, k) or (dof,), basic frame.
+
+        Raises
+        ------
+        SingularModel
+            If the model is not held.
+        """
+        loads = np.asarray(loads, dtype=np.float64).reshape(len(self.dofs), -1)
+        return np.asarray(self.system.transform @ self.pencil.at(0.0).solve(self.system.transform.T @ loads))
+
+    def complex_modes(self, request: ModesRequest, *, extra: float = 1.5) -> ModeSet:
+        """Complex modes by projection on `extra` times as many real modes; unit modal A."""
+        count = request.count
+        if request.band is not None:
+            count = int((self.eigen(ModesRequest(request.count)).frequencies <= request.band[1]).sum()) or 1
+            while self.eigen(ModesRequest(count)).frequencies[-1] <= request.band[1] and count < self.pencil.size:
+                count *= 2
+        real = self.eigen(ModesRequest(min(int(np.ceil(extra * count)) + 2, self.pencil.size)))
+        d, h = damped.project(real.vectors, self.system.viscous, self.system.structural)
+        found = damped.complex_modes(real.values, d, h)
+        keep = np.arange(min(count, found.poles.size))
+        if request.band is not None:
+            keep = np.flatnonzero((found.frequencies >= request.band[0]) & (found.frequencies <= request.band[1]))
+        shapes = self.system.transform @ (real.vectors @ found.shapes[:, keep])
+        return ModeSet(
+            found.frequencies[keep], found.damping[keep], shapes, self.dofs, Norm.MODAL_A, "embedded, complex"
+        )
+
+    def frf(
+        self,
+        outputs: DofSet,
+        inputs: DofSet,
+        freqs: Float,
+        request: ModesRequest,
+        *,
+        damping: float | Float = 0.0,
+        kind: Kind = "receptance",
+        residual: bool = True,
+    ) -> Complex:
+        """Frequency responses (freq, out, in) complex128 by modal superposition.
+
+        Parameters
+        ----------
+        outputs, inputs : DofSet
+            Signed; a negative direction turns the sign.
+        freqs : (freq,) float64, Hz
+        request : ModesRequest
+            The lowest `count` modes; a band means all modes up to its upper end.
+        damping : float or (m,) float64
+            Modal damping ratios; the model's own damping matrices are not used here.
+        residual : bool
+            Add the residual flexibility of the modes above, exact at the shift (near 0 Hz).
+        """
+        if request.band is not None:
+            request = ModesRequest(band=(-1.0, request.band[1]))
+        modes = self.eigen(request)
+        out, into = self._rows(outputs), self._rows(inputs)
+        w = 2 * np.pi * np.asarray(freqs, dtype=np.float64)[:, None]
+        natural = np.sqrt(np.maximum(modes.values, 0.0))
+        zeta = np.broadcast_to(np.asarray(damping, dtype=np.float64), natural.shape)
+        gain = 1 / (modes.values - w**2 + 2j * zeta * natural * w)
+        a, b = out @ modes.vectors, into @ modes.vectors
+        h: Complex = np.einsum("om,fm,im->foi", a, gain, b, optimize=True)
+        if residual:
+            flexible = out @ self.pencil.at(modes.shift).solve(into.T.toarray())
+            h = h + (flexible - (a / (modes.values - modes.shift)) @ b.T)
+        return np.asarray(h * ((1j * w) ** _POWER[kind])[:, :, None])
+
+    def _rows(self, dofs: DofSet) -> sparse.csr_array:
+        index, sign = self.dofs.align(dofs)
+        return sparse.csr_array(sparse.diags_array(sign) @ self.system.transform[index])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.pencil.close()
+
+
+class EmbeddedSolver:
+    """`with EmbeddedSolver().open(model) as analysis: analysis.modes(ModesRequest(20))`.
+
+    Parameters
+    ----------
+    method : {"auto", "pardiso", "superlu", "dense"}
+        The factorisation.
+    progress : callable, optional
+        Called with (share done, what).
+    """
+
+    name = "embedded"
+
+    def __init__(self, *, method: Method = "auto", progress: Progress | None = None) -> None:
+        self.method, self.progress = method, progress
+
+    def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> EmbeddedAnalysis:
+        """Assemble the model; `parameters` need no preparation here.
+
+        Raises
+        ------
+        InputError
+            If nothing is free to move.
+        """
+        system = assemble(model)
+        if not system.stiffness.shape[0]:
+            raise InputError("the model has no free degree of freedom: check SPC and MPC")
+        return EmbeddedAnalysis(model, system, method=self.method, progress=self.progress)

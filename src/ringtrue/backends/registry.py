@@ -1,0 +1,41 @@
+"""Solvers by name: built-ins, and plug-ins from the entry points `ringtrue.solvers`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.model.ports import ModalSolver
+
+GROUP = "ringtrue.solvers"
+BUILT_IN: dict[str, Callable[[], ModalSolver]] = {"embedded": EmbeddedSolver}
+
+
+def names() -> tuple[str, ...]:
+    """All known solvers, sorted."""
+    return tuple(sorted({*BUILT_IN, *_plugins()}))
+
+
+def solver(name: str = "embedded") -> ModalSolver:
+    """The solver of that name, with its default settings.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or a plug-in's object is not a solver.
+    """
+    if name in BUILT_IN:
+        return BUILT_IN[name]()
+    plugins = _plugins()
+    if name not in plugins:
+        raise ConfigError(f"no solver {name!r}{did_you_mean(name, names())}")
+    made = plugins[name].load()()
+    if not isinstance(made, ModalSolver):
+        raise ConfigError(f"plug-in {plugins[name].value} ({GROUP}) made a {type(made).__name__} without open()")
+    return made
+
+
+def _plugins() -> dict[str, EntryPoint]:
+    return {p.name: p for p in entry_points(group=GROUP)}

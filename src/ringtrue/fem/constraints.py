@@ -1,0 +1,259 @@
+"""Rigid elements, multipoint equations and supports as one sparse elimination, in the displacement frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.errors import DeckError
+from ringtrue.fem.algebra import arm, rotation
+from ringtrue.fem.mesh import Mesh, error
+from ringtrue.fem.place import components, node_dofs
+from ringtrue.model.model import Ragged, Table
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Equations:
+    """x[dependent] = coefficients x, k rows in triplet form.
+
+    Attributes
+    ----------
+    dependent : (k,) int64
+    row, column : (t,) int64
+        Positions in `dependent`; full DOFs.
+    value : (t,) float64
+    owner : tuple of str
+        The card behind each row.
+    """
+
+    dependent: Int
+    row: Int
+    column: Int
+    value: Float
+    owner: tuple[str, ...]
+
+
+def owners(ragged: Ragged) -> Int:
+    """The row that each value of a ragged column belongs to."""
+    return np.repeat(np.arange(len(ragged)), np.diff(ragged.offsets))
+
+
+def _rbe2(m: Mesh) -> Equations:
+    t = m.model["RBE2"]
+    of = owners(t.ragged("GM"))
+    gn, gm = m.nodes(t["GN"][of], t, of), m.nodes(t.ragged("GM").values, t, of)
+    same = gn == gm
+    if same.any():
+        raise error(m.model, t, int(of[same][0]), f"GRID {t['GN'][of[same][0]]} is its own dependent node")
+    A = rotation(m.cd[gm], 1) @ arm(m.xyz[gm] - m.xyz[gn]) @ rotation(m.cd[gn], 1).swapaxes(1, 2)
+    pair, c = np.nonzero(components(t["CM"][of]))
+    row = np.repeat(np.arange(pair.size), 6)
+    column = node_dofs(gn[pair][:, None]).reshape(-1)
+    return Equations(6 * gm[pair] + c, row, column, A[pair, c].reshape(-1), _names(t, of[pair]))
+
+
+def _names(t: Table, at: Int) -> tuple[str, ...]:
+    return tuple(f"{t.card} {i}" for i in t.ids[at].tolist())
+
+
+def _rbe3(m: Mesh) -> Equations:
+    """u_ref = (Σ SᵀWS)⁻¹ Σ SᵀWu, rotations weighted by the square of the mean arm."""
+    t = m.model["RBE3"]
+    G = t.ragged("G")
+    of = owners(G)
+    ref = m.nodes(t["REFGRID"], t, np.arange(len(t)))
+    g = m.nodes(G.values, t, of)
+    arms = m.xyz[g] - m.xyz[ref[of]]
+    length = np.bincount(of, np.linalg.norm(arms, axis=1), len(t)) / np.maximum(
+        np.bincount(of, minlength=len(t)), 1
+    )
+    length = np.where(length == 0, 1.0, length)
+    S = rotation(m.cd[g], 1) @ arm(arms)
+    scale = np.ones((len(t), 6))
+    scale[:, 3:] = length[:, None]
+    W = components(t.ragged("C").values) * t.ragged("WT").values[:, None] * scale[of] ** 2
+    normal = np.zeros((len(t), 6, 6))
+    np.add.at(normal, of, S.swapaxes(1, 2) @ (W[:, :, None] * S))
+    inverse = _inverse(m, t, normal, 1 / scale)
+    X = rotation(m.cd[ref[of]], 1) @ inverse[of] @ S.swapaxes(1, 2) * W[:, None, :]
+    return _spread(m, t, X, of, g, ref)
+
+
+def _inverse(m: Mesh, t: Table, normal: Float, scale: Float) -> Float:
+    """Inverse of the normal matrices; a motion that the nodes do not determine must not be asked for."""
+    A = normal * scale[:, :, None] * scale[:, None, :]
+    plus = np.linalg.pinv(A, rcond=1e-10, hermitian=True)
+    lost = np.abs(np.einsum("eij,eji->ei", plus, A) - 1) > 1e-6
+    bad = (lost & components(t["REFC"])).any(axis=1)
+    if bad.any():
+        i = int(np.flatnonzero(bad)[0])
+        raise error(m.model, t, i, f"its nodes do not determine REFC {t['REFC'][i]}; add nodes or components")
+    return np.asarray(plus * scale[:, :, None] * scale[:, None, :])
+
+
+def _spread(m: Mesh, t: Table, X: Float, of: Int, g: Int, ref: Int) -> Equations:
+    """Rows for the components in REFC from X (entry, 6, 6)."""
+    element, c = np.nonzero(components(t["REFC"]))
+    number = np.full((len(t), 6), -1)
+    number[element, c] = np.arange(element.size)
+    row = np.broadcast_to(number[of][:, :, None], X.shape).reshape(-1)
+    column = np.broadcast_to(node_dofs(g[:, None])[:, None, :], X.shape).reshape(-1)
+    keep = (row >= 0) & (X.reshape(-1) != 0)
+    return Equations(6 * ref[element] + c, row[keep], column[keep], X.reshape(-1)[keep], _names(t, element))
+
+
+def _mpc(m: Mesh) -> Equations:
+    t = m.model["MPC"]
+    rows = np.flatnonzero(np.isin(t["SID"], _sets(m, "MPCADD", m.model.case.mpc)))
+    G, C, A = (t.ragged(c) for c in "GCA")
+    of = owners(G)
+    dof = m.dof(G.values, C.values.astype(np.int64), t, of)
+    first = np.zeros(of.size, dtype=bool)
+    first[G.offsets[:-1][np.diff(G.offsets) > 0]] = True
+    use = np.isin(of, rows)
+    lead = A.values[G.offsets[:-1]]
+    if (lead[rows] == 0).any():
+        raise error(
+            m.model, t, int(rows[lead[rows] == 0][0]), "the first coefficient is 0; it names the dependent DOF"
+        )
+    number = np.full(len(t), -1)
+    number[rows] = np.arange(rows.size)
+    rest = use & ~first
+    value = -A.values[rest] / lead[of[rest]]
+    return Equations(dof[use & first], number[of[rest]], dof[rest], value, _names(t, rows))
+
+
+def _sets(m: Mesh, add: str, sid: int) -> Int:
+    """A set id and those that an SPCADD or MPCADD of that id unites."""
+    out = np.array([sid])
+    if sid and add in m.model:
+        t = m.model[add]
+        rows = np.flatnonzero(t["SID"] == sid)
+        out = np.concatenate([out, *(t.ragged("S").row(int(i)) for i in rows)])
+    return np.unique(out[out > 0])
+
+
+def equations(m: Mesh) -> Equations:
+    """All dependent DOFs of the chosen sets."""
+    parts = [_rbe2(m)] if "RBE2" in m.model else []
+    parts += [_rbe3(m)] if "RBE3" in m.model else []
+    parts += [_mpc(m)] if "MPC" in m.model and m.model.case.mpc else []
+    shift = np.cumsum([0, *(p.dependent.size for p in parts)])
+    none: Int = np.empty(0, dtype=np.int64)
+    return Equations(
+        np.concatenate([none, *(p.dependent for p in parts)]),
+        np.concatenate([none, *(p.row + s for p, s in zip(parts, shift, strict=False))]),
+        np.concatenate([none, *(p.column for p in parts)]),
+        np.concatenate([np.empty(0), *(p.value for p in parts)]),
+        tuple(name for p in parts for name in p.owner),
+    )
+
+
+def supports(m: Mesh) -> Bool:
+    """Which full DOFs are held, (n,): PS of GRID, and SPC, SPC1 of the chosen set."""
+    held = np.zeros(m.size, dtype=bool)
+    grid = m.model["GRID"]
+    if "PS" in grid.columns:
+        held[: 6 * len(grid)] |= components(grid["PS"]).reshape(-1)
+    sids = _sets(m, "SPCADD", m.model.case.spc)
+    if "SPC" in m.model:
+        t = m.model["SPC"]
+        at = np.flatnonzero(np.isin(t["SID"], sids))
+        _hold(m, held, t, at, t["G"][at], t["C"][at])
+    if "SPC1" in m.model:
+        t = m.model["SPC1"]
+        of = owners(t.ragged("G"))
+        at = np.flatnonzero(np.isin(t["SID"][of], sids))
+        _hold(m, held, t, of[at], t.ragged("G").values[at], t["C"][of[at]])
+    return held
+
+
+def _hold(m: Mesh, held: Bool, t: Table, at: Int, nodes: Int, text: Float) -> None:
+    scalar = np.isin(nodes, m.scalar)
+    held[m.dof(nodes[scalar], np.zeros(int(scalar.sum()), dtype=np.int64), t, at[scalar])] = True
+    rows = m.nodes(nodes[~scalar], t, at[~scalar])
+    i, c = np.nonzero(components(text[~scalar]))
+    held[6 * rows[i] + c] = True
+
+
+def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:
+    """The map from independent DOFs that are not held to all full DOFs, both in the displacement frames.
+
+    Returns
+    -------
+    T : (n, k) csr
+    free : (k,) int64, full DOF of each column
+
+    Raises
+    ------
+    DeckError
+        If a DOF is dependent twice, or dependent and held, or if dependencies run in a circle.
+    """
+    eq, held = equations(m), supports(m)
+    _check(m, eq, held)
+    n, k = m.size, eq.dependent.size
+    dependent = np.full(n, -1)
+    dependent[eq.dependent] = np.arange(k)
+    free = np.flatnonzero((dependent < 0) & ~held)
+    select = sparse.csr_array((np.ones(free.size), (free, np.arange(free.size))), shape=(n, free.size))
+    if not k:
+        return select, free
+    full = sparse.csr_array((eq.value, (eq.row, eq.column)), shape=(k, n))
+    chain = sparse.csr_array(full[:, eq.dependent])
+    chain.eliminate_zeros()
+    if connected_components(chain, connection="strong")[0] < k or chain.diagonal().any():
+        _, label = connected_components(chain, connection="strong")
+        loop = np.flatnonzero(np.bincount(label)[label] > 1)
+        names = sorted({eq.owner[i] for i in loop.tolist()}) or [eq.owner[0]]
+        raise DeckError(f"dependencies run in a circle: {', '.join(names[:6])}; make one end independent")
+    rows = total = sparse.csr_array(full[:, free])
+    while rows.nnz and chain.nnz:  # as often as the longest chain is long
+        rows = sparse.csr_array(chain @ rows)
+        total = sparse.csr_array(total + rows)
+    place = sparse.csr_array((np.ones(k), (eq.dependent, np.arange(k))), shape=(n, k))
+    return sparse.csr_array(select + place @ total), free
+
+
+def _check(m: Mesh, eq: Equations, held: Bool) -> None:
+    twice = np.bincount(eq.dependent, minlength=m.size) > 1
+    for bad, why in ((twice, "is dependent more than once"), (held, "is dependent and held by an SPC or PS")):
+        at = np.flatnonzero(bad[eq.dependent])
+        if at.size:
+            label = m.dofs.labels()[eq.dependent[at[0]]]
+            names = [eq.owner[i] for i in at.tolist() if eq.dependent[i] == eq.dependent[at[0]]]
+            raise DeckError(f"DOF {label} {why} ({', '.join(names)}); release one")
+
+
+def singular_dofs(K: sparse.csr_array, free: Int, nodes: int, tolerance: float = 1e-8) -> Bool:
+    """DOFs (k,) of K (k, k) that have no stiffness: AUTOSPC.
+
+    Each node's 3 x 3 block of translations, or of rotations, is examined; for each direction in which it is
+    singular (relative to its largest term) the DOF nearest to it is named.
+    """
+    group, place = np.where(free < 6 * nodes, free // 3, free - 4 * nodes), np.where(free < 6 * nodes, free % 3, 0)
+    coo = K.tocoo()
+    inside = group[coo.row] == group[coo.col]
+    blocks = np.zeros((int(group.max(initial=-1)) + 1, 3, 3))
+    r, c = coo.row[inside], coo.col[inside]
+    blocks[group[r], place[r], place[c]] = coo.data[inside]
+    there = np.zeros(blocks.shape[:2], dtype=bool)
+    there[group, place] = True
+    size = np.abs(blocks).max(axis=(1, 2), initial=0.0)
+    out = there & (size == 0)[:, None]
+    for _ in range(3):  # a block has three directions
+        live = there & ~out
+        A = (
+            np.where(live[:, :, None] & live[:, None, :], blocks, 0.0)
+            / np.where(size == 0, 1.0, size)[:, None, None]
+        )
+        A[~live[:, :, None] & np.eye(3, dtype=bool)] = 4.0
+        values, vectors = np.linalg.eigh(A)
+        weak = np.flatnonzero((values[:, 0] < tolerance) & live.any(axis=1))
+        if not weak.size:
+            break
+        out[weak, np.abs(vectors[weak, :, 0]).argmax(axis=1)] = True
+    return np.asarray(out[group, place])

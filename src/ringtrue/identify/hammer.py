@@ -1,0 +1,309 @@
+"""Modes from hammer FRFs in one call: bands, poles, global residues, refinement, and a verdict on every mode."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.signals import FrfSet
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.errors import DataError
+from ringtrue.identify.judge import Candidates, Verdict, judge
+from ringtrue.identify.lsfd import Lines, Noise, driving_pairs, lsfd, noise, prepare, synthesise_windowed
+from ringtrue.identify.plscf import Clusters, Plscf, cluster_poles, order_range, plscf
+from ringtrue.identify.poles import StableDiagram
+from ringtrue.identify.refine import Refined, refine
+from ringtrue.shapes.mac import mac
+
+log = logging.getLogger(__name__)
+Progress = Callable[[float, str], None]
+
+RATIO = 2.5  # upper to lower edge of a band
+LEAST_LINES = 48
+MOST_PEAKS = 10
+TURNS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class HammerModes:
+    """Settings of `identify_hammer`.
+
+    Attributes
+    ----------
+    fmin, fmax : float, Hz, optional
+        The modes to report; by default all that the coherence allows. Lines just outside are used where they exist.
+    damping_max : float
+        Modes above are not believed.
+    bands : tuple of (float, float), Hz
+        Bands of the pole search; by default chosen from the data.
+    confidence_min : float
+        Modes below are left out.
+    """
+
+    fmin: float | None = None
+    fmax: float | None = None
+    damping_max: float = 0.12
+    bands: tuple[tuple[float, float], ...] = ()
+    confidence_min: float = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HammerResult:
+    """What `identify_hammer` found.
+
+    Attributes
+    ----------
+    model : ModalModel
+        All poles of the fit, those just outside the reported band too; damping without the exponential window.
+    modes : ModeSet
+        The reported modes, complex shapes, unit modal mass where a driving point was measured.
+    uncertainty : Uncertainty
+        Of `modes`.
+    reasons : tuple of str
+        Why each mode is believed, and what speaks against it.
+    rejected : tuple of str
+        Candidates that were not believed, with the reason.
+    diagrams : tuple of StableDiagram
+        One a band; `cluster` counts the candidates of that band.
+    freqs : (f,) float64, Hz
+        Lines that were fitted.
+    cmif : (f, in) float64
+        Singular values of the FRF matrix at those lines, descending.
+    synthesis_error : (out, in) float64
+        ‖H − H_fit‖/‖H‖ over the lines.
+    """
+
+    model: ModalModel
+    modes: ModeSet
+    uncertainty: Uncertainty
+    reasons: tuple[str, ...]
+    rejected: tuple[str, ...]
+    diagrams: tuple[StableDiagram, ...]
+    freqs: Float
+    cmif: Float
+    synthesis_error: Float
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, freqs=np.float64, cmif=np.float64, synthesis_error=np.float64)
+
+
+def identify_hammer(
+    frfs: FrfSet, settings: HammerModes | None = None, *, progress: Progress | None = None
+) -> HammerResult:
+    """Modes from frequency response functions, automatically.
+
+    pLSCF of many orders in several overlapping bands; poles that stay in place over the orders become candidates;
+    one global LSFD gives their shapes; weighted nonlinear least squares refines all of them together; modes that add
+    nothing, double another one or cannot be told from noise are left out.
+
+    Parameters
+    ----------
+    frfs : FrfSet
+    settings : HammerModes, optional
+    progress : callable, optional
+        Called with the share done and a word.
+
+    Raises
+    ------
+    DataError
+        If there are fewer than 32 lines in the band.
+    """
+    settings = settings or HammerModes()
+    tell = progress or (lambda share, text: None)
+    low, high = _limits(frfs, settings)
+    used = _lines(frfs, 0.8 * low, 1.25 * high)
+    sigma = noise(used)
+    curve = cmif(used.data / sigma.response[:, None])
+    bands = settings.bands or choose_bands(used.freqs, curve, low, high)
+    found, diagrams = [], []
+    for i, band in enumerate(bands):
+        tell(0.05 + 0.55 * i / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
+        clusters, diagram = _band(used, sigma, curve, band, settings)
+        found.append(clusters)
+        diagrams.append(diagram)
+    candidates = _merge(found, _step(used), used.window_decay)
+    if not candidates.pole.size:
+        raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz")
+    tell(0.65, f"residues of {candidates.pole.size} candidates")
+    lines = prepare(used, sigma)
+    fit, candidates, verdict, rejected = _fit(lines, driving_pairs(used), candidates, settings, tell)
+    tell(0.95, "verdict")
+    return _report(used, lines, fit, verdict, rejected, (low, high), tuple(diagrams), curve)
+
+
+def cmif(data: Complex) -> Float:
+    """Complex mode indicator function: singular values (freq, in), descending, of `data` (freq, out, in)."""
+    gram = data.conj().transpose(0, 2, 1) @ data
+    values = np.linalg.eigvalsh(gram)[:, ::-1]
+    return np.asarray(np.sqrt(np.maximum(values, 0)))
+
+
+def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[tuple[float, float], ...]:
+    """Overlapping bands, Hz: none spans more than RATIO, holds too few lines or too many peaks of the CMIF."""
+    step = float(freqs[1] - freqs[0])
+    low = max(low, float(freqs[0]))
+    edges = [high]
+    while edges[-1] > low * 1.05 and len(edges) < 60:
+        lower = min(edges[-1] / RATIO, edges[-1] - LEAST_LINES * step)
+        peaks = np.sort(freqs[count_peaks(curve)])
+        inside = peaks[(peaks < edges[-1]) & (peaks > lower)]
+        if inside.size > MOST_PEAKS:
+            cut = 0.5 * (inside[-MOST_PEAKS] + inside[-MOST_PEAKS - 1])
+            lower = max(lower, min(float(cut), edges[-1] - LEAST_LINES * step))
+        edges.append(lower if lower - low > LEAST_LINES / 2 * step else low)
+    edges = edges[::-1]
+    return tuple(
+        (_overlap(a, -0.15 * (b - a), freqs), _overlap(b, 0.15 * (b - a), freqs)) for a, b in pairwise(edges)
+    )
+
+
+def _overlap(edge: float, by: float, freqs: Float) -> float:
+    return float(np.clip(edge + by, freqs[0], freqs[-1]))
+
+
+def count_peaks(curve: Float) -> Int:
+    """Positions of the peaks of the first two singular values that stand 2 dB above their surroundings."""
+    level = 20 * np.log10(np.maximum(curve[:, :2], curve.max() * 1e-9))
+    kernel = np.ones(3) / 3
+    found = [find_peaks(np.convolve(c, kernel, "same"), prominence=2.0)[0] for c in level.T]
+    return np.concatenate(found).astype(np.int64)
+
+
+def _limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
+    """The reported band, Hz; where not given, the range of lines with a usable coherence."""
+    f = frfs.freqs
+    low, high = float(f[f > 0][0]), float(f[-1])
+    if np.isfinite(frfs.coherence).all():
+        good = np.median(frfs.coherence, axis=(1, 2))
+        wide = max(5, f.size // 50) | 1
+        good = np.convolve(np.pad(good, wide // 2, mode="edge"), np.ones(wide) / wide, "valid")
+        usable = f[good > 0.5]
+        high = float(usable[-1]) if usable.size else high
+    low = settings.fmin if settings.fmin is not None else low
+    high = settings.fmax if settings.fmax is not None else high
+    if np.count_nonzero((f >= low) & (f <= high)) < 32:
+        raise DataError(f"{frfs.source}: fewer than 32 lines between {low:g} and {high:g} Hz; widen fmin, fmax")
+    return low, min(high, float(f[-1]))
+
+
+def _lines(frfs: FrfSet, low: float, high: float) -> FrfSet:
+    at = (frfs.freqs >= low) & (frfs.freqs <= high) & (frfs.freqs > 0)
+    return replace(frfs, data=frfs.data[at], freqs=frfs.freqs[at], coherence=frfs.coherence[at])
+
+
+def _step(frfs: FrfSet) -> float:
+    return float(frfs.freqs[1] - frfs.freqs[0])
+
+
+def _band(
+    frfs: FrfSet, sigma: Noise, curve: Float, band: tuple[float, float], settings: HammerModes
+) -> tuple[Clusters, StableDiagram]:
+    at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
+    n_in = frfs.data.shape[2]
+    lowest, highest = order_range(n_in, count_peaks(curve[at]).size, int(at.sum()))
+    most = settings.damping_max + frfs.window_decay / (2 * np.pi * band[0])
+    estimator = Plscf(lowest, highest, most)
+    line = sigma.line[at].mean(axis=1)
+    weights = 1 / sigma.response
+    level = (np.median(line) / line)[:, None, None]
+    poles = plscf(frfs.data[at] * level, frfs.freqs[at], estimator, weights)
+    clusters = cluster_poles(poles, _step(frfs))
+    db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
+    return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
+
+
+def _merge(found: Sequence[Clusters], step: float, decay: float) -> Candidates:
+    """Candidates of all bands, the window out of the poles; of those seen twice, the one with less scatter."""
+    found = [c for c in found if c.pole.size]
+    if not found:
+        return Candidates(np.zeros(0, complex), np.zeros((0, 1), complex), np.zeros(0), np.zeros(0))
+    pole = np.concatenate([c.pole for c in found])
+    part = np.concatenate([c.participation.T for c in found])
+    support, scatter = np.concatenate([c.support for c in found]), np.concatenate([c.scatter for c in found])
+    band = np.repeat(np.arange(len(found)), [c.pole.size for c in found])
+    keep = np.ones(pole.size, dtype=bool)
+    rank = scatter + (1 - support)
+    far = _distance(pole, part, step)
+    for i, j in np.argwhere(np.triu(far < 1.5, 1)):  # a few pairs in the overlaps
+        if band[i] != band[j] and keep[i] and keep[j]:
+            keep[j if rank[i] <= rank[j] else i] = False
+    order = np.flatnonzero(keep)[np.argsort(np.abs(pole[keep]), kind="stable")]
+    true = np.minimum(pole.real + decay, -1e-4 * np.abs(pole)) + 1j * pole.imag
+    return Candidates(true, part, support, scatter).take(order)
+
+
+def _distance(pole: Complex, part: Complex, step: float) -> Float:
+    """(c, c) distances in half bandwidths, with 1 − MAC of the participation vectors (inputs above one)."""
+    width = 0.5 * np.sqrt(np.outer(pole.real, pole.real)) + 0.6 * np.pi * step
+    far = np.abs(pole[:, None] - pole) / width
+    if part.shape[1] > 1:
+        far = far + (1 - mac(part.T, part.T)) / 0.3
+    return np.asarray(far)
+
+
+def _fit(
+    lines: Lines, pairs: Sequence[tuple[int, int, float]], start: Candidates, settings: HammerModes, tell: Progress
+) -> tuple[Refined, Candidates, Verdict, list[str]]:
+    """Refinement and pruning in turns, until no mode falls out."""
+    candidates, rejected = start, list[str]()
+    fit = refine(lines, candidates.pole, candidates.participation, iterations=0)
+    for turn in range(TURNS):
+        verdict = judge(lines, fit, candidates, pairs, damping_max=settings.damping_max)
+        keep = verdict.confidence >= settings.confidence_min
+        if turn and keep.all():
+            break
+        rejected += [verdict.describe(k) for k in np.flatnonzero(~keep)]
+        candidates = candidates.take(keep)
+        tell(0.7 + 0.04 * turn, f"refining {candidates.pole.size} modes")
+        fit = refine(lines, fit.poles[keep], fit.participation[keep])
+    return fit, candidates, verdict, rejected
+
+
+def _scale(model: ModalModel) -> Complex:
+    """(m,) factors to unit modal mass from unit modal A, or to a largest component of 1 from unscaled shapes."""
+    largest = np.take_along_axis(model.shapes, np.abs(model.shapes).argmax(axis=0)[None], axis=0)[0]
+    if model.norm is Norm.UNSCALED:
+        return np.asarray(1 / largest)
+    alpha = np.sqrt(2j * model.poles.imag)
+    return np.asarray(np.where((largest * alpha).real < 0, -alpha, alpha))
+
+
+def _report(
+    frfs: FrfSet,
+    lines: Lines,
+    fit: Refined,
+    verdict: Verdict,
+    rejected: Sequence[str],
+    band: tuple[float, float],
+    diagrams: tuple[StableDiagram, ...],
+    curve: Float,
+) -> HammerResult:
+    model = lsfd(frfs, fit.poles, fit.participation, lines)
+    f = model.frequencies
+    order = np.argsort(f, kind="stable")
+    told = order[(f[order] >= band[0]) & (f[order] <= band[1])]
+    alpha = _scale(model)
+    norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
+    modes = ModeSet(
+        f[told],
+        model.damping[told],
+        (model.shapes * alpha)[:, told],
+        tuple(c.id for c in frfs.outputs),
+        norm,
+        frfs.source or "hammer FRFs, pLSCF",
+        verdict.confidence[told],
+    )
+    unit = np.linalg.norm(model.shapes * alpha, axis=0) / np.maximum(np.linalg.norm(fit.shapes, axis=0), 1e-300)
+    std = Uncertainty(fit.std_frequency, fit.std_damping, fit.std_shape * unit, fit.factor).take(told)
+    fitted = synthesise_windowed(model, lines)
+    error = np.linalg.norm(frfs.data - fitted, axis=0) / np.maximum(np.linalg.norm(frfs.data, axis=0), 1e-300)
+    reasons = tuple(verdict.reason[k] for k in told)
+    return HammerResult(model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error)

@@ -1,0 +1,195 @@
+"""The verdict on candidate modes: what speaks for each and what against it, as a confidence with its reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Complex, Float
+from ringtrue.identify.lsfd import Lines, modal_part, solve_shapes
+from ringtrue.identify.refine import Refined
+from ringtrue.shapes.complexity import mpc
+from ringtrue.shapes.mac import mac
+
+SIGNIFICANT = 12.0  # gain over that of noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Poles that stayed in place over the model orders.
+
+    Attributes
+    ----------
+    pole : (c,) complex128, rad/s, without the exponential window
+    participation : (c, in) complex128
+    support : (c,) float64
+        Share of the orders, from the first appearance on, that hold the pole.
+    scatter : (c,) float64
+        Over the orders, in half bandwidths.
+    """
+
+    pole: Complex
+    participation: Complex
+    support: Float
+    scatter: Float
+
+    def take(self, at: Any_) -> Candidates:
+        """The chosen candidates, in the given order."""
+        return Candidates(self.pole[at], self.participation[at], self.support[at], self.scatter[at])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """Confidence and reason of each candidate.
+
+    Attributes
+    ----------
+    frequency : (c,) float64, Hz
+    confidence : (c,) float64, 0..1
+    reason : tuple of str
+    """
+
+    frequency: Float
+    confidence: Float
+    reason: tuple[str, ...]
+
+    def describe(self, k: int) -> str:
+        """One line on a candidate."""
+        return f"{self.frequency[k]:.4g} Hz: {self.reason[k]}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Aspect:
+    factor: Float
+    text: tuple[str, ...]  # empty where there is nothing to say
+
+
+def judge(
+    lines: Lines,
+    fit: Refined,
+    candidates: Candidates,
+    pairs: Sequence[tuple[int, int, float]],
+    *,
+    damping_max: float,
+) -> Verdict:
+    """Weigh each candidate.
+
+    The confidence is the product of factors: stability over the orders, gain in the fit against the error left
+    nearby, damping in range and known, place (in the lines, not moved away by the refinement), not the double of a
+    stronger mode, a real shape (MPC), and the sign of the driving-point residues.
+
+    Parameters
+    ----------
+    lines : Lines
+    fit : Refined
+    candidates : Candidates
+        In the order of `fit`.
+    pairs : sequence of (output, input, sign)
+        Driving points.
+    damping_max : float
+    """
+    shapes, gain = solve_shapes(lines, fit.poles, fit.participation)
+    total = gain.sum(axis=0)
+    aspects = [
+        _stable(candidates),
+        _gains(lines, fit, shapes, total),
+        _damped(fit, damping_max),
+        _placed(lines, fit, candidates),
+        _double(lines, fit, shapes, total),
+        _real(shapes, lines.response),
+        _driven(fit, shapes, pairs),
+    ]
+    confidence = np.prod([a.factor for a in aspects], axis=0)
+    reasons = tuple("; ".join(a.text[k] for a in aspects if a.text[k]) for k in range(fit.poles.size))
+    return Verdict(np.abs(fit.poles) / (2 * np.pi), confidence, reasons)
+
+
+def _texts(factor: Float, good: Sequence[str], bad: Sequence[str], below: float = 0.9) -> _Aspect:
+    return _Aspect(factor, tuple(b if x < below else g for x, g, b in zip(factor, good, bad, strict=True)))
+
+
+def _stable(c: Candidates) -> _Aspect:
+    factor = np.clip((c.support - 0.15) / 0.35, 0, 1) * np.clip(1.6 - c.scatter, 0.4, 1)
+    text = [f"in {100 * s:.0f} % of the orders" for s in c.support]
+    return _texts(
+        factor, text, [f"{t} only, scatter {x:.2g} half bandwidths" for t, x in zip(text, c.scatter, strict=True)]
+    )
+
+
+def _gains(lines: Lines, fit: Refined, shapes: Complex, total: Float) -> _Aspect:
+    """Gain per real unknown over the squared error near the mode, weighted with the mode's own magnitude."""
+    rest = _rest(lines, fit.poles, fit.participation, shapes)
+    near = np.abs(1 / (lines.s[:, None] - fit.poles)) ** 4
+    near /= near.sum(axis=0)
+    ratio = total / (2 * shapes.shape[0]) / np.maximum(near.T @ rest, 1e-300)
+    factor = np.clip(np.log(np.maximum(ratio, 1e-9) / 2) / np.log(SIGNIFICANT / 2), 0, 1)
+    text = [f"contribution {10 * np.log10(max(r, 1e-9)):.0f} dB over the error" for r in ratio]
+    return _texts(factor, text, [f"weak, {t}" for t in text])
+
+
+def _rest(lines: Lines, poles: Complex, participation: Complex, shapes: Complex) -> Float:
+    """(freq,) mean squared weighted error per real value."""
+    model = modal_part(lines, poles, shapes, participation).transpose(2, 0, 1) * lines.weight[:, :, None]
+    model -= lines.terms @ (lines.terms.conj().transpose(0, 2, 1) @ model)
+    e = np.abs(lines.y - model) ** 2 * lines.response**2
+    return np.asarray(0.5 * e.mean(axis=(0, 2)))
+
+
+def _damped(fit: Refined, damping_max: float) -> _Aspect:
+    zeta = -fit.poles.real / np.abs(fit.poles)
+    doubt = fit.std_damping / np.maximum(zeta, 1e-9)
+    factor = np.where((zeta > 1e-5) & (zeta < damping_max), 1.0, 0.0) * np.clip(1.4 - doubt, 0, 1)
+    good = [f"damping {100 * z:.3g} %" for z in zeta]
+    return _texts(
+        factor,
+        good,
+        [f"{g} ± {100 * s:.2g} % out of range or unknown" for g, s in zip(good, fit.std_damping, strict=True)],
+    )
+
+
+def _placed(lines: Lines, fit: Refined, c: Candidates) -> _Aspect:
+    f = np.abs(fit.poles) / (2 * np.pi)
+    low, high = lines.s.imag[[0, -1]] / (2 * np.pi)
+    width = np.abs(c.pole.real) + np.pi * (lines.s.imag[1] - lines.s.imag[0]) / (2 * np.pi) + 1e-12
+    moved = np.abs(fit.poles - c.pole) / width
+    factor = np.where((f > low) & (f < high), np.clip(2.0 - moved / 6, 0, 1), 0.0)
+    return _texts(factor, [""] * f.size, [f"moved {m:.1f} half bandwidths in the refinement" for m in moved])
+
+
+def _double(lines: Lines, fit: Refined, shapes: Complex, total: Float) -> _Aspect:
+    """A weaker mode near a stronger one of the same shape and participation is its double."""
+    p = fit.poles
+    width = np.maximum(np.abs(p.real)[:, None], np.abs(p.real)[None]) + (lines.s.imag[1] - lines.s.imag[0])
+    close = np.abs(p[:, None] - p) / width
+    alike = mac(shapes, shapes) * mac(fit.participation.T, fit.participation.T)
+    stronger = total[None] > total[:, None]
+    share = total[:, None] / np.maximum(total[None], 1e-300)
+    bad = stronger & (((close < 1.0) & (alike > 0.8)) | ((close < 3.0) & (alike > 0.9) & (share < 0.1)))
+    which = np.where(bad.any(axis=1), np.argmax(bad, axis=1), -1)
+    text = [f"doubles the mode at {abs(p[j]) / (2 * np.pi):.4g} Hz" if j >= 0 else "" for j in which]
+    return _texts(np.where(which >= 0, 0.1, 1.0), [""] * p.size, text)
+
+
+def _real(shapes: Complex, weight: Float) -> _Aspect:
+    value = mpc(shapes * weight[:, None]) if shapes.shape[0] > 2 else np.ones(shapes.shape[1])
+    factor = np.clip(0.6 + 0.6 * value, 0, 1)
+    text = [f"MPC {v:.3f}" for v in value]
+    return _texts(factor, text, [f"{t}, a complex shape" for t in text])
+
+
+def _driven(fit: Refined, shapes: Complex, pairs: Sequence[tuple[int, int, float]]) -> _Aspect:
+    """Share of the driving-point residues, by size, that have the phase of a positive modal mass."""
+    n = fit.poles.size
+    if not pairs:
+        return _Aspect(np.ones(n), ("",) * n)
+    o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
+    residue = shapes[o] * fit.participation.T[i] * sign[:, None] * 1j
+    phase = residue.real.sum(axis=0) / np.maximum(np.abs(residue).sum(axis=0), 1e-300)
+    factor = np.clip(0.7 + 0.6 * phase, 0.2, 1)
+    return _texts(
+        factor,
+        ["driving points in phase"] * n,
+        [f"driving-point phase {p:.2f}, 1 is a positive mass" for p in phase],
+    )

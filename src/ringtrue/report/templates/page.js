@@ -1,0 +1,89 @@
+"use strict";
+// Draws the figures one after the other so that the page stays usable, runs the tabs and the contents, prepares for print.
+(() => {
+  const PAPER = 686; // px at 96 dpi: the text width of an A4 page
+  const config = { displaylogo: false, responsive: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
+  const plots = [...document.querySelectorAll("[data-plot]")];
+  const views = [...document.querySelectorAll("[data-view]")];
+  const plotData = [...document.querySelectorAll("script.plot-data")];
+  const viewData = [...document.querySelectorAll("script.view-data")];
+  const drawn = [];
+  const widthOf = (div) => Math.max(div.parentElement.clientWidth, 200);
+
+  function drawPlot(div) {
+    const spec = JSON.parse(plotData[+div.dataset.plot].textContent);
+    spec.layout.width = widthOf(div);
+    return Plotly.newPlot(div, spec.data, spec.layout, config).then(() => {
+      drawn.push(div);
+      window.ringtrueDrawn += 1;
+    });
+  }
+
+  function drawView(div) {
+    window.ringtrueView(div, JSON.parse(viewData[+div.dataset.view].textContent));
+    window.ringtrueDrawn += 1;
+  }
+
+  async function drawAll() {
+    const all = [...document.querySelectorAll("[data-plot], [data-view]")];
+    for (const div of all) {
+      if (div.dataset.plot !== undefined) await drawPlot(div);
+      else drawView(div);
+      await new Promise((next) => setTimeout(next, 0));
+    }
+    document.documentElement.dataset.drawn = "true";
+  }
+
+  function fit(width) {
+    for (const div of drawn) {
+      const w = width ? width(div) : widthOf(div);
+      if (Math.abs(w - div._fullLayout.width) > 2) Plotly.relayout(div, { width: w });
+    }
+  }
+
+  for (const tabs of document.querySelectorAll(".tabs")) {
+    const buttons = [...tabs.querySelector(".tabbar").children];
+    const panels = [...tabs.children].filter((c) => c.classList.contains("panel"));
+    const show = (k) => {
+      buttons.forEach((b, i) => b.setAttribute("aria-selected", i === k));
+      panels.forEach((p, i) => p.classList.toggle("shown", i === k));
+    };
+    buttons.forEach((b, k) => {
+      b.addEventListener("click", () => show(k));
+      b.addEventListener("keydown", (e) => {
+        const step = { ArrowRight: 1, ArrowLeft: -1 }[e.key];
+        if (!step) return;
+        const to = (k + step + buttons.length) % buttons.length;
+        show(to);
+        buttons[to].focus();
+      });
+    });
+  }
+
+  const links = new Map([...document.querySelectorAll("nav li a")].map((a) => [a.hash.slice(1), a]));
+  const sections = [...document.querySelectorAll("main > section")];
+  function mark() {
+    const at = sections.filter((s) => s.getBoundingClientRect().top < 120).pop() || sections[0];
+    for (const [id, a] of links) a.classList.toggle("here", at && id === at.id);
+  }
+  let queued = false;
+  addEventListener("scroll", () => {
+    if (queued) return;
+    queued = true;
+    requestAnimationFrame(() => { queued = false; mark(); });
+  }, { passive: true });
+  mark();
+
+  let timer;
+  addEventListener("resize", () => {
+    clearTimeout(timer);
+    timer = setTimeout(() => fit(), 150);
+  });
+  // On paper a figure in two columns has half the width.
+  addEventListener("beforeprint", () => {
+    fit((div) => (div.closest(".columns") ? (PAPER - 34) / 2 : PAPER));
+    window.ringtrueStill(PAPER);
+  });
+  addEventListener("afterprint", () => { fit(); window.ringtrueStill(0); });
+  drawAll();
+})();

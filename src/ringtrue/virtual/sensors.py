@@ -1,0 +1,200 @@
+"""Measuring chains: from the motion at a point to the volts on disk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from ringtrue.core.arrays import Any_, Complex, Float
+from ringtrue.core.signals import Quantity
+from ringtrue.errors import InputError
+from ringtrue.virtual.noise import NoiseFloor, anti_alias, coloured, hum
+from ringtrue.virtual.response import MOTIONS, Motion, lines
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """A sensor and its recorder channel.
+
+    Attributes
+    ----------
+    name : str
+        Type.
+    quantity, unit : str
+        SI.
+    sensitivity : float, V per unit
+        On the calibration sheet.
+    range : float, V
+        Full scale of the recorder channel, ±.
+    floor : NoiseFloor
+        In the unit of the quantity.
+    corner, damping : float, Hz, -
+        Second-order high pass; 0 Hz for a sensor that reaches 0 Hz.
+    calibration : float
+        Largest error of the sheet's sensitivity, relative.
+    hum : float, V
+        Typical amplitude of mains pick-up.
+    drift, offset : float, V
+        Largest drift over an hour, and zero offset.
+    bits : int
+    """
+
+    name: str
+    quantity: Quantity
+    unit: str
+    sensitivity: float
+    range: float
+    floor: NoiseFloor
+    corner: float = 0.0
+    damping: float = 0.7
+    calibration: float = 0.01
+    hum: float = 2e-6
+    drift: float = 1e-3
+    offset: float = 5e-3
+    bits: int = 24
+
+    def transfer(self, freqs: Float) -> Complex:
+        """(line,) complex128, output over sensitivity: s²/(s² + 2ζω₀s + ω₀²), or 1."""
+        if self.corner == 0:
+            return np.ones(freqs.size, dtype=np.complex128)
+        r = 1j * freqs / self.corner
+        return np.asarray(r**2 / (r**2 + 2 * self.damping * r + 1))
+
+    @property
+    def motion(self) -> Motion:
+        """The quantity as a motion.
+
+        Raises
+        ------
+        InputError
+            If the sensor does not measure one.
+        """
+        for name in MOTIONS:
+            if name == self.quantity:
+                return name
+        raise InputError(f"{self.name} measures {self.quantity}; allowed are {', '.join(MOTIONS)}")
+
+    @property
+    def step(self) -> float:
+        """One unit of the converter, V."""
+        return float(2.0 * self.range / 2**self.bits)
+
+    def noise_psd(self, freqs: Float, rate: float) -> Float:
+        """Self-noise and quantisation referred to the unit before the high pass, one-sided, unit²/Hz."""
+        quantisation = self.step**2 / 6.0 / rate / self.sensitivity**2
+        return np.asarray(
+            (self.floor.psd(freqs) + quantisation) / np.maximum(np.abs(self.transfer(freqs)), 1e-9) ** 2
+        )
+
+
+_UG = 9.80665e-6  # m/s² per µg
+
+ACCELEROMETER = Sensor(
+    "force-balance accelerometer", "acceleration", "m/s^2", 1.02, 2.5, NoiseFloor(0.1 * _UG, 1.0)
+)
+GEOPHONE = Sensor(
+    "geophone 4.5 Hz", "velocity", "m/s", 28.8, 1.0, NoiseFloor(5e-9, 1.0), 4.5, 0.56, hum=3e-6, drift=2e-4
+)
+ICP = Sensor(
+    "ICP accelerometer", "acceleration", "m/s^2", 0.0102, 0.5, NoiseFloor(10 * _UG, 5.0), 0.25, 0.9, hum=1e-6
+)
+FORCE_CELL = Sensor("force cell", "force", "N", 2.3e-4, 5.0, NoiseFloor(0.02, 5.0), 0.01, 0.9, hum=1e-5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """The sensors of one record with what the crew does not know of them.
+
+    Attributes
+    ----------
+    sensors : tuple of Sensor
+    true_sensitivity, offset, drift, hum : (channel,) float64, V per unit, V, V/s, V
+    """
+
+    sensors: tuple[Sensor, ...]
+    true_sensitivity: Float
+    offset: Float
+    drift: Float
+    hum: Float
+
+    @classmethod
+    def draw(cls, sensors: tuple[Sensor, ...], rng: np.random.Generator) -> Chain:
+        """A particular set of sensors."""
+
+        def column(name: str) -> Float:
+            return np.array([getattr(s, name) for s in sensors], dtype=np.float64)
+
+        error = np.clip(rng.normal(0, 0.4, len(sensors)), -1, 1) * column("calibration")
+        offset = rng.uniform(-1, 1, len(sensors)) * column("offset")
+        drift = rng.uniform(-1, 1, len(sensors)) * column("drift") / 3600
+        pickup = column("hum") * rng.lognormal(0, 0.5, len(sensors))
+        return cls(sensors, column("sensitivity") * (1 + error), offset, drift, pickup)
+
+    def gain(self, freqs: Float, rate: float) -> Complex:
+        """(channel, line) volts per unit, recorder filter included."""
+        kinds, which = _kinds(self.sensors)
+        rows = np.stack([s.transfer(freqs) for s in kinds]) * anti_alias(freqs, rate)
+        return np.asarray(rows[which] * self.true_sensitivity[:, None])
+
+    def noise(self, samples: int, rate: float, rng: np.random.Generator) -> Complex:
+        """(channel, line) spectra of self-noise and hum, V, recorder filter included."""
+        freqs = lines(samples, rate)
+        kinds, which = _kinds(self.sensors)
+        psd = np.stack([s.floor.psd(freqs) * s.sensitivity**2 for s in kinds])[which]
+        return (coloured(psd, samples, rate, rng) + hum(self.hum, samples, rate, rng)) * anti_alias(freqs, rate)
+
+    def digitise(self, volts: Float, rate: float, *, start: int = 0) -> Any_:
+        """Offset, drift, clipping at the range and rounding to the converter's step.
+
+        Parameters
+        ----------
+        volts : (channel, sample) float64, overwritten
+        rate : float, Hz
+        start : int
+            Number of the first sample.
+
+        Returns
+        -------
+        (channel, sample) float32, V
+        """
+        seconds = (start + np.arange(volts.shape[1])) / rate
+        full = np.array([s.range for s in self.sensors])[:, None]
+        step = np.array([s.step for s in self.sensors])[:, None]
+        volts += self.offset[:, None] + self.drift[:, None] * seconds
+        np.clip(volts, -full, full - step, out=volts)
+        volts /= step
+        np.rint(volts, out=volts)
+        volts *= step
+        return volts.astype(np.float32)
+
+
+def record(
+    motion: Complex, chain: Chain, samples: int, rate: float, rng: np.random.Generator
+) -> tuple[Any_, Complex]:
+    """Volts on disk from the spectra at the sensors.
+
+    Parameters
+    ----------
+    motion : (channel, line) complex128
+        In the unit of each sensor; overwritten by its volts.
+    chain : Chain
+
+    Returns
+    -------
+    volts : (channel, sample) float32
+    noise : (channel, line) complex128, V
+        Its noise part.
+    """
+    if motion.shape[0] != len(chain.sensors):
+        raise InputError(f"{motion.shape[0]} motions for {len(chain.sensors)} sensors")
+    motion *= chain.gain(lines(samples, rate), rate)
+    noise = chain.noise(samples, rate, rng)
+    return chain.digitise(np.asarray(fft.irfft(motion + noise, samples, overwrite_x=True)), rate), noise
+
+
+def _kinds(sensors: tuple[Sensor, ...]) -> tuple[list[Sensor], list[int]]:
+    kinds = list(dict.fromkeys(sensors))
+    here = {s: i for i, s in enumerate(kinds)}
+    return kinds, [here[s] for s in sensors]
