@@ -37,7 +37,10 @@ def made_up(seed: int = 1, points: int = 16) -> MadeUp:
     ground = tuple(f"{g}+{a}" for g in ("ground", "groundv") for a in "XYZ")
     references = channels[2:12:3]
     phi = _shapes(rng, np.vstack([xyz.repeat(3, axis=0), rng.uniform(0, 10, (len(extra), 3))]), f.size)
-    out, load = phi[: len(channels)], np.vstack([phi[[channels.index(r) for r in references]], phi[len(channels) :]])
+    out, load = (
+        phi[: len(channels)],
+        np.vstack([phi[[channels.index(r) for r in references]], phi[len(channels) :]]),
+    )
     poles = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - zeta**2))
     springs = rng.normal(size=(f.size, 3)) * np.sqrt(MASS)
     springs[8:] *= 0.1
@@ -63,7 +66,11 @@ def made_up(seed: int = 1, points: int = 16) -> MadeUp:
 def _shapes(rng: np.random.Generator, xyz: np.ndarray, modes: int) -> np.ndarray:
     """Smooth random mass-normalised shapes (row, mode) of size 1/√mass."""
     k = rng.normal(0, 0.15, (3, modes))
-    return np.sqrt(2 / MASS) * np.cos(xyz @ k + rng.uniform(0, 2 * np.pi, modes)) * rng.choice([-1, 1], xyz.shape[:1])[:, None]
+    return (
+        np.sqrt(2 / MASS)
+        * np.cos(xyz @ k + rng.uniform(0, 2 * np.pi, modes))
+        * rng.choice([-1, 1], xyz.shape[:1])[:, None]
+    )
 
 
 def made_up_plan(twin: MadeUp, **changes: object) -> CampaignPlan:

@@ -20,13 +20,13 @@ from ringtrue.eigen.problem import EigenModes, eigenvalue
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.derivatives import terms
+from ringtrue.fem.derivatives import matrix_derivatives
+from ringtrue.fem.response import frf as superpose
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
 Progress = Callable[[float, str], None]
 Kind = Literal["receptance", "mobility", "accelerance"]
-_POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 
 
@@ -52,9 +52,8 @@ class EmbeddedAnalysis:
         self._shift: float | None = None
 
     def _labels(self, rows: Int) -> list[str]:
-        columns = abs(sparse.csc_array(self.system.transform)[:, rows]).toarray()
-        at = columns.argmax(axis=0)
-        return list(DofSet(self.dofs.node[at], self.dofs.direction[at]).labels()) if rows.size else []
+        free = self.system.free
+        return list(DofSet(free.node[rows], free.direction[rows]).labels())
 
     def eigen(self, request: ModesRequest) -> EigenModes:
         """Modes in the free DOFs: the lowest `count` (and a few above), or the band."""
@@ -83,18 +82,10 @@ class EmbeddedAnalysis:
         )
         return ModesResult(modes, found.residuals[:n], found.complete, found.proof)
 
-    def free(self, shapes: Any_) -> Float:
-        """Shapes (f, m) in the free DOFs of shapes (dof, m) in the full set."""
-        t = self.system.transform
-        normal = Pencil(sparse.csr_array(t.T @ t), sparse.csr_array((t.shape[1],) * 2, dtype=np.float64))
-        found = normal.at(0.0).solve(np.asarray(t.T @ shapes))
-        normal.close()
-        return found
-
     def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
         """∂λ/∂a (m, p) and ∂φ/∂a (dof, m, p) at a = 1 of modes of this model."""
-        slopes = [self._slope(terms(self.model, p, self.system)) for p in parameters.parameters]
-        phi = self.free(modes.shapes)
+        slopes = [Slope(*matrix_derivatives(self.model, p, self.system)) for p in parameters.parameters]
+        phi = np.asarray(self.system.local @ modes.shapes)
         top = float(modes.frequencies.max(initial=0.0))
         lowest = self._lowest_up_to(top, len(modes))
         turn = lowest.vectors.T @ (self.system.mass @ phi)  # signs and rotations of the given modes
@@ -106,13 +97,6 @@ class EmbeddedAnalysis:
         d_lambda = np.stack(columns, axis=1) if columns else np.zeros((len(modes), 0))
         full = self.system.transform @ d_phi.reshape(phi.shape[0], -1)
         return d_lambda, full.reshape(-1, len(modes), len(slopes))
-
-    def _slope(self, parts: Sequence[object]) -> Slope:
-        shape = self.system.stiffness.shape
-        k, m = sparse.csr_array(shape, dtype=np.float64), sparse.csr_array(shape, dtype=np.float64)
-        for t in parts:  # over powers of the parameter
-            k, m = k + t.power * t.stiffness, m + t.power * t.mass  # type: ignore[attr-defined]
-        return Slope(sparse.csr_array(k), sparse.csr_array(m))
 
     def _lowest_up_to(self, top: float, count: int) -> EigenModes:
         """All modes from the lowest to well above `top` Hz."""
@@ -147,7 +131,7 @@ class EmbeddedAnalysis:
         keep = np.arange(min(count, found.poles.size))
         if request.band is not None:
             keep = np.flatnonzero((found.frequencies >= request.band[0]) & (found.frequencies <= request.band[1]))
-        shapes = self.system.transform @ (real.vectors @ found.shapes[:, keep])
+        shapes = np.asarray(self.system.transform @ (real.vectors @ found.shapes[:, keep]))
         return ModeSet(
             found.frequencies[keep], found.damping[keep], shapes, self.dofs, Norm.MODAL_A, "embedded, complex"
         )
@@ -181,16 +165,13 @@ class EmbeddedAnalysis:
             request = ModesRequest(band=(-1.0, request.band[1]))
         modes = self.eigen(request)
         out, into = self._rows(outputs), self._rows(inputs)
-        w = 2 * np.pi * np.asarray(freqs, dtype=np.float64)[:, None]
-        natural = np.sqrt(np.maximum(modes.values, 0.0))
-        zeta = np.broadcast_to(np.asarray(damping, dtype=np.float64), natural.shape)
-        gain = 1 / (modes.values - w**2 + 2j * zeta * natural * w)
+        zeta = np.broadcast_to(np.asarray(damping, dtype=np.float64), modes.values.shape)
         a, b = out @ modes.vectors, into @ modes.vectors
-        h: Complex = np.einsum("om,fm,im->foi", a, gain, b, optimize=True)
+        rest = None
         if residual:
             flexible = out @ self.pencil.at(modes.shift).solve(into.T.toarray())
-            h = h + (flexible - (a / (modes.values - modes.shift)) @ b.T)
-        return np.asarray(h * ((1j * w) ** _POWER[kind])[:, :, None])
+            rest = np.asarray(flexible - (a / (modes.values - modes.shift)) @ b.T)
+        return superpose(freqs, modes.frequencies, zeta, a, b, kind, residual=rest)
 
     def _rows(self, dofs: DofSet) -> sparse.csr_array:
         index, sign = self.dofs.align(dofs)

@@ -11,9 +11,9 @@ from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.errors import InputError, UnsupportedError
+from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.derivatives import terms
+from ringtrue.fem.derivatives import scaled, terms
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest
 from ringtrue.reduce.parametric import (
@@ -27,7 +27,7 @@ from ringtrue.reduce.parametric import (
 
 
 def at_factors(model: Model, parameters: ParameterSet, factors: Float) -> Model:
-    """A copy with each parameter's fields multiplied by its factor.
+    """A copy with each parameter's fields multiplied by its factor a (p,).
 
     Raises
     ------
@@ -35,14 +35,7 @@ def at_factors(model: Model, parameters: ParameterSet, factors: Float) -> Model:
         If a target is not in the model.
     """
     for p, a in zip(parameters.parameters, np.asarray(factors).tolist(), strict=True):  # over parameters
-        for t in p.targets:
-            if t.card not in model or t.field not in model[t.card].columns:
-                raise InputError(f"parameter {p.name}: no field {t.field} on a {t.card} card in this model")
-            row = model[t.card].find(np.array([t.id]))
-            if row[0] < 0:
-                raise InputError(f"parameter {p.name}: no {t.card} {t.id} in the model")
-            now = model[t.card][t.field][row]
-            model = model.with_values(t.card, t.field, np.array([t.id]), a * now)
+        model = scaled(model, p, a)
     return model
 
 

@@ -123,7 +123,8 @@ def _find_shift(pencil: Pencil, count: int) -> float:
         theta = krylov.ritz()[0]
         values = shift + 1 / theta[theta > 1e-12 * theta.max()][: max(2, min(count, 10))]
         better = -_suitable(values)
-        if 0.02 < better / shift < 50:
+        far = 2 * float(np.abs(values).max()) * max(count / 10, 1.0)  # of the order of the highest mode asked for
+        if 0.02 * better > shift > -far:
             return shift
         shift = better
     return shift

@@ -18,10 +18,8 @@ from ringtrue.model.model import Model
 STEP = 1e-40  # of the complex step; nothing is subtracted, so it costs no digits
 CHECK = 1.37  # a factor at which the polynomial must hold
 EXACT, NOISE = 1e-10, 1e-13  # relative: not polynomial above, no such power below
-_GEOMETRY = frozenset(
-    ("X1", "X2", "X3", "W1A", "W2A", "W3A", "W1B", "W2B", "W3B", "S", "S1", "S2", "S3")
-    + ("N1A", "N2A", "N1B", "N2B", "M1A", "M2A", "M1B", "M2B")
-)
+_PLACES = """X1 X2 X3 W1A W2A W3A W1B W2B W3B S S1 S2 S3 N1A N2A N1B N2B M1A M2A M1B M2B"""
+_GEOMETRY = frozenset(_PLACES.split())
 _BOTH_ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "I12": "I12B", "J": "JB", "NSM": "NSMB"}
 
 

@@ -1,7 +1,7 @@
 """Output-only identification in one call: a pyramid of bands, every order in each, modes with their uncertainty.
 
 A wide band at a high rate spans a fraction of a period of a slow mode with its lags, so the record is decimated by
-four again and again; each band keeps 0.06 to 0.4 of its rate and overlaps the next.
+four again and again; each band keeps 0.06 to 0.34 of its rate and overlaps the next.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from ringtrue.shapes.mac import mac
 from ringtrue.signal.preprocess import Band, Harmonic, band_signals, harmonics, usable
 from ringtrue.signal.psd import Welch, csd
 
+TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 Progress = Callable[[float, str], None]
 
 
@@ -50,7 +51,7 @@ class AmbientSettings:
     order_max: int = 80
     block_rows: int = 50
     references: tuple[str, ...] = ()
-    confidence_min: float = 0.35
+    confidence_min: float = 0.33
 
     def __post_init__(self) -> None:
         low, high = self.fmin or 0.0, self.fmax or np.inf
@@ -111,11 +112,11 @@ def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[
             f"band {low:.4g} .. {high:.4g} Hz is empty: {duration:.4g} s at {rate:.4g} Hz allow "
             f"{50 / duration:.4g} .. {0.49 * rate:.4g} Hz"
         )
-    top = rate if high > 0.4 * rate else min(rate, high / 0.4)
+    top = rate if high > TOP * rate else high / TOP
     bands = [Band(max(low, 0.06 * top), high, top)]
     while bands[-1].low > low:
         r = bands[-1].rate / 4
-        bands.append(Band(max(low, 0.06 * r), 0.4 * r, r))
+        bands.append(Band(max(low, 0.06 * r), TOP * r, r))
     return tuple(bands)
 
 
@@ -154,8 +155,8 @@ def _band(history: TimeHistory, band: Band, settings: AmbientSettings, refs: Int
     data = history.data
     rows = int(np.clip(data.shape[1] // 60, 10, settings.block_rows))
     ssi = SsiCov(rows, settings.order_max)
-    scale = data.std(1, keepdims=True)
-    r, weights = blockwise(data / scale, ssi, refs)
+    r, weights, rms = blockwise(data, ssi, refs)
+    scale = rms[:, None]
     poles = identify_band(r, weights, ssi, history.rate, (band.low, band.high))
     table = candidates(poles)
     if table.pole.size:
@@ -187,9 +188,9 @@ def _select(found: list[_Found], least: float) -> list[tuple[int, int]]:
     sf = np.array([found[b].table.stds()[0][i] for b, i in rows])
     conf = np.array([found[b].confidence[i] for b, i in rows])
     band = np.array([b for b, _ in rows])
-    like = mac(*(np.stack([found[b].shape[:, i] for b, i in rows], axis=1),) * 2) > 0.8
+    psi = np.stack([found[b].shape[:, i] for b, i in rows], axis=1)
     near = np.abs(f[:, None] - f) < np.maximum(4 * np.hypot(sf[:, None], sf), (z * f)[:, None] + z * f)
-    same = like & near & _mergeable(band, conf)
+    same = near & _alike(mac(psi, psi), band, conf)
     keep: list[int] = []
     for k in np.lexsort((sf / f, -conf.round(1))).tolist():  # greedy: the best first
         if not same[k, keep].any():
@@ -197,10 +198,10 @@ def _select(found: list[_Found], least: float) -> list[tuple[int, int]]:
     return [rows[k] for k in sorted(keep, key=lambda k: float(f[k]))]
 
 
-def _mergeable(band: Int, conf: Float) -> Bool:
-    """Two clusters of one band that are both beyond doubt are two modes, however like their shapes."""
-    both = np.minimum(conf[:, None], conf) > 0.6
-    return np.asarray(~((band[:, None] == band) & both))
+def _alike(like: Float, band: Int, conf: Float) -> Bool:
+    """Shapes (MAC `like`) of one mode; two clusters of one band beyond doubt must be more alike to be one."""
+    sure = (np.minimum(conf[:, None], conf) > 0.6) & (band[:, None] == band)
+    return np.asarray(like > np.where(sure, 0.95, 0.8))
 
 
 def _machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: float) -> Harmonic | None:

@@ -16,20 +16,23 @@ from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
+from ringtrue.identify.deflate import missed, support
 from ringtrue.identify.judge import Candidates, Verdict, judge
 from ringtrue.identify.lsfd import Lines, Noise, driving_pairs, lsfd, noise, prepare, synthesise_windowed
 from ringtrue.identify.plscf import Clusters, Plscf, cluster_poles, order_range, plscf
-from ringtrue.identify.poles import StableDiagram
+from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine
 from ringtrue.shapes.mac import mac
 
 log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 
-RATIO = 2.5  # upper to lower edge of a band
-LEAST_LINES = 48
-MOST_PEAKS = 10
+RATIO = 1.8  # upper to lower edge of a band
+LEAST_LINES = 64
+MOST_PEAKS = 5
 TURNS = 6
+MOST_NEW = 6
+MOST_PRINCIPAL = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +49,8 @@ class HammerModes:
         Bands of the pole search; by default chosen from the data.
     confidence_min : float
         Modes below are left out.
+    searches : int
+        Times to look for missed modes in what the fit leaves.
     """
 
     fmin: float | None = None
@@ -53,6 +58,7 @@ class HammerModes:
     damping_max: float = 0.12
     bands: tuple[tuple[float, float], ...] = ()
     confidence_min: float = 0.5
+    searches: int = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,8 +107,8 @@ def identify_hammer(
     """Modes from frequency response functions, automatically.
 
     pLSCF of many orders in several overlapping bands; poles that stay in place over the orders become candidates;
-    one global LSFD gives their shapes; weighted nonlinear least squares refines all of them together; modes that add
-    nothing, double another one or cannot be told from noise are left out.
+    one global LSFD gives their shapes; weighted nonlinear least squares refines all of them together; modes that
+    add nothing, double another one or cannot be told from noise are left out.
 
     Parameters
     ----------
@@ -134,9 +140,9 @@ def identify_hammer(
         raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz")
     tell(0.65, f"residues of {candidates.pole.size} candidates")
     lines = prepare(used, sigma)
-    fit, candidates, verdict, rejected = _fit(lines, driving_pairs(used), candidates, settings, tell)
+    fit, rejected = _fit(lines, used, candidates, [d.poles for d in diagrams], settings, tell)
     tell(0.95, "verdict")
-    return _report(used, lines, fit, verdict, rejected, (low, high), tuple(diagrams), curve)
+    return _report(used, lines, fit, rejected, (low, high), tuple(diagrams), curve)
 
 
 def cmif(data: Complex) -> Float:
@@ -211,13 +217,25 @@ def _band(
     lowest, highest = order_range(n_in, count_peaks(curve[at]).size, int(at.sum()))
     most = settings.damping_max + frfs.window_decay / (2 * np.pi * band[0])
     estimator = Plscf(lowest, highest, most)
-    line = sigma.line[at].mean(axis=1)
-    weights = 1 / sigma.response
-    level = (np.median(line) / line)[:, None, None]
-    poles = plscf(frfs.data[at] * level, frfs.freqs[at], estimator, weights)
+    white = frfs.data[at] / sigma.response[:, None] / sigma.line[at].mean(axis=1)[:, None, None]
+    poles = plscf(principal(white), frfs.freqs[at], estimator)
     clusters = cluster_poles(poles, _step(frfs))
     db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
     return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
+
+
+def principal(data: Complex) -> Complex:
+    """(freq, r, in) responses combined along the directions that stand out of the noise; `data` has noise of 1.
+
+    The combination is real, for the response space of real modes, and leaves r/out of the noise.
+    """
+    n_out = data.shape[1]
+    rows = data.transpose(1, 0, 2).reshape(n_out, -1)
+    values, vectors = np.linalg.eigh((rows @ rows.conj().T).real)
+    n = 2 * rows.shape[1]
+    edge = n * (1 + np.sqrt(n_out / n)) ** 2  # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
+    r = int(np.clip((values > 1.5 * edge).sum(), min(n_out, 4), MOST_PRINCIPAL))
+    return np.asarray(vectors[:, -r:].T @ data)
 
 
 def _merge(found: Sequence[Clusters], step: float, decay: float) -> Candidates:
@@ -249,22 +267,66 @@ def _distance(pole: Complex, part: Complex, step: float) -> Float:
     return np.asarray(far)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    refined: Refined
+    candidates: Candidates
+    verdict: Verdict
+
+
 def _fit(
-    lines: Lines, pairs: Sequence[tuple[int, int, float]], start: Candidates, settings: HammerModes, tell: Progress
-) -> tuple[Refined, Candidates, Verdict, list[str]]:
+    lines: Lines, frfs: FrfSet, start: Candidates, sets: Sequence[PoleSet], settings: HammerModes, tell: Progress
+) -> tuple[_Fit, list[str]]:
+    """Refine and prune; then look for modes in what is left over, until none comes to stay."""
+    pairs, decay = driving_pairs(frfs), frfs.window_decay
+    best, rejected = _settle(lines, start, pairs, settings)
+    for turn in range(settings.searches):
+        tell(0.7 + 0.25 * turn / settings.searches, f"{best.refined.poles.size} modes, looking for missed ones")
+        more = missed(lines, best.refined, sets, decay, MOST_NEW)
+        if not more.pole.size:
+            break
+        new, why = _settle(lines, _joined(best, more), pairs, settings, sets, decay)
+        rejected += why
+        gained = new.refined.poles.size > best.refined.poles.size and new.refined.cost < best.refined.cost
+        if not gained:
+            break
+        best = new
+    return best, rejected
+
+
+def _joined(fit: _Fit, more: Candidates) -> Candidates:
+    r, c = fit.refined, fit.candidates
+    return Candidates(
+        np.concatenate([r.poles, more.pole]),
+        np.concatenate([r.participation, more.participation]),
+        np.concatenate([c.support, more.support]),
+        np.concatenate([c.scatter, more.scatter]),
+    )
+
+
+def _settle(
+    lines: Lines,
+    candidates: Candidates,
+    pairs: Sequence[tuple[int, int, float]],
+    settings: HammerModes,
+    sets: Sequence[PoleSet] = (),
+    decay: float = 0.0,
+) -> tuple[_Fit, list[str]]:
     """Refinement and pruning in turns, until no mode falls out."""
-    candidates, rejected = start, list[str]()
-    fit = refine(lines, candidates.pole, candidates.participation, iterations=0)
-    for turn in range(TURNS):
+    rejected: list[str] = []
+    fit = refine(lines, candidates.pole, candidates.participation)
+    for _ in range(TURNS):
+        if sets:
+            seen = support(fit.poles, fit.participation, sets, decay)
+            candidates = replace(candidates, pole=fit.poles, support=np.maximum(candidates.support, seen))
         verdict = judge(lines, fit, candidates, pairs, damping_max=settings.damping_max)
         keep = verdict.confidence >= settings.confidence_min
-        if turn and keep.all():
+        if keep.all():
             break
-        rejected += [verdict.describe(k) for k in np.flatnonzero(~keep)]
+        rejected += [verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
         candidates = candidates.take(keep)
-        tell(0.7 + 0.04 * turn, f"refining {candidates.pole.size} modes")
         fit = refine(lines, fit.poles[keep], fit.participation[keep])
-    return fit, candidates, verdict, rejected
+    return _Fit(fit, candidates, judge(lines, fit, candidates, pairs, damping_max=settings.damping_max)), rejected
 
 
 def _scale(model: ModalModel) -> Complex:
@@ -279,13 +341,13 @@ def _scale(model: ModalModel) -> Complex:
 def _report(
     frfs: FrfSet,
     lines: Lines,
-    fit: Refined,
-    verdict: Verdict,
+    found: _Fit,
     rejected: Sequence[str],
     band: tuple[float, float],
     diagrams: tuple[StableDiagram, ...],
     curve: Float,
 ) -> HammerResult:
+    fit, verdict = found.refined, found.verdict
     model = lsfd(frfs, fit.poles, fit.participation, lines)
     f = model.frequencies
     order = np.argsort(f, kind="stable")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Complex, Float
+from ringtrue.core.arrays import Any_, Bool, Complex, Float
 from ringtrue.identify.lsfd import Lines, modal_part, solve_shapes
 from ringtrue.identify.refine import Refined
 from ringtrue.shapes.complexity import mpc
@@ -92,14 +92,17 @@ def judge(
     """
     shapes, gain = solve_shapes(lines, fit.poles, fit.participation)
     total = gain.sum(axis=0)
+    driven = _driven(fit, shapes, pairs)
+    real, gains = _real(shapes, lines.response), _gains(lines, fit, shapes, total)
+    clear = (real.factor > 0.99) & (gains.factor > 0.99) & (driven.factor > 0.99)
     aspects = [
-        _stable(candidates),
-        _gains(lines, fit, shapes, total),
+        _stable(candidates, clear),
+        gains,
         _damped(fit, damping_max),
         _placed(lines, fit, candidates),
         _double(lines, fit, shapes, total),
-        _real(shapes, lines.response),
-        _driven(fit, shapes, pairs),
+        real,
+        driven,
     ]
     confidence = np.prod([a.factor for a in aspects], axis=0)
     reasons = tuple("; ".join(a.text[k] for a in aspects if a.text[k]) for k in range(fit.poles.size))
@@ -110,8 +113,10 @@ def _texts(factor: Float, good: Sequence[str], bad: Sequence[str], below: float 
     return _Aspect(factor, tuple(b if x < below else g for x, g, b in zip(factor, good, bad, strict=True)))
 
 
-def _stable(c: Candidates) -> _Aspect:
+def _stable(c: Candidates, clear: Bool) -> _Aspect:
+    """Stability over the orders; a mode whose shape, gain and phase are beyond doubt may do without."""
     factor = np.clip((c.support - 0.15) / 0.35, 0, 1) * np.clip(1.6 - c.scatter, 0.4, 1)
+    factor = np.where(clear, np.maximum(factor, 0.7), factor)
     text = [f"in {100 * s:.0f} % of the orders" for s in c.support]
     return _texts(
         factor, text, [f"{t} only, scatter {x:.2g} half bandwidths" for t, x in zip(text, c.scatter, strict=True)]

@@ -1,8 +1,8 @@
 """Least-squares frequency-domain residues (LSFD), one global problem over all lines and responses.
 
 The residues of a mode are held to rank one, ψ_k l_kᵀ, with the participation vectors l_k given. Weights are
-separable (line and input times response), so every response shares one normal matrix, and all sums over lines are those of
-scalar functions 1/(s − λ_k): a few dozen columns, whatever the number of responses.
+separable (line and input times response), so every response shares one normal matrix, and all sums over lines are
+those of scalar functions 1/(s − λ_k): a few dozen columns, whatever the number of responses.
 """
 
 from __future__ import annotations
@@ -104,10 +104,10 @@ def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
     s: Complex = 2j * np.pi * frfs.freqs + frfs.window_decay
     if (frfs.freqs <= 0).any():
         raise InputError("the line at 0 Hz has no place in a fit of modes: leave it out")
-    kind: Complex = s ** POWER[frfs.kind]
+    kind = np.asarray(s ** POWER[frfs.kind], dtype=np.complex128)
     weight = 1 / sigma.line.T
-    t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size)], axis=1)
-    terms: Complex = np.linalg.qr(weight[:, :, None] * t)[0]
+    t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
+    terms = np.asarray(np.linalg.qr(weight[:, :, None] * t)[0], dtype=np.complex128)
     y: Complex = weight[:, :, None] * frfs.data.transpose(2, 0, 1)
     return Lines(s, kind, _without(terms, y), weight, terms, 1 / sigma.response)
 
@@ -157,7 +157,7 @@ def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> tuple[
     scale = 1 / np.sqrt(np.maximum(np.diag(n).real, np.finfo(float).tiny))
     factor = lu_factor(scale[:, None] * n * scale)
     m = poles.size
-    psi: Complex = scale[:, None] * lu_solve(factor, scale[:, None] * rhs)
+    psi = np.asarray(scale[:, None] * lu_solve(factor, scale[:, None] * rhs), dtype=np.complex128)
     inverse = scale[:, None] * lu_solve(factor, np.diag(scale).astype(np.complex128))
     gain = np.abs(psi[:m].T) ** 2 / np.maximum(np.diag(inverse).real[:m], np.finfo(float).tiny)
     return psi[:m].T, np.asarray(gain * lines.response[:, None] ** 2)
@@ -188,10 +188,10 @@ def lsfd(frfs: FrfSet, poles: Complex, participation: Complex, lines: Lines | No
 
 def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Complex) -> Complex:
     """(freq, out, in) what the modes contribute, at the lines and in the kind of the data."""
-    left = shapes[None] / (lines.s[:, None, None] - poles)
-    right = shapes.conj()[None] / (lines.s[:, None, None] - poles.conj())
-    h = left @ participation + right @ participation.conj()
-    return np.asarray(h * lines.kind[:, None, None])
+    residue = (shapes.T[:, :, None] * participation[:, None, :]).reshape(poles.size, -1)
+    both = np.concatenate([residue, residue.conj()])
+    h = (lines.kind[:, None] / (lines.s[:, None] - np.concatenate([poles, poles.conj()]))) @ both
+    return np.asarray(h.reshape(lines.s.size, shapes.shape[0], participation.shape[1]))
 
 
 def synthesise_windowed(model: ModalModel, lines: Lines) -> Complex:
@@ -207,7 +207,7 @@ def _residuals(rest: Complex, lines: Lines) -> tuple[Complex, Complex]:
     t = lines.weight[:, :, None] * (lines.kind[:, None] * t)
     y = lines.weight[:, :, None] * rest.transpose(2, 0, 1)
     q, r = np.linalg.qr(t)
-    x: Complex = np.linalg.solve(r, q.conj().transpose(0, 2, 1) @ y)  # (in, 2, out)
+    x = np.asarray(np.linalg.solve(r, q.conj().transpose(0, 2, 1) @ y), dtype=np.complex128)  # (in, 2, out)
     return (x[:, 0] * lines.s[0] ** 2).T, x[:, 1].T
 
 

@@ -132,10 +132,11 @@ def _glue(group: _Group, psi: Complex, var: Float, member: tuple[int, int], freq
     wa = np.where(np.isfinite(group.var), 1 / group.var, 0.0)
     wb = np.where(np.isfinite(v), 1 / v, 0.0)
     total = wa + wb
-    shape = np.where(total > 0, (wa * np.nan_to_num(group.shape) + wb * np.nan_to_num(new)), np.nan)
-    safe = np.where(total > 0, total, np.nan)
+    inverse = np.divide(1.0, total, out=np.full(total.shape, np.nan), where=total > 0)
+    mean = (wa * np.nan_to_num(group.shape) + wb * np.nan_to_num(new)) * np.nan_to_num(inverse)
+    shape = np.where(total > 0, mean, np.nan).astype(np.complex128)
     k = len(group.members)
-    return _Group((*group.members, member), (k * group.frequency + freq) / (k + 1), shape / safe, 1 / safe)
+    return _Group((*group.members, member), (k * group.frequency + freq) / (k + 1), shape, inverse)
 
 
 def _assign(

@@ -88,7 +88,7 @@ def _plausible(poles: Complex, freqs: Float, settings: Plscf) -> Bool:
 def _factor(h: Complex, n: int) -> Float:
     """Lower Cholesky factor of the reduced normal matrix, highest power of z first, ((n+1) in, (n+1) in).
 
-    With z on the upper half circle the blocks Re Σ z^(l-k) (...) depend on l - k alone: trigonometric sums give all.
+    With z on the upper half circle the blocks Re Σ z^(l-k) (...) hang on l - k alone: trigonometric sums give all.
     """
     lines, n_out, m = h.shape
     k = np.arange(-n, n + 1)
@@ -190,7 +190,7 @@ def _clusters(poles: PoleSet, label: Int, held: Sequence[Int]) -> Clusters:
     return Clusters(
         label,
         np.array([r[0] for r in rows], dtype=np.complex128),
-        np.array([r[1] for r in rows], dtype=np.complex128).reshape(len(rows), -1).T,
+        np.array([r[1] for r in rows], dtype=np.complex128).reshape(len(rows), poles.shape.shape[0]).T,
         np.array([r[2] for r in rows]),
         np.array([r[3] for r in rows]),
     )

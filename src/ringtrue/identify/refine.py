@@ -1,8 +1,8 @@
 """Coherence-weighted nonlinear least squares on poles and participation vectors, by variable projection.
 
 The shapes and residual terms are eliminated (Golub, Pereyra 1973; Kaufman's form of the Jacobian 1975). With
-separable weights the projected Gauss-Newton matrix of every response is one matrix, scaled entry by entry by products
-of its shape components, so that a step costs no more than one LSFD.
+separable weights the projected Gauss-Newton matrix of every response is one matrix, scaled entry by entry by
+products of its shape components, so that a step costs no more than one LSFD.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ class Refined:
         Of the modulus of each component of `shapes`.
     error : float
         Weighted rms error; 1 means that the model explains the data down to the noise.
+    cost : float
+        Weighted sum of squares.
     outcome : Outcome
     """
 
@@ -47,6 +49,7 @@ class Refined:
     factor: Float
     std_shape: Float
     error: float
+    cost: float
     outcome: Outcome
 
 
@@ -120,7 +123,7 @@ def _free(part: Complex) -> Int:
 
 
 def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
-    """Shapes, cost, gradient and Gauss-Newton matrix; augmented coordinates (λ, then l of each input; value, conj)."""
+    """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input; value, conj)."""
     m, n_in = part.shape
     q, dq = functions(lines, poles), functions(lines, poles, 2)
     qh, dqh = q.conj().transpose(0, 2, 1), dq.conj().transpose(0, 2, 1)
@@ -185,6 +188,7 @@ def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
         factor,
         np.sqrt(state.shape_var * max(error2, 0) / 2),
         float(np.sqrt(error2)),
+        state.cost,
         outcome,
     )
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import eigh, qr, solve_triangular, svd
@@ -129,11 +128,11 @@ def _order(
 ) -> tuple[Int, Complex, Complex, Complex, Float]:
     """Columns, poles, shapes (ch, k), deviations (k, block) and strengths of one order within the band."""
     _, mu, right, left = transition(sub, n)
-    log: Complex = np.log(np.where(mu == 0, 1e-300, mu)) * sub.rate
+    log = np.asarray(np.log(np.where(mu == 0, 1e-300, mu)) * sub.rate, dtype=np.complex128)
     f, zeta = np.abs(log) / (2 * np.pi), -log.real / np.maximum(np.abs(log), 1e-300)
     ok = (mu.imag > 0) & (zeta > 0) & (zeta < settings.damping_max) & (f >= low) & (f <= high)
     keep = np.flatnonzero(ok).astype(np.int64)
-    psi: Complex = sub.u[: sub.channels, :n] @ right[:, keep]
+    psi = np.asarray(sub.u[: sub.channels, :n] @ right[:, keep], dtype=np.complex128)
     if p is None:
         return keep, log[keep], psi, np.empty((keep.size, 0), np.complex128), np.full(keep.size, np.nan)
     d_mu = var.pole_deviations(p, sub.r[:n, :n], mu[keep], right[:, keep], left[keep])
@@ -166,17 +165,24 @@ def unit(psi: Complex) -> Complex:
     return np.asarray(psi / np.take_along_axis(psi, top, axis=0))
 
 
-def choose_references(data: Float, most: int = MAX_REFERENCES) -> Int:
+def choose_references(data: Float, scale: Float, most: int = MAX_REFERENCES) -> Int:
     """(ref,) int64 channels that span the motion best: all, or `most` by pivoted QR of the correlation at lag 1."""
     if len(data) <= most:
         return np.arange(len(data), dtype=np.int64)
-    lagged = data[:, 1:] @ data[:, :-1].T
+    lagged = data[:, 1:] @ data[:, :-1].T / (scale[:, None] * scale)
     _, pivots = qr(lagged, mode="r", pivoting=True)
     return np.sort(np.asarray(pivots[:most], dtype=np.int64))
 
 
-def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> tuple[Float, Float]:
-    """Correlations (block, lag, ch, ref) and weights (block,) of normalised `data` (ch, sample).
+def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> tuple[Float, Float, Float]:
+    """Correlations (block, lag, ch, ref) of `data` (ch, sample) in units of each channel's root mean square.
+
+    Returns
+    -------
+    correlations : (block, lag, ch, ref) float64
+    weights : (block,) float64, sum 1
+    scale : (ch,) float64
+        Root mean squares.
 
     Raises
     ------
@@ -189,11 +195,12 @@ def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> t
         raise DataError(
             f"{data.shape[1]} samples are too few for {settings.block_rows} block rows; needed are {4 * lags}"
         )
-    refs = choose_references(data) if references is None else references
-    bounds = block_bounds(data.shape[1], blocks)
-    r, _ = block_correlations(data, refs, lags, bounds)
-    power = np.array([np.mean(data[:, i:j] ** 2) for i, j in pairwise(bounds.tolist())])
-    return r, block_weights(power)
+    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
+    refs = choose_references(data, scale) if references is None else references
+    r, _ = block_correlations(data, refs, lags, block_bounds(data.shape[1], blocks))
+    r /= scale[:, None] * scale[refs]
+    power = r[:, 0, refs, np.arange(refs.size)].mean(1)
+    return r, block_weights(power), scale
 
 
 def identify_band(r: Float, weights: Float, settings: SsiCov, rate: float, band: tuple[float, float]) -> BandPoles:
@@ -224,9 +231,9 @@ def ssi_cov(
     """
     settings = settings or SsiCov()
     data = detrend(history.data)
-    scale = data.std(1, keepdims=True)
-    if not np.isfinite(scale).all() or not (scale > 0).all():
-        lost = [c.id for c, s in zip(history.channels, scale[:, 0], strict=True) if not s > 0]
+    spread = np.ptp(data, axis=1)
+    if not np.isfinite(spread).all() or not (spread > 0).all():
+        lost = [c.id for c, s in zip(history.channels, spread, strict=True) if not s > 0]
         raise DataError(
             f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out"
         )
@@ -236,6 +243,6 @@ def ssi_cov(
             f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}"
         )
     refs = None if references is None else np.array([ids.index(x) for x in references], dtype=np.int64)
-    r, weights = blockwise(data / scale, settings, refs)
+    r, weights, scale = blockwise(data, settings, refs)
     p = identify_band(r, weights, settings, history.rate, (0.0, history.rate / 2)).poles
-    return PoleSet(p.order, p.pole, unit(p.shape * scale), p.std_frequency, p.std_damping)
+    return PoleSet(p.order, p.pole, unit(p.shape * scale[:, None]), p.std_frequency, p.std_damping)

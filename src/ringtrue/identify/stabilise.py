@@ -158,9 +158,16 @@ def half_agreement(c: Candidates, halves: tuple[PoleSet, PoleSet]) -> Float:
 
 def _seen(c: Candidates, h: PoleSet, sf: Float, sz: Float) -> tuple[Float, Complex]:
     """Share of orders of one half that show each mode, and its mean shape there (ch, m)."""
-    far = np.abs(h.frequencies[:, None] - c.frequencies) > 4 * np.maximum(np.sqrt(2) * sf, 2e-4 * c.frequencies)
-    off = np.abs(h.damping[:, None] - c.damping) > 5 * np.maximum(np.sqrt(2) * sz, 2e-3)
-    like = (mac(h.shape, c.shape) > 0.7) & ~far & ~off
+    df = np.abs(h.frequencies[:, None] - c.frequencies)
+    dz = np.abs(h.damping[:, None] - c.damping)
+    reach = np.maximum(np.maximum(4 * np.sqrt(2) * sf, 0.1 * c.damping * c.frequencies), 2e-4 * c.frequencies)
+    width = np.maximum(np.maximum(5 * np.sqrt(2) * sz, 0.2 * c.damping), 2e-3)
+    shape_like = mac(h.shape, c.shape)
+    like = (df < reach) & (dz < width) & (shape_like > 0.7)
+    if len(h.shape) > 3:  # half a record may split a mode in two; with three channels any shape is like any other
+        like |= (
+            (df < 0.7 * c.damping * c.frequencies) & (dz < np.maximum(width, 0.5 * c.damping)) & (shape_like > 0.95)
+        )
     tried = h.orders
     share = np.array([np.unique(h.order[x]).size for x in like.T]) / max(tried.size, 1)
     turn = (c.shape.conj().T @ h.shape).T

@@ -37,12 +37,15 @@ CHEXA   EID PID G1 G2 G3 G4 G5 G6 G7 G8 G9 G10 G11 G12 G13 G14 G15 G16 G17 G18 G
 CELAS1  EID PID G1 C1 G2 C2
 CELAS2  EID K:f G1 C1 G2 C2 GE:f S:f
 CBUSH   EID PID GA GB G0|X1:f X2:f X3:f CID=-1 S:f=0.5 OCID=-1 S1:f S2:f S3:f
+CMASS1  EID PID G1 C1 G2 C2
+CMASS2  EID M:f G1 C1 G2 C2
 CONM2   EID G CID M:f X1:f X2:f X3:f _ I11:f I21:f I22:f I31:f I32:f I33:f
 PROD    PID MID A:f J:f C:f NSM:f
 PTUBE   PID MID OD:f T:f NSM:f OD2:f
 PBAR    PID MID A:f I1:f I2:f J:f NSM:f _ C1:f C2:f D1:f D2:f E1:f E2:f F1:f F2:f K1:f=nan K2:f=nan I12:f
 PSHELL  PID MID1 T:f MID2 I12T3:f=1.0 MID3 TST:f=0.833333 NSM:f Z1:f=nan Z2:f=nan MID4
 PSOLID  PID MID CORDM IN:s STRESS:s ISOP:s FCTN:s
+PMASS   PID M:f
 PELAS   PID K:f GE:f S:f
 MAT1    MID E:f=nan G:f=nan NU:f=nan RHO:f A:f TREF:f GE:f ST:f SC:f SS:f MCSID
 RBE2    EID GN CM:s *GM
@@ -96,5 +99,30 @@ def _field(text: str) -> FieldSpec:
 
 @cache
 def columns(card: str) -> tuple[FieldSpec, ...]:
-    """The fields of a card in order."""
-    return tuple(_field(t) for t in CARDS[card].split())
+    """The fields of a card in order; for a card of `SPECIAL` the columns of its table."""
+    return tuple(_field(t) for t in (CARDS.get(card) or SPECIAL[card]).split())
+
+
+# Cards that carry stiffness, mass or constraint (or change what other cards mean) and are not read.
+_CARRYING = """
+CQUAD CQUAD8 CQUADR CQUADX CTRIA6 CTRIAR CTRIAX CTRIAX6 CTRAX3 CTRAX6 CQUADX4 CQUADX8 CPYRAM CPYRA5 CHEX8 CHEX20
+CSHEAR CBEND CBEAM3 CGAP CELAS3 CELAS4 CMASS3 CMASS4 CONM1 CWELD CFAST CSEAM CBUSH1D CBUSH2D CDAMP1 CDAMP2
+CDAMP3 CDAMP4 CDAMP5 CVISC CBAR3 CINTC CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR GENEL CRAC2D
+CRAC3D CTWIST CWEDGE PCOMP PCOMPG PCOMPS PLPLANE PSHEAR PBCOMP PBEND PBEAM3 PGAP PWELD PFAST PSEAM PBUSH1D
+PBUSH2D PBUSHT PELAST PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT2 MAT3 MAT8 MAT9 MAT11 MATORT MATHP MFLUID
+RBAR RBAR1 RBE1 RBE2GS RBE2F RROD RJOINT RSPLINE RSSCON RTRPLT RTRPLT1 RBAX DMIG DMIGOUT DMIGROT BAROR BEAMOR
+GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD NSM NSM1 NSML NSML1 NSMADD NSMD SEBULK SECONCT SEELT SESET SEBNDRY
+SELOC SEMPLN SETREE CSUPER CSUPEXT RELEASE BCONP BCTABLE BLSEG SLBLOAD AXIC
+"""
+UNSUPPORTED = frozenset(_CARRYING.split())
+_HARMLESS_C = (  # names that begin like an element but connect nothing
+    "CAERO", "CASE", "CBARAO", "CORD", "CMETHOD", "CSET", "CSCHD", "CSSCHD", "CYJOIN", "CYSYM",
+    "CYAX", "CYSUP", "CLOAD", "CREEP", "CON", "CHBDY", "CCRSFIL",
+)  # fmt: skip
+
+
+def is_unsupported(card: str) -> bool:
+    """Whether a card that is not read must not be passed over: it may carry stiffness, mass or constraint."""
+    if card in CARDS or card in SPECIAL:
+        return False
+    return card in UNSUPPORTED or (card.startswith("C") and not card.startswith(_HARMLESS_C))

@@ -28,7 +28,7 @@ def matrix(
     for a in (fig.layout.xaxis, fig.layout.yaxis):
         a.update(tickfont={"size": 10 if size > 12 else 11}, showline=False)
     text = np.where(percent >= 10, np.char.mod("%.0f", percent), "")
-    bar = {"thickness": 10, "outlinewidth": 0, "title": {"text": "MAC, %", "side": "right"}}
+    bar = {"thickness": 10, "outlinewidth": 0, "title": {"text": "MAC, %", "side": "right", "font": {"size": 11}}}
     fig.add_heatmap(
         z=f32(percent), x=list(columns), y=list(rows), zmin=0, zmax=100, colorscale=SEQUENTIAL, colorbar=bar
     )
@@ -45,7 +45,10 @@ def labels(frequencies: Float) -> list[str]:
 
 def table_matrix(table: CorrelationTable, a: Float, b: Float, names: tuple[str, str]) -> go.Figure:
     """The MAC matrix of a correlation; `a`, `b` (m,) Hz are the modes of its rows and columns."""
-    return matrix(table.mac, labels(a), labels(b), f"{names[0]} mode, Hz", f"{names[1]} mode, Hz")
+    rows, columns = table.mac.shape
+    a_labels = labels(a) if a.size == rows else [str(i + 1) for i in range(rows)]
+    b_labels = labels(b) if b.size == columns else [str(i + 1) for i in range(columns)]
+    return matrix(table.mac, a_labels, b_labels, f"{names[0]} mode, Hz", f"{names[1]} mode, Hz")
 
 
 def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
@@ -57,10 +60,10 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
     )
     order = {int(r.test_mode): r.frequency_test for _, t in stages for r in t.rows}
     names = {k: f"{k + 1}: {order[k]:.2f}" for k in sorted(order)}
-    for name, table in stages:
+    for size, (name, table) in zip((13, 10, 9), stages, strict=False):
         color = STAGE_COLORS.get(name, FINAL)
         marks = ["circle" if r.used or name != "final" else "circle-open" for r in table.rows]
-        look = {"size": 10, "color": color, "symbol": marks, "line": {"width": 2, "color": color}}
+        look = {"size": size, "color": color, "symbol": marks, "line": {"width": 2, "color": color}}
         x = [names[int(r.test_mode)] for r in table.rows]
         y = f32(np.array([r.deviation_percent for r in table.rows]))
         fig.add_scatter(x=x, y=y, mode="markers", marker=look, name=name)

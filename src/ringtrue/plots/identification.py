@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from ringtrue.core.arrays import Bool, Float
+from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify.poles import StableDiagram
@@ -14,7 +14,7 @@ from ringtrue.plots.style import FE, FINAL, MUTED, QUALITATIVE, TEST, axis, f32,
 LIMIT = 3000  # strokes of one kind in one diagram; beyond it every n-th is drawn
 
 
-def _strokes(diagram: StableDiagram, chosen: Bool, span: tuple[float, float]) -> tuple[object, object, str]:
+def _strokes(diagram: StableDiagram, chosen: Bool, span: tuple[float, float]) -> tuple[Any_, Any_, str]:
     f, order = diagram.poles.frequencies, diagram.poles.order.astype(np.float64)
     at = np.flatnonzero(chosen & (f >= span[0]) & (f <= span[1]))
     every = -(-at.size // LIMIT) or 1
@@ -32,7 +32,7 @@ def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
         320,
         xaxis=axis("Frequency, Hz", range=list(span) if diagram.freqs.size else None),
         yaxis=axis("Model order", rangemode="tozero"),
-        yaxis2=axis("Spectrum, dB", overlaying="y", side="right", showgrid=False),
+        yaxis2=axis("Spectrum, dB", overlaying="y", side="right", showgrid=False, tickmode="auto", nticks=5),
     )
     fig.layout.margin.r = 60
     step = max(1, diagram.freqs.size // 1500)
@@ -58,26 +58,30 @@ def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
 
 def damping(sets: list[tuple[str, ModeSet, Uncertainty | None]], used: tuple[Float, Float] | None) -> go.Figure:
     """Damping ratios over frequency with one standard deviation; `used` (f, ζ) is what the model carries."""
-    fig = figure(320, xaxis=axis("Frequency, Hz"), yaxis=axis("Damping ratio, %", rangemode="tozero"))
+    x = axis("Frequency, Hz", type="log", dtick="D2")
+    fig = figure(320, xaxis=x, yaxis=axis("Damping ratio, %", rangemode="tozero"))
     for i, (name, modes, std) in enumerate(sets):
         color = (TEST, QUALITATIVE[0])[i % 2]
         bar = {"type": "data", "array": f32(100 * std.damping), "thickness": 1, "width": 3} if std else None
         mark = {"size": 8, "color": color, "symbol": ("circle", "diamond")[i % 2]}
-        x, y = f32(modes.frequencies), f32(100 * modes.damping)
-        fig.add_scatter(x=x, y=y, error_y=bar, mode="markers", marker=mark, name=name)
+        f, y = f32(modes.frequencies), f32(100 * modes.damping)
+        fig.add_scatter(x=f, y=y, error_y=bar, mode="markers", marker=mark, name=name)
     if used is not None:
-        mark = {"size": 9, "color": FINAL, "symbol": "line-ew-open", "line": {"width": 2}}
-        x, y = f32(used[0]), f32(100 * used[1])
-        fig.add_scatter(x=x, y=y, mode="markers", marker=mark, name="carried by the final model")
+        mark = {"size": 9, "color": FINAL, "symbol": "line-ew-open", "line": {"width": 2, "color": FINAL}}
+        f, y = f32(used[0]), f32(100 * used[1])
+        fig.add_scatter(x=f, y=y, mode="markers", marker=mark, name="carried by the final model")
     return fig
 
 
 def precision(modes: ModeSet, std: Float, expected: Float) -> go.Figure:
     """Relative standard deviation of each target frequency as planned; `std`, `expected` (target,) relative."""
     fig = figure(
-        280, barmode="group", xaxis=axis("Target mode, Hz", type="category"), yaxis=axis("Standard deviation, %")
+        280,
+        barmode="group",
+        xaxis=axis("Target mode, Hz", type="category", tickangle=-60),
+        yaxis=axis("Standard deviation, %"),
     )
-    fig.layout.yaxis.type = "log"
+    fig.layout.yaxis.update(type="log", dtick=1)
     names = [f"{f:.2f}" for f in modes.frequencies]
     fig.add_bar(x=names, y=f32(100 * std), name="frequency", marker_color=FE)
     fig.add_bar(x=names, y=f32(100 * expected), name="damping", marker_color=MUTED)

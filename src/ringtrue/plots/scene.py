@@ -54,12 +54,13 @@ def _test(test: TestModel) -> dict[str, Any]:
 
 
 def _sensors(test: TestModel, kinds: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Arrows in one list per kind (`"sensor"` where `kinds` does not say)."""
-    names = list(dict.fromkeys(kinds.get(c, "sensor") for c in test.channels))
+    """Arrows in one list per kind."""
+    rest = "hammer test" if kinds else "sensors"
+    names = list(dict.fromkeys(kinds.get(c, rest) for c in test.channels))
     xyz, axes = test.channel_xyz(), test.directions()
     out = []
     for i, name in enumerate(sorted(names)):
-        at = [k for k, c in enumerate(test.channels) if kinds.get(c, "sensor") == name]
+        at = [k for k, c in enumerate(test.channels) if kinds.get(c, rest) == name]
         color = QUALITATIVE[(1, 0, 2, 3)[i % 4]]
         labels = [test.channels[k] for k in at]
         packed = {"xyz": _pack(xyz[at], "<f4"), "dir": _pack(axes[at], "<f4")}

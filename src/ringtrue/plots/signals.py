@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.signals import FrfSet
-from ringtrue.plots.style import FINAL, INITIAL, QUALITATIVE, TEST, axis, f32, figure, joined, thinned
+from ringtrue.plots.style import FINAL, INITIAL, QUALITATIVE, TEST, axis, f32, figure, joined, log_axis, thinned
 from ringtrue.study.results import FinalStage, RecordSummary
 
 FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
@@ -17,10 +17,10 @@ def record(summary: RecordSummary, unit: str) -> go.Figure:
     """Time previews on the left, power spectral densities on the right."""
     fig = figure(
         250,
-        xaxis=axis("Time, s", domain=[0, 0.44]),
+        xaxis=axis("Time, s", domain=[0, 0.41]),
         yaxis=axis(unit, exponentformat="power"),
-        xaxis2=axis("Frequency, Hz", type="log", domain=[0.56, 1], anchor="y2", dtick=1),
-        yaxis2=axis(f"PSD, ({unit})²/Hz", type="log", anchor="x2", exponentformat="power", dtick=2),
+        xaxis2=axis("Frequency, Hz", type="log", domain=[0.59, 1], anchor="y2", dtick=1),
+        yaxis2=log_axis(f"PSD, ({unit})²/Hz", anchor="x2", dtick=2),
     )
     ok = summary.psd_freqs > 0
     for i, name in enumerate(summary.preview_channels):
@@ -44,9 +44,8 @@ def frfs(data: FrfSet, cmif: Float, marks: Float) -> go.Figure:
         xaxis=axis(domain=[0, 1], anchor="y", matches="x2", showticklabels=False),
         yaxis=axis(f"Im H, {FRF_UNITS[data.kind]}", domain=[0.5, 1], exponentformat="power"),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
-        yaxis2=axis(f"CMIF, {FRF_UNITS[data.kind]}", domain=[0, 0.44], anchor="x2", type="log", dtick=1),
+        yaxis2=log_axis(f"CMIF, {FRF_UNITS[data.kind]}", domain=[0, 0.44], anchor="x2", dtick=1),
     )
-    fig.layout.yaxis2.exponentformat = "power"
     for j, c in enumerate(data.inputs):
         x, y = joined(*_imaginary(data, j))
         line = {"width": 0.6, "color": QUALITATIVE[j % 8]}
@@ -75,7 +74,7 @@ def frf_pair(final: FinalStage, k: int, unit: str = "(m/s²)/N") -> go.Figure:
         300,
         title={"text": final.frf_channels[k], "x": 0.99, "xanchor": "right", "y": 0.97, "font": {"size": 13}},
         xaxis=axis(anchor="y", matches="x2", showticklabels=False),
-        yaxis=axis(f"|H|, {unit}", domain=[0.36, 1], type="log", exponentformat="power", dtick=1),
+        yaxis=log_axis(f"|H|, {unit}", domain=[0.36, 1], dtick=1),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
         yaxis2=axis("Phase, °", domain=[0, 0.28], anchor="x2", tickvals=[-180, 0, 180], range=[-190, 190]),
     )

@@ -34,6 +34,11 @@ def axis(title: str = "", **more: Any) -> dict[str, Any]:
     return look | more
 
 
+def log_axis(title: str = "", **more: Any) -> dict[str, Any]:
+    """A logarithmic axis with powers of ten."""
+    return axis(title, type="log", exponentformat="power", tickfont={"size": 10}) | more
+
+
 def figure(height: int = 340, **layout: Any) -> go.Figure:
     """An empty figure in the house look; width is left to the page."""
     base = {

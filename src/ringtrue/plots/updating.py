@@ -17,11 +17,21 @@ def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float)
     fig = figure(
         120 + 17 * len(y) + 90,
         xaxis=axis(tickangle=-45, side="bottom", showgrid=False, showline=False, ticks=""),
-        yaxis=axis("FE mode", autorange="reversed", showgrid=False, showline=False, ticks="", tickfont={"size": 11}),
+        yaxis=axis(
+            "FE mode", autorange="reversed", showgrid=False, showline=False, ticks="", tickfont={"size": 11}
+        ),
     )
-    bar = {"title": {"text": name, "side": "right"}, "thickness": 12, "outlinewidth": 0}
+    bar = {"title": {"text": name, "side": "right", "font": {"size": 11}}, "thickness": 12, "outlinewidth": 0}
     fig.add_heatmap(
-        z=f32(values), x=list(stage.names), y=y, zmin=-peak, zmax=peak, colorscale=DIVERGING, colorbar=bar, xgap=1, ygap=1
+        z=f32(values),
+        x=list(stage.names),
+        y=y,
+        zmin=-peak,
+        zmax=peak,
+        colorscale=DIVERGING,
+        colorbar=bar,
+        xgap=1,
+        ygap=1,
     )
     fig.data[0].hovertemplate = "mode %{y}<br>%{x}<br>%{z:.3f}<extra></extra>"
     fig.layout.margin.t = 10
@@ -30,14 +40,14 @@ def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float)
 
 def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     """Objective, mean |Δf| and mean MAC by iteration for every set."""
-    thirds = ([0, 0.27], [0.365, 0.635], [0.73, 1.0])
+    thirds = ([0, 0.25], [0.375, 0.625], [0.75, 1.0])
     titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean MAC, %")
     fig = figure(300)
     for k, (domain, title) in enumerate(zip(thirds, titles, strict=True), start=1):
         n = "" if k == 1 else str(k)
         fig.layout[f"xaxis{n}"] = axis("Iteration", domain=domain, anchor=f"y{n}", dtick=1)
         fig.layout[f"yaxis{n}"] = axis(title, anchor=f"x{n}")
-    fig.layout.yaxis.update(type="log", exponentformat="power", dtick=1)
+    fig.layout.yaxis.update(type="log", exponentformat="power", dtick=1, tickfont={"size": 10})
     for i, s in enumerate(sets):
         look = {"color": QUALITATIVE[i % 8], "width": 2.6 if i == chosen else 1.4}
         name = s.name + (" (chosen)" if i == chosen else "")
@@ -53,10 +63,20 @@ def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
 def path(result: SetResult) -> go.Figure:
     """Factors of the parameters by iteration, with one standard deviation at the end."""
     fig = figure(
-        320, xaxis=axis("Iteration", dtick=1), yaxis=axis("Updated / initial", type="log", minor={"ticks": "outside"})
+        320,
+        xaxis=axis("Iteration", dtick=1),
+        yaxis=axis("Updated / initial", type="log", minor={"ticks": "outside"}),
     )
     fig.layout.yaxis.update(tickvals=[0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 20, 50], ticktext=None)
-    one = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 1, "y1": 1, "line": {"color": MUTED, "width": 1}}
+    one = {
+        "type": "line",
+        "xref": "paper",
+        "x0": 0,
+        "x1": 1,
+        "y0": 1,
+        "y1": 1,
+        "line": {"color": MUTED, "width": 1},
+    }
     fig.update_layout(shapes=[one])
     for j, name in enumerate(result.parameters):
         bar = np.zeros(result.path.shape[0])

@@ -117,6 +117,7 @@ class Projection:
     Attributes
     ----------
     vectors : (f, r) float64
+        Orthonormal in the nominal energy K − σM.
     stiffness, mass : (r, r) float64
         At a = 1.
     terms : tuple (p,) of tuples of (power, stiffness (r, r), mass (r, r))
@@ -192,27 +193,32 @@ def _sensitivities(
     return np.concatenate(found, axis=1) if found else np.zeros((pencil.size, 0))
 
 
-def _compress(pencil: Pencil, shift: float, x: Float, most: int, drop: float) -> Float:
-    """The principal directions of x in the energy of K − σM, at most `most`, above `drop` of the largest."""
+def _compress(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
+    """The principal directions of x in the energy K − σM, at most `most`, above `drop` of the largest."""
     if not x.shape[1] or most <= 0:
         return x[:, :0]
-    gram = x.T @ (pencil.stiffness @ x - shift * (pencil.mass @ x))
+    gram = x.T @ (energy @ x)
     s, u = linalg.eigh((gram + gram.T) / 2)
     keep = np.flatnonzero(s > drop**2 * s[-1])[::-1][:most]
     return np.asarray(x @ (u[:, keep] / np.sqrt(s[keep])))
 
 
-def _orthonormal(mass: sparse.csr_array, old: Float, x: Float) -> Float:
-    """M-orthonormal part of x outside `old` (M-orthonormal); what is nearly inside is dropped."""
-    x = x / np.sqrt(np.einsum("ij,ij->j", x, mass @ x))
+def _orthonormal(energy: sparse.csr_array, old: Float, x: Float) -> Float:
+    """Part of x outside `old`, orthonormal in the energy K − σM as `old` is; what is nearly inside is dropped.
+
+    Energy and not mass: a part too small to be seen in the mass may still be too stiff to be left out.
+    """
+    if not x.shape[1]:
+        return x
+    x = x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x))
     for _ in range(2):
-        x = x - old @ (old.T @ (mass @ x))
-    s, u = linalg.eigh(x.T @ (mass @ x))
-    keep = s > 1e-12
+        x = x - old @ (old.T @ (energy @ x))
+    s, u = linalg.eigh(x.T @ (energy @ x))
+    keep = s > 1e-13
     q = x @ (u[:, keep] / np.sqrt(s[keep]))
     for _ in range(2):  # what was kept may have been small
-        q = q - old @ (old.T @ (mass @ q))
-        s, u = linalg.eigh(q.T @ (mass @ q))
+        q = q - old @ (old.T @ (energy @ q))
+        s, u = linalg.eigh(q.T @ (energy @ q))
         q = q @ (u / np.sqrt(s))
     return np.asarray(q)
 
@@ -329,7 +335,12 @@ class ReducedModel:
         some = None if all_modes else (r - self.count, r - 1)
         theta, y = linalg.eigh(m, k - self.shift * m, subset_by_index=some, check_finite=False)
         theta, y = theta[::-1], y[:, ::-1]
-        return self.shift + 1 / theta, y / np.sqrt(theta)
+        y = y / np.sqrt(theta)
+        lam = self.shift + 1 / theta
+        low = y[:, : self.count]  # far from the shift, 1/θ has lost digits that Rayleigh quotients keep
+        low /= np.sqrt(np.einsum("ij,ij->j", low, m @ low))
+        lam[: self.count] = np.einsum("ij,ij->j", low, k @ low)
+        return lam, y
 
     def error(self, x: Float, *, modes: int | None = None) -> float:
         """An estimate of the largest relative frequency error at x, from residuals: ½ rᵀ(K₀ − σM₀)⁻¹r / (λ − σ).
@@ -371,9 +382,11 @@ class ReducedModel:
         fresh = modes.vectors
         if sensitivities:
             s = _sensitivities(pencil, modes, self.system, self.active, self.count, progress)
-            fresh = np.hstack([fresh, _compress(pencil, modes.shift, s, 2 * self.count, 1e-4)])
+            there = sparse.csr_array(k - modes.shift * m)
+            fresh = np.hstack([fresh, _compress(there, s, 2 * self.count, 1e-4)])
         pencil.close()
-        fresh = _orthonormal(self.system.mass, self.basis.vectors, fresh)
+        energy = sparse.csr_array(self.system.stiffness - self.shift * self.system.mass)
+        fresh = _orthonormal(energy, self.basis.vectors, fresh)
         basis = _project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis)
         seen = np.asarray(self.system.observe @ modes.vectors)
         n = modes.values.size
@@ -410,8 +423,10 @@ def reduced_model(
     modes = solve_modes(pencil, int(np.ceil(options.extra * count)) + 4, progress=progress)
     n = min(count, modes.values.size)
     x = _sensitivities(pencil, modes, system, range(len(system.parameters)), n, progress)
-    x = _compress(pencil, modes.shift, x, options.size - modes.values.size, options.drop)
-    vectors = np.hstack([modes.vectors, _orthonormal(system.mass, modes.vectors, x)]) if x.size else modes.vectors
+    energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
+    x = _compress(energy, x, options.size - modes.values.size, options.drop)
+    base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)
+    vectors = np.hstack([base_modes, _orthonormal(energy, base_modes, x)])
     every = tuple(range(len(system.parameters)))
     base = np.zeros(len(every))
     model = ReducedModel(system, _project(system, vectors), pencil, modes.shift, n, every, base)

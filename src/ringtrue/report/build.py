@@ -7,10 +7,8 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ringtrue import __version__
@@ -173,20 +171,18 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
     source = env.loader
     assert source is not None
 
-    def raw(name: str) -> Markup:
-        return Markup(source.get_source(env, name)[0])
+    def raw(name: str) -> str:
+        return source.get_source(env, name)[0]
 
     body = env.get_template("body.html.j2").render(data=data, sections=sections, figures=figures)
-    scripts: dict[str, Any] = {"plots": figures.plots, "views": figures.views}
     return env.get_template("report.html.j2").render(
         data=data,
         sections=sections,
-        body=Markup(body),
+        body=body.replace("|Δf|", "|\u2060Δf|"),  # no line break after the bar
         raw=raw,
-        plotly=Markup(get_plotlyjs()) if figures.plots else "",
+        plotly=get_plotlyjs() if figures.plots else "",
         expected=len(figures.plots) + len(figures.views),
         version=__version__,
-        **{k: [Markup(x) for x in v] for k, v in scripts.items()},
+        plots=figures.plots,
+        views=figures.views,
     )
-
-

@@ -12,7 +12,13 @@ import plotly.graph_objects as go
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.scene import View
 
-IMAGES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp", ".gif": "image/gif"}
+IMAGES = {
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".jpeg": "image/jpeg",
+    ".webp": "image/webp",
+    ".gif": "image/gif",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +51,11 @@ class Acceptance:
     def words(self) -> str:
         """The rule in words."""
         limit = " or ".join(
-            f"|Δf| ≤ {number(value, 3)} {unit}" for value, unit in ((self.percent, "%"), (self.hz, "Hz")) if value is not None
+            f"|Δf| ≤ {plain(value)} {unit}"
+            for value, unit in ((self.percent, "%"), (self.hz, "Hz"))
+            if value is not None
         )
-        mac = f"MAC ≥ {number(self.mac, 3)} %" if self.mac is not None else ""
+        mac = f"MAC ≥ {plain(self.mac)} %" if self.mac is not None else ""
         return " and ".join(x for x in (limit, mac) if x) or "every pair"
 
 
@@ -220,9 +228,7 @@ class Columns:
     kind: str = field(default="columns", init=False)
 
 
-Block = (
-    Table | Text | Heading | Items | Facts | Checks | Plot | Scene3D | Diff | Code | Picture | Tabs | Columns
-)
+Block = Table | Text | Heading | Items | Facts | Checks | Plot | Scene3D | Diff | Code | Picture | Tabs | Columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,6 +257,11 @@ def number(value: float | None, digits: int = 3) -> str:
     if abs(value) >= 10000:
         text = f"{value:,.0f}".replace(",", "\u202f")
     return text.replace("-", "−")
+
+
+def plain(value: float) -> str:
+    """A setting as a person would write it: 16, 0.0625, 1.5."""
+    return f"{value:.4g}".replace("-", "−")
 
 
 def fixed(value: float | None, decimals: int, sign: bool = False) -> str:

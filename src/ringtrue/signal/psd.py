@@ -64,10 +64,10 @@ def _starts(samples: int, length: int, hop: int) -> Int:
     return np.arange(0, samples - length + 1, hop, dtype=np.int64)
 
 
-def segments_spectrum(data: Any_, starts: Int, win: Float) -> Complex:
-    """(segment, ch, freq) complex128 spectra of the mean-free, windowed segments of `data` (ch, sample)."""
+def segments_spectrum(data: Any_, starts: Int, win: Any_) -> Any_:
+    """(segment, ch, freq) spectra of mean-free, windowed segments of `data` (ch, sample), in the precision of `win`."""
     at = starts[:, None] + np.arange(win.size)
-    seg = np.asarray(data[:, at], dtype=np.float64)
+    seg = np.asarray(data[:, at], dtype=win.dtype)
     seg -= seg.mean(-1, keepdims=True)
     return np.asarray(rfft(seg * win, axis=-1)).transpose(1, 0, 2)
 

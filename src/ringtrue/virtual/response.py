@@ -20,7 +20,7 @@ from ringtrue.errors import InputError
 Motion = Literal["displacement", "velocity", "acceleration"]
 MOTIONS: tuple[Motion, ...] = ("displacement", "velocity", "acceleration")
 POWER: dict[Motion, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
-_CHUNK = 1 << 14  # lines at a time: 60 modes take 16 MB
+_CHUNK = 1 << 14  # lines at a time: 130 modes take 34 MB each
 
 
 def lines(samples: int, rate: float) -> Float:
@@ -53,17 +53,33 @@ def response_spectrum(
     if quantity not in POWER:
         raise InputError(f"quantity {quantity!r}: allowed are {', '.join(POWER)}")
     out = np.empty((model.shapes.shape[0], freqs.size), dtype=np.complex128)
-    shapes = np.hstack([model.shapes, model.shapes.conj()])
-    poles = np.concatenate([model.poles, model.poles.conj()])[:, None]
-    participation = np.vstack([model.participation, model.participation.conj()])
     for at in range(0, freqs.size, _CHUNK):  # bounds the memory of the modal coordinates
         part = slice(at, at + _CHUNK)
-        s, f = 2j * np.pi * freqs[part], forces[:, part]
-        y = shapes @ ((participation @ f) / (s - poles)) + model.upper @ f
-        if np.any(model.lower):
-            y += (model.lower @ f) / np.where(s == 0, np.inf, s**2)
-        out[:, part] = y * s ** POWER[quantity]
+        out[:, part] = _motion(model, forces[:, part], 2j * np.pi * freqs[part], POWER[quantity])
     return out
+
+
+def _motion(model: ModalModel, f: Complex, s: Complex, power: int) -> Complex:
+    """(out, line) at s = iω.
+
+    A mode and its conjugate share real products: with u = Re(l)·f and v = i·Im(l)·f the pair is
+    Re(ψ)·(q₊ + q₋) + i·Im(ψ)·(q₊ − q₋), q± = (u ± v)/(s − s±); half the work of complex products.
+    """
+    poles = model.poles[:, None]
+    u, v = _real_times(model.participation.real, f), 1j * _real_times(model.participation.imag, f)
+    plus, minus = (u + v) / (s - poles), (u - v) / (s - poles.conj())
+    y = _real_times(model.shapes.real, plus + minus)
+    y += 1j * _real_times(model.shapes.imag, plus - minus)
+    y += model.upper @ f
+    if np.any(model.lower):
+        y += (model.lower @ f) / np.where(s == 0, np.inf, s**2)
+    return y * s**power
+
+
+def _real_times(a: Float, x: Complex) -> Complex:
+    """Product of a real matrix with a complex one, in real arithmetic."""
+    x = np.ascontiguousarray(x)
+    return np.asarray((np.ascontiguousarray(a) @ x.view(np.float64)).view(np.complex128))
 
 
 def simulate(

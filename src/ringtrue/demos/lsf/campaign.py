@@ -232,20 +232,6 @@ def _events(
     return [dropped_weight(times, at, rng) if kind == "drop" else sledge(times, at, rng)]
 
 
-def _events(
-    kind: str, twin: TwinView, spacing: tuple[float, ...], duration: float, rng: np.random.Generator
-) -> list[Pulses]:
-    """The events of one record; positions in the inputs of the modal model."""
-    if kind == "ambient":
-        return []
-    here = {c.id: i for i, c in enumerate(twin.modal.inputs)}
-    times = event_times(spacing, duration, rng)
-    if kind == "jumping":
-        return [jumping(times, [here[p] for p in twin.jump_points], rng)]
-    points, make = {"drop": (twin.drop_points, dropped_weight), "sledge": (twin.sledge_points, sledge)}[kind]
-    return [make(times, np.resize([here[p] for p in points], times.size), rng)]
-
-
 def _even(duration: float, rate: float) -> int:
     """An even number of samples with small prime factors, at most one percent over the duration."""
     return 2 * int(fft.next_fast_len(int(np.ceil(duration * rate / 2)), real=True))

@@ -85,7 +85,7 @@ def foundation(b: Builder) -> None:
     region[np.ix_(np.ones(cx.size, bool), long_wall, cz > S.SLAB)] = 2
     if b.spec.site:
         cross = np.abs(cx - 9.0) < 0.6 * (x[1] - x[0])
-        region[np.ix_(cross, ~long_wall, (cz > S.SLAB) & (cz < 2.6))] = PARTITION
+        region[np.ix_(cross, ~long_wall, (cz > S.SLAB) & (cz < 2.2))] = PARTITION
     used = np.zeros(grid.shape[:3], dtype=bool)
     i, j, k = np.nonzero(region)
     for di, dj, dk in np.ndindex(2, 2, 2):
@@ -144,7 +144,7 @@ def frame(b: Builder) -> None:
             m.element("RBE3", None, foot, "123456", 1.0, "123", *near)
             b.bush(group, int(nodes[0]), foot)
         stops = (S.SIDES[0], S.DECK_Y[0], S.DECK_Y[1], S.SIDES[1])
-        counts = (n.span, n.deck_y, n.span) if S.DECK_X[0] <= x <= S.DECK_X[1] else (n.span, 4, n.span)
+        counts = (n.span, n.deck_y, n.span)
         across = _ticks(stops, counts)
         b.beams(
             "CBEAM",

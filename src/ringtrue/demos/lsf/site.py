@@ -28,17 +28,15 @@ def site(b: Builder) -> None:
 
 
 def _platform(b: Builder) -> None:
-    m = b.mesh
+    m, n = b.mesh, b.spec.mesh
     m.part = "site"
-    x = np.linspace(17.6, 21.0, b.spec.mesh.span + 1)
-    y = np.linspace(*S.SIDES, 13)
-    g = m.lattice(np.stack(np.meshgrid(x, y, [S.MID], indexing="ij"), axis=-1)[:, :, 0])
+    x = np.linspace(17.6, 21.0, n.span + 1)
+    stops = ((S.SIDES[0], S.DECK_Y[0], n.span), (*S.DECK_Y, n.deck_y), (S.DECK_Y[1], S.SIDES[1], n.span))
+    y = np.unique(np.concatenate([np.linspace(a, c, k + 1).round(9) for a, c, k in stops]))
+    g = m.lattice(np.stack(np.meshgrid(x, y, [S.TOP], indexing="ij"), axis=-1)[:, :, 0])
     for i in range(x.size - 1):
         for j in range(y.size - 1):
-            if 4 <= j <= 7:
-                continue  # open where the vessel's head stands
-            quad = [g[i, j], g[i + 1, j], g[i + 1, j + 1], g[i, j + 1]]
-            m.element("CQUAD4", PLATFORM, *map(int, quad))
+            m.element("CQUAD4", PLATFORM, *map(int, (g[i, j], g[i + 1, j], g[i + 1, j + 1], g[i, j + 1])))
 
 
 def _piping(b: Builder) -> None:
@@ -63,7 +61,5 @@ def _hung(b: Builder) -> None:
         (m.node(21.0, 5.0, S.TOP), (21.0, 5.0, S.TOP), HOIST, HOIST_LINK),
     ):
         hung = m.node(*place, new=True)
-        m.element(
-            "CONM2", hung, None, mass, None, None, None, None, 0.4 * mass, None, 0.4 * mass, None, None, 0.4 * mass
-        )
+        m.element("CONM2", hung, None, mass)
         m.element("CBUSH", pid, hung, point, None, None, None, 0)

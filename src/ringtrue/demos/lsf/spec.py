@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-LENGTH, WIDTH, SLAB, WALL_TOP, WALL, END_WALL = 25.0, 10.0, 1.5, 4.2, 0.9, 0.8
+LENGTH, WIDTH, SLAB, WALL_TOP, WALL, END_WALL = 25.0, 10.0, 1.4, 3.2, 0.9, 0.8
 PORTALS = (4.0, 7.4, 10.8, 14.2, 17.6, 21.0)
 SIDES = (0.45, 9.55)
-BASE, MID, TOP = 4.25, 5.4, 7.8  # column feet, lower and upper girders
+BASE, MID, TOP = 3.25, 5.1, 7.5  # column feet, lower and upper girders
 AXIS_Y, RADIUS, VESSEL_X = 5.0, 2.2, (5.6, 7.4, 10.8, 14.2, 17.6, 19.4)
 MOUNT_X = (7.4, 10.8, 14.2, 17.6)
 DECK_X, DECK_Y = (7.4, 17.6), (3.2, 6.8)
-SHAFT_Z = 8.9
+SHAFT_Z = 8.6
 MOTOR, GEARBOX, ROTOR, BEARINGS = 9.1, 12.5, 16.4, (10.8, 15.4)
 
 
@@ -65,6 +65,7 @@ STEEL = {
     "pedestals": 33,
     "shaft": 34,
 }
+JOINTED = ("columns", "girders", "cross beams", "brackets")  # modulus lowered by the analyst for bolted joints
 BUSHES = {
     "anchors front": 51,
     "anchors middle": 52,
@@ -82,15 +83,15 @@ BUSHES = {
 class Mesh3:
     """Numbers of elements."""
 
-    nx: int = 60
+    nx: int = 58
     ny: int = 20
-    nz_slab: int = 3
-    nz_wall: int = 5
+    nz_slab: int = 4
+    nz_wall: int = 4
     ny_wall: int = 2
     around: int = 40
     along: tuple[int, ...] = (4, 7, 7, 7, 4)
     head: int = 4
-    column: tuple[int, int] = (2, 4)
+    column: tuple[int, int] = (3, 4)
     span: int = 5
     deck_x: int = 6  # a portal spacing
     deck_y: int = 8
@@ -102,21 +103,23 @@ class Spec:
 
     mesh: Mesh3 = field(default_factory=Mesh3)
     modulus: Mapping[str, float] = field(
-        default_factory=lambda: dict.fromkeys(CONCRETE, 18.0e9) | dict.fromkeys(STEEL, 2.06e11)
+        default_factory=lambda: dict.fromkeys(CONCRETE, 15.5e9)
+        | dict.fromkeys(STEEL, 2.06e11)
+        | dict.fromkeys(JOINTED, 1.35e11)
     )
     density: Mapping[str, float] = field(
         default_factory=lambda: dict.fromkeys(CONCRETE, 2500.0) | dict.fromkeys(STEEL, 7850.0)
     )
     bush: Mapping[str, tuple[float, ...]] = field(
         default_factory=lambda: {
-            "anchors front": (9.0e8, 9.0e8, 2.4e9, 1.2e8, 1.2e8, 6.0e7),
-            "anchors middle": (9.0e8, 9.0e8, 2.4e9, 1.2e8, 1.2e8, 6.0e7),
-            "anchors rear": (9.0e8, 9.0e8, 2.4e9, 1.2e8, 1.2e8, 6.0e7),
-            "vessel mounts front": (2.6e8, 3.2e8, 4.2e8, 0.0, 0.0, 0.0),
-            "vessel mounts rear": (2.6e8, 3.2e8, 4.2e8, 0.0, 0.0, 0.0),
-            "motor mounts": (3.4e8, 3.4e8, 5.2e8, 0.0, 0.0, 0.0),
-            "gearbox mounts": (2.4e8, 2.4e8, 4.0e8, 0.0, 0.0, 0.0),
-            "bearing mounts": (1.0e8, 4.0e8, 6.0e8, 0.0, 0.0, 0.0),
+            "anchors front": (6.0e8, 6.0e8, 1.6e9, 2.0e8, 2.0e8, 1.0e8),
+            "anchors middle": (6.0e8, 6.0e8, 1.6e9, 2.0e8, 2.0e8, 1.0e8),
+            "anchors rear": (6.0e8, 6.0e8, 1.6e9, 2.0e8, 2.0e8, 1.0e8),
+            "vessel mounts front": (5.0e8, 6.0e8, 8.0e8, 0.0, 0.0, 0.0),
+            "vessel mounts rear": (5.0e8, 6.0e8, 8.0e8, 0.0, 0.0, 0.0),
+            "motor mounts": (1.2e9, 1.2e9, 2.0e9, 0.0, 0.0, 0.0),
+            "gearbox mounts": (7.0e8, 7.0e8, 1.2e9, 0.0, 0.0, 0.0),
+            "bearing mounts": (3.0e8, 1.2e9, 1.6e9, 0.0, 0.0, 0.0),
             "air springs": (8.8e5, 8.6e5, 2.6e6, 0.0, 0.0, 0.0),
         }
     )
@@ -134,15 +137,15 @@ class Spec:
         return np.random.default_rng([self.seed, 77])
 
 
-SHELL = {"vessel shell": 0.040, "vessel heads": 0.060, "drive deck": 0.060}
+SHELL = {"vessel shell": 0.055, "vessel heads": 0.090, "drive deck": 0.080}
 SECTIONS = {
-    "columns": Section.box(0.70, 0.60, 0.030),
-    "girders": Section.box(0.60, 0.40, 0.022),
-    "cross beams": Section.box(0.80, 0.50, 0.028),
-    "braces": Section.box(0.30, 0.30, 0.016),
-    "brackets": Section.box(0.80, 0.50, 0.035),
-    "vessel rings": Section.box(0.30, 0.12, 0.030),
-    "deck beams": Section.box(0.60, 0.30, 0.025),
-    "pedestals": Section.box(0.80, 0.60, 0.040),
-    "shaft": Section(0.0491, 1.92e-4, 1.92e-4, 3.84e-4, 0.89, 0.89),
+    "columns": Section.box(1.10, 1.00, 0.036),
+    "girders": Section.box(0.90, 0.60, 0.028),
+    "cross beams": Section.box(1.20, 0.80, 0.032),
+    "braces": Section.box(0.45, 0.45, 0.025),
+    "brackets": Section.box(1.40, 0.90, 0.050),
+    "vessel rings": Section.box(0.50, 0.25, 0.040),
+    "deck beams": Section.box(0.90, 0.50, 0.032),
+    "pedestals": Section.box(1.20, 1.00, 0.050),
+    "shaft": Section(0.1257, 1.257e-3, 1.257e-3, 2.513e-3, 0.89, 0.89),
 }

@@ -110,7 +110,11 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
     ]
     for name, target in candidates():
         lines += ["[[candidate]]", f'name = "{name}"', f'targets = ["{target}"]']
-    for name, field in (("air springs, vertical", "K3"), ("air springs, along", "K1"), ("air springs, across", "K2")):
+    for name, field in (
+        ("air springs, vertical", "K3"),
+        ("air springs, along", "K1"),
+        ("air springs, across", "K2"),
+    ):
         lines += ["[[suspension]]", f'name = "{name}"', f'targets = ["PBUSH {S.BUSHES["air springs"]} {field}"]']
     (folder / STUDY).write_text("\n".join(lines) + "\n")
     return folder / STUDY

@@ -1,10 +1,11 @@
-"""CELAS1 and CELAS2: a spring between two components, in the displacement frames of the nodes."""
+"""CELAS1, CELAS2 and CMASS1, CMASS2: a spring or mass between two components, in the CD frames."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.fem.algebra import scaled
 from ringtrue.fem.mesh import Matrices, Mesh, lookup
 
 
@@ -25,15 +26,30 @@ def _end(m: Mesh, card: str, at: Int, end: int) -> tuple[Int, Float]:
     return dofs, direction
 
 
-def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CELAS1 or CELAS2."""
-    t = m.model[card]
-    k, loss = t["K"][at] if card == "CELAS2" else None, t["GE"][at] if card == "CELAS2" else None
-    if card == "CELAS1":
-        row = lookup(m.model, "PELAS", t["PID"][at], t, at)
-        k, loss = m.model["PELAS"]["K"][row], m.model["PELAS"]["GE"][row]
+def _along(m: Mesh, card: str, at: Int) -> tuple[Int, Float]:
+    """DOFs (e, 6) and the outer product (e, 6, 6) of the relative motion of the ends."""
     (d1, n1), (d2, n2) = _end(m, card, at, 1), _end(m, card, at, 2)
     g = np.concatenate([n1, -n2], axis=1)
-    K: Any_ = np.asarray(k)[:, None, None] * g[:, :, None] * g[:, None, :]
-    none = np.empty((0, 6, 6))
-    return Matrices(np.concatenate([d1, d2], axis=1), K, np.zeros((at.size, 6)), np.asarray(loss), none)
+    return np.concatenate([d1, d2], axis=1), g[:, :, None] * g[:, None, :]
+
+
+def _value(m: Mesh, card: str, at: Int, own: str, name: str, field: str) -> Any_:
+    """A field of the element (its card `own`) or of its property `name`."""
+    t = m.model[card]
+    if card == own:
+        return t[field][at]
+    return m.model[name][field][lookup(m.model, name, t["PID"][at], t, at)]
+
+
+def build(m: Mesh, card: str, at: Int) -> Matrices:
+    """Matrices of the rows `at` (e,) of CELAS1 or CELAS2."""
+    dofs, way = _along(m, card, at)
+    k, loss = (_value(m, card, at, "CELAS2", "PELAS", field) for field in ("K", "GE"))
+    return Matrices(dofs, scaled(k, way), np.zeros((at.size, 6)), loss, np.empty((0, 6, 6)))
+
+
+def build_mass(m: Mesh, card: str, at: Int) -> Matrices:
+    """Matrices of the rows `at` (e,) of CMASS1 or CMASS2."""
+    dofs, way = _along(m, card, at)
+    M = scaled(_value(m, card, at, "CMASS2", "PMASS", "M"), way)
+    return Matrices(dofs, np.zeros((at.size, 6, 6)), M, np.zeros(at.size), np.empty((0, 6, 6)))

@@ -1,137 +1,168 @@
-"""Lines of a deck to cards: includes followed, fields split, continuations joined."""
+"""Numbers of Nastran fields, whole columns at once, and the places of the fields in a line."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
+from itertools import pairwise
 
-from ringtrue.errors import DeckError, UnsupportedCard
+import numpy as np
+from numpy.typing import NDArray
 
-_INCLUDE = re.compile(r"\s*INCLUDE\b\s*(.*)", re.IGNORECASE)
-_DEPTH = 20
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 
-
-@dataclass(slots=True)
-class Card:
-    """One bulk data card: its name, fields 2 onward (stripped text), and where its first line stands."""
-
-    name: str
-    fields: list[str]
-    file: int
-    line: int
+_POWERS = 10.0 ** np.arange(23)
+_PLUS, _MINUS, _DOT, _E, _D = b"+-.ED"
 
 
-@dataclass(slots=True)
-class Lexed:
-    """A deck in pieces.
+def characters(cells: NDArray[np.bytes_]) -> NDArray[np.uint8]:
+    """Byte codes (n, width) of byte strings (n,), zero-padded."""
+    flat = np.ascontiguousarray(cells)
+    return flat.view(np.uint8).reshape(flat.size, flat.dtype.itemsize)
+
+
+def _decimal(c: NDArray[np.uint8], use: Bool) -> Int:
+    """The integer spelled by the digits chosen in each row, (n,)."""
+    value = np.zeros(len(c), dtype=np.int64)
+    for j in range(c.shape[1]):  # over the 8 or 16 columns of a field
+        value = np.where(use[:, j], value * 10 + (c[:, j].astype(np.int64) - 48), value)
+    return value
+
+
+def integers(cells: NDArray[np.bytes_]) -> tuple[Int, Bool]:
+    """Integers of stripped cells (n,) and which of them are well formed, each (n,)."""
+    if not cells.size:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=bool)
+    c = characters(cells)
+    digit = (c >= 48) & (c <= 57)
+    signed = (c[:, 0] == _PLUS) | (c[:, 0] == _MINUS)
+    other = ~digit & (c != 0)
+    other[:, 0] &= ~signed
+    count = digit.sum(axis=1)
+    value = _decimal(c, digit & (count <= 18)[:, None])
+    return np.where(c[:, 0] == _MINUS, -value, value), ~other.any(axis=1) & (count > 0) & (count <= 18)
+
+
+def reals(cells: NDArray[np.bytes_]) -> tuple[Float, Bool]:
+    """Nastran reals (`7.`, `.5`, `1.5-3`, `1.D+3`, also integers) of stripped upper-case cells (n,).
+
+    Exactly rounded: up to 15 digits and |exponent| <= 22 by one multiplication or division (Clinger, 1990), the
+    rest by `float`.
+
+    Returns
+    -------
+    values : (n,) float64
+    well_formed : (n,) bool
+    """
+    if not cells.size:
+        return np.empty(0), np.empty(0, dtype=bool)
+    c = characters(cells)
+    digit, sign = (c >= 48) & (c <= 57), (c == _PLUS) | (c == _MINUS)
+    letter, dot = (c == _E) | (c == _D), c == _DOT
+    mark = letter.copy()  # where the exponent begins: a letter, or a sign that no letter precedes
+    mark[:, 1:] |= sign[:, 1:] & ~letter[:, :-1]
+    tail = np.logical_or.accumulate(mark, axis=1)
+    head = ~tail
+    count = (digit & head).sum(axis=1)
+    wild = ~(digit | sign | letter | dot | (c == 0))
+    good = ~wild.any(axis=1) & (count > 0) & (mark.sum(axis=1) <= 1) & (dot.sum(axis=1) <= 1)
+    good &= ~(dot & tail).any(axis=1) & ((digit & tail).any(axis=1) == mark.any(axis=1))
+    fraction = (digit & head & np.logical_or.accumulate(dot, axis=1)).sum(axis=1)
+    power = _decimal(c, digit & tail & good[:, None] & (tail.cumsum(axis=1) < 7))
+    power = np.where((tail & (c == _MINUS)).any(axis=1), -power, power) - fraction
+    exact = good & (count <= 15) & (abs(power) <= 22)
+    value = _decimal(c, digit & head & exact[:, None]).astype(np.float64)
+    scale = _POWERS[abs(np.where(exact, power, 0))]
+    value = np.where(power < 0, value / scale, value * scale)
+    value = np.where(c[:, 0] == _MINUS, -value, value)
+    for i in np.flatnonzero(good & ~exact).tolist():  # rare: more digits than a double holds
+        value[i] = float(_plain(cells[i], c[i], mark[i]))
+    return value, good
+
+
+def _plain(cell: bytes, c: NDArray[np.uint8], mark: Bool) -> bytes:
+    if not mark.any():
+        return bytes(cell)
+    at = int(mark.argmax())
+    return bytes(cell[:at]) + b"E" + bytes(cell[at + 1 :] if c[at] in (_E, _D) else cell[at:])
+
+
+def real(text: str) -> float:
+    """One Nastran real; `ValueError` if malformed."""
+    value, good = reals(np.array([text.strip().upper().encode("latin-1")]))
+    if not good[0]:
+        raise ValueError(f"not a number: {text!r}")
+    return float(value[0])
+
+
+def is_real(cells: NDArray[np.bytes_]) -> Bool:
+    """Which cells are spelled as a real rather than as an integer, (n,)."""
+    if not cells.size:
+        return np.empty(0, dtype=bool)
+    c = characters(cells)
+    inner = (c[:, 1:] == _PLUS) | (c[:, 1:] == _MINUS)
+    return np.asarray(((c == _DOT) | (c == _E) | (c == _D)).any(axis=1) | inner.any(axis=1))
+
+
+def strip(cells: Any_) -> NDArray[np.bytes_]:
+    """Cells without blanks and tabs around them."""
+    return np.asarray(np.strings.strip(cells))
+
+
+@dataclass(frozen=True, slots=True)
+class LineFields:
+    """Where the fields of one line stand.
 
     Attributes
     ----------
-    files : list of Path
-        In reading order, the main file first.
-    control : list of (file, line, text)
-        Executive and case control lines.
-    cards : list of Card
+    style : {"small", "large", "free"}
+    name : str
+        Field 1 without `*`, upper case; "" on a continuation.
+    spans : tuple of (int, int)
+        Byte range of each data field (8 for small, 4 for large; as many as there are for free), in the line.
+    end : int
+        Where the data of the line end: the comment or the end of the line.
+    tabbed : bool
+        A fixed-format line with tabs in it.
     """
 
-    files: list[Path] = field(default_factory=list)
-    control: list[tuple[int, int, str]] = field(default_factory=list)
-    cards: list[Card] = field(default_factory=list)
+    style: str
+    name: str
+    spans: tuple[tuple[int, int], ...]
+    end: int
+    tabbed: bool
 
 
-def read_text(path: Path) -> str:
-    """A deck file; every byte is a character (latin-1), so that nothing is lost in editing."""
-    return path.read_bytes().decode("latin-1")
+def split_line(line: bytes) -> LineFields:
+    """Fields of one bulk data line (without its line ending)."""
+    end = line.find(b"$") if b"$" in line else len(line)
+    data = line[:end]
+    if b"," in data:
+        cuts = [-1, *(i for i, b in enumerate(data) if b == 44), len(data)]
+        parts = [(a + 1, b) for a, b in pairwise(cuts)]
+        first = data[parts[0][0] : parts[0][1]].strip().upper()
+        large = b"*" in first
+        return LineFields("free", _name(first), tuple(parts[1 : 5 if large else 9]), end, False)
+    columns = _columns(data)
+    first = bytes(b for b, at in zip(data, columns, strict=True) if at < 8).strip().upper()
+    width = 16 if b"*" in first else 8
+    edges = [_at(columns, 8 + k * width, end) for k in range(64 // width + 1)]
+    spans = tuple(pairwise(edges))
+    return LineFields("large" if width == 16 else "small", _name(first), spans, end, b"\t" in data)
 
 
-def _resolve(name: str, here: Path, main: Path) -> Path | None:
-    places = [here.parent / name, main.parent / name, Path(name)]
-    places += [p.parent / p.name.lower() for p in places[:1]]
-    return next((p for p in places if p.is_file()), None)
+def _name(first: bytes) -> str:
+    text = first.decode("latin-1")
+    return "" if text[:1] in ("", "+", "*") else text.rstrip("*").rstrip()
 
 
-def _lines(path: Path, main: Path, files: list[Path], depth: int = 0) -> Iterator[tuple[int, int, str]]:
-    """Physical lines with file and line number; INCLUDE is replaced by what it names."""
-    at = len(files)
-    files.append(path)
-    lines = read_text(path).splitlines()
-    i = 0
-    while i < len(lines):
-        text, number = lines[i], i + 1
-        i += 1
-        found = _INCLUDE.match(text) if text[:1] not in "$" else None
-        if not found:
-            yield at, number, text
-            continue
-        name = found[1].split("$")[0].strip()
-        quote = name[:1] if name[:1] in "'\"" else ""
-        while quote and name.count(quote) < 2 and i < len(lines):
-            name += lines[i].strip()
-            i += 1
-        name = name.strip("'\" ").replace("\\", "/")
-        target = _resolve(name, path, main)
-        if target is None:
-            raise DeckError(f"no such file {name!r} beside {path.parent}", path=path, line=number, card="INCLUDE")
-        if depth >= _DEPTH or target.resolve() == path.resolve():
-            raise DeckError(f"{name!r} includes itself", path=path, line=number, card="INCLUDE")
-        yield from _lines(target, main, files, depth + 1)
+def _columns(data: bytes) -> list[int]:
+    """Column of each byte, tabs going to the next multiple of 8."""
+    columns, at = [], 0
+    for b in data:
+        columns.append(at)
+        at = (at // 8 + 1) * 8 if b == 9 else at + 1
+    return columns
 
 
-def _split(text: str) -> tuple[str, list[str], str, bool]:
-    """Name (or continuation mark), data fields, trailing continuation mark, large."""
-    text = text.split("$", 1)[0].rstrip()
-    if "," in text:
-        parts = [p.strip() for p in text.split(",")]
-        large = parts[0].endswith("*")
-        width = 4 if large else 8
-        data = parts[1 : 1 + width] if len(parts) <= width + 2 else parts[1:]
-        mark = parts[width + 1] if len(parts) == width + 2 else ""
-        data += [""] * (-len(data) % width)
-        return parts[0].rstrip("*").upper(), data, mark, large
-    text = text.expandtabs(8)
-    head = text[:8].strip().upper()
-    if "*" in head:
-        data = [text[a : a + 16].strip() for a in (8, 24, 40, 56)]
-        return head.replace("*", "", 1) if not head.startswith("*") else "*", data, text[72:80].strip(), True
-    data = [text[a : a + 8].strip() for a in range(8, 72, 8)]
-    return head, data, text[72:80].strip(), False
-
-
-def lex(path: Path) -> Lexed:
-    """Split a deck into control lines and cards.
-
-    Raises
-    ------
-    DeckError
-        If the deck or one of its includes is not there, or a continuation continues nothing.
-    """
-    if not path.is_file():
-        raise DeckError("no such file", path=path)
-    out = Lexed()
-    lines = list(_lines(path, path, out.files))
-    bulk = next((i + 1 for i, (_, _, t) in enumerate(lines) if re.match(r"\s*BEGIN\b", t, re.I)), None)
-    if bulk is None:
-        control = any(re.match(r"\s*CEND\b", t, re.I) for _, _, t in lines)
-        if control:
-            raise DeckError("case control without BEGIN BULK", path=path)
-        bulk = 0
-    out.control = lines[:bulk]
-    card: Card | None = None
-    for at, number, text in lines[bulk:]:
-        if not text or text[0] == "$" or not text.strip() or text.lstrip()[0] == "$":
-            continue
-        if text[:7].upper() == "ENDDATA":
-            break
-        name, data, _, _ = _split(text)
-        if name == "" or name[0] in "+*":
-            if card is None:
-                raise DeckError("a continuation that continues nothing", path=out.files[at], line=number)
-            card.fields += data
-        elif name == "=" or name.startswith("=("):
-            raise UnsupportedCard(name, path=out.files[at], line=number, why="replication of cards")
-        else:
-            card = Card(name, data, at, number)
-            out.cards.append(card)
-    return out
+def _at(columns: list[int], column: int, end: int) -> int:
+    return next((i for i, c in enumerate(columns) if c >= column), end)

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.io.nastran.expand import EXPAND
-from ringtrue.io.nastran.lexer import Card, Lexed, lex
-from ringtrue.io.nastran.refs import check_references
-from ringtrue.io.nastran.writer import parse_real
-from ringtrue.model.cards import CARDS, columns
+from ringtrue.io.nastran.deck import Cards, Deck, cards, load
+from ringtrue.io.nastran.lexer import real
+from ringtrue.io.nastran.special import EXPAND, Card, whole
+from ringtrue.io.nastran.tables import fault, make_table
+from ringtrue.model.cards import CARDS, is_unsupported
 from ringtrue.model.model import CaseControl, Model, Ragged, Table
+from ringtrue.model.references import Missing, missing
 
-# cards that carry stiffness, mass or constraint and are not read: the deck would be wrong without them
-_CARRYING = """
-CQUAD8 CTRIA6 CQUAD CQUADR CTRIAR CSHEAR CBEND CGAP CWELD CFAST CSEAM CPYRAM CELAS3 CELAS4 CMASS1 CMASS2 CMASS3
-CMASS4 CONM1 RBE1 RBAR RBAR1 RROD RTRPLT RSPLINE RSSCON GENEL DMIG CVISC CDAMP1 CDAMP2 CDAMP3 CDAMP4 PCOMP PCOMPG
-PBARL PBEAML PBCOMP PBEAM3 CBEAM3 MAT2 MAT8 MAT9 MAT3 CTRIAX6 CTRIAX CQUADX CINTC SESET SEELT SECONCT RJOINT
-CBUSH1D CBUSH2D
-"""
-CARRYING = frozenset(_CARRYING.split())
-)
+_SHARED_IDS = frozenset(
+    ("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD")
+)  # several cards of one id belong together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,15 +33,18 @@ class Survey:
     ----------
     model : Model
         Of the supported cards.
-    cards : dict of str to int
+    cards : mapping of str to int
         Every card and how many.
-    unsupported : dict of str to str
-        Cards that would stop `read_deck`, with the first place of each.
+    unsupported : mapping of str to str
+        What would stop `read_deck`, with the first place (`path:line`) of each.
+    faults : tuple of DeckError
+        References to what is not in the deck.
     """
 
     model: Model
-    cards: dict[str, int]
-    unsupported: dict[str, str]
+    cards: Mapping[str, int]
+    unsupported: Mapping[str, str]
+    faults: tuple[DeckError, ...]
 
 
 def read_deck(path: str | Path) -> Model:
@@ -55,16 +53,20 @@ def read_deck(path: str | Path) -> Model:
     Raises
     ------
     DeckError
-        On anything malformed or missing, with file, line, card and field.
+        On anything malformed, missing or twice, with file, line, card and field.
     UnsupportedCard
         On a card that carries stiffness, mass or constraint and is not supported.
     """
-    lexed = lex(Path(path))
-    for card in lexed.cards:
-        if card.name in CARRYING:
-            raise UnsupportedCard(card.name, path=lexed.files[card.file], line=card.line)
-    model = _model(lexed)
-    check_references(model)
+    deck = load(path)
+    if deck.superelements:
+        raise UnsupportedCard("BEGIN SUPER", path=deck.files[deck.superelements[0]], line=deck.superelements[1])
+    found = cards(deck)
+    _refuse(found)
+    model, skipped = _model(found)
+    for card, (why, place) in skipped.items():
+        raise UnsupportedCard(card, path=place[0], line=place[1], why=why)
+    for fault_ in missing(model):
+        raise _dangling(model, fault_)
     return model
 
 
@@ -74,203 +76,208 @@ def survey(path: str | Path) -> Survey:
     Raises
     ------
     DeckError
-        On anything malformed or missing.
+        On anything malformed.
     """
-    lexed = lex(Path(path))
-    number: dict[str, int] = {}
-    lost: dict[str, str] = {}
-    for card in lexed.cards:
-        number[card.name] = number.get(card.name, 0) + 1
-        if card.name in CARRYING:
-            lost.setdefault(card.name, f"{lexed.files[card.file]}:{card.line}")
-    model = _model(replace_cards(lexed, [c for c in lexed.cards if c.name not in CARRYING]))
-    if not lost:
-        check_references(model)
-    return Survey(model, number, lost)
+    deck = load(path)
+    found = cards(deck)
+    unsupported = {}
+    if deck.superelements:
+        unsupported["BEGIN SUPER"] = f"{deck.files[deck.superelements[0]]}:{deck.superelements[1]}"
+    names, first, count = np.unique(found.name, return_index=True, return_counts=True)
+    for name, at in zip(names.tolist(), first.tolist(), strict=True):
+        if _stops(name.decode()):
+            unsupported[name.decode()] = "{}:{}".format(*found.place(at))
+    model, skipped = _model(found)
+    unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
+    faults = tuple(_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported)))
+    return Survey(
+        model, {n.decode(): c for n, c in zip(names.tolist(), count.tolist(), strict=True)}, unsupported, faults
+    )
 
 
-def replace_cards(lexed: Lexed, cards: list[Card]) -> Lexed:
-    """The same deck with other cards."""
-    return Lexed(lexed.files, lexed.control, cards)
+def _stops(name: str) -> bool:
+    return name not in EXPAND and (is_unsupported(name) or name[0] in "=/")
 
 
-def _model(lexed: Lexed) -> Model:
-    groups: dict[str, list[Card]] = {}
-    for card in lexed.cards:
-        groups.setdefault(card.name, []).append(card)
-    files = lexed.files
-    params = dict(_param(c, files) for c in groups.pop("PARAM", []))
-    defaults = groups.pop("GRDSET", [])
-    tables = {}
-    kept = {}
-    for name, cards in groups.items():
-        if name in EXPAND:
-            tables[name] = EXPAND[name](cards, files)
-        elif name in CARDS:
-            tables[name] = make_table(name, cards, files)
-        else:
-            kept[name] = len(cards)
-    if defaults and "GRID" in tables:
-        tables["GRID"] = _grdset(tables["GRID"], defaults[0])
-    for name, table in tables.items():
-        if name not in _MANY:
-            tables[name] = _unique(name, table, files)
-    return Model(tables, params, _case(lexed), tuple(str(f) for f in files), kept)
+def _refuse(found: Cards) -> None:
+    names, first = np.unique(found.name, return_index=True)
+    stopping = [(at, name.decode()) for at, name in zip(first.tolist(), names.tolist(), strict=True)]
+    stopping = sorted((at, name) for at, name in stopping if _stops(name))
+    if stopping:
+        at, name = stopping[0]
+        path, line = found.place(at)
+        why = "replication is not read; write the cards out" if name[0] == "=" else ""
+        raise UnsupportedCard(name, path=path, line=line, why=why)
 
 
-_MANY = {"SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD"}  # several cards of one id belong together
+def _foreign_ids(found: Cards, unsupported: Collection[str]) -> dict[str, set[int]]:
+    """Ids of unsupported properties and materials, under the names of the cards that stand for them."""
+    out: dict[str, set[int]] = {}
+    ids = set()
+    for name in unsupported:
+        if name.startswith(("P", "MAT")):
+            for _, cells in found.cells(name):
+                ids |= {int(c) for c in cells[:, 0].tolist() if c.isdigit()}
+    for card in ("PSHELL", "PBAR", "PBEAM", "PSOLID", "PROD", "PBUSH", "PELAS", "MAT1"):
+        out[card] = ids
+    return out
 
 
-def _param(card: Card, files: Sequence[Path]) -> tuple[str, int | float | str]:
-    name, text = card.fields[0].upper(), card.fields[1]
-    if not name:
-        raise DeckError("a PARAM without a name", path=files[card.file], line=card.line, card="PARAM", field="N")
-    if re.fullmatch(r"[+-]?\d+", text):
-        return name, int(text)
-    try:
-        return name, parse_real(text)
-    except ValueError:
-        return name, text.upper()
+def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]:
+    """The model, and special cards that were met in a form that is not supported: why and where."""
+    names, count = np.unique(found.name, return_counts=True)
+    tables: dict[str, Table] = {}
+    kept: dict[str, int] = {}
+    skipped: dict[str, tuple[str, tuple[str, int]]] = {}
+    for name, n in zip((x.decode() for x in names.tolist()), count.tolist(), strict=True):
+        if name in CARDS:
+            tables[name] = make_table(found, name)
+        elif name in EXPAND:
+            try:
+                made = EXPAND[name](_written_out(found, name), found.deck.files)
+            except UnsupportedCard as e:
+                skipped[name] = (str(e).partition(" is not supported: ")[2], (str(e.path), e.line or 0))
+                continue
+            tables[made.card] = _stacked(tables[made.card], made) if made.card in tables else made
+        elif name not in ("PARAM", "GRDSET"):
+            kept[name] = n
+    if "INCLUDE" in kept:
+        at = int(np.flatnonzero(found.name == b"INCLUDE")[0])
+        raise fault(found, at, "write the file name behind INCLUDE, in quotes")
+    if "GRID" in tables:
+        tables["GRID"] = _with_grdset(tables["GRID"], found)
+    tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
+    if "SPC1" in tables:
+        tables["SPC1"] = _without_gaps(tables, found)
+    return Model(tables, _params(found), case_control(found.deck), found.deck.files, kept), skipped
 
 
-def _case(lexed: Lexed) -> CaseControl:
+def _written_out(found: Cards, name: str) -> list[Card]:
+    made = []
+    for rows, cells in found.cells(name):
+        file, line = found.places(rows)
+        text = np.char.decode(cells, "latin-1").tolist()
+        made += [
+            (row, Card(name, fields, f, at))
+            for row, fields, f, at in zip(rows.tolist(), text, file.tolist(), line.tolist(), strict=True)
+        ]
+    return [card for _, card in sorted(made, key=lambda m: m[0])]
+
+
+def _stacked(a: Table, b: Table) -> Table:
+    columns = {k: np.concatenate([a[k], b[k]]) for k in a.columns}
+    return replace(a, columns=columns, file=np.concatenate([a.file, b.file]), line=np.concatenate([a.line, b.line]))
+
+
+def _params(found: Cards) -> dict[str, int | float | str]:
+    out: dict[str, int | float | str] = {}
+    for card in _written_out(found, "PARAM"):
+        name, text = card.fields[0], card.fields[1]
+        if not name:
+            raise DeckError(
+                "a PARAM without a name", path=found.deck.files[card.file], line=card.line, card="PARAM"
+            )
+        out[name] = _value(text)
+    return out
+
+
+def _value(text: str) -> int | float | str:
+    for read in (whole, real):
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text
+
+
+def case_control(deck: Deck) -> CaseControl:
+    """The first subcase's choices; what it does not choose is as above the subcases."""
     found: dict[str, str] = {}
-    for _, _, text in lexed.control:
-        line = text.split("$")[0]
+    subcases = 0
+    begun = not any(re.match(r"\s*CEND\b", line, re.I) for line in deck.top)
+    for raw in deck.top:
+        line = raw.split("$")[0]
+        begun = begun or bool(re.match(r"\s*CEND\b", line, re.I))
+        subcases += bool(re.match(r"\s*SUBCASE\b", line, re.I))
         m = re.match(r"\s*(TITLE|METHOD|SPC|MPC)\s*(?:\([^)]*\))?\s*=\s*(.+?)\s*$", line, re.I)
-        if m:
-            found.setdefault(m[1].upper(), m[2])
+        if begun and m and subcases < 2:
+            found[m[1].upper()] = m[2]
     number = {k: int(v) for k, v in found.items() if v.isdigit()}
     return CaseControl(found.get("TITLE", ""), number.get("METHOD", 0), number.get("SPC", 0), number.get("MPC", 0))
 
 
-def _grdset(grid: Table, card: Card) -> Table:
-    f = [*card.fields, *[""] * 8]
-    cp, cd, ps = int(f[1] or 0), int(f[5] or 0), f[6]
-    grid = grid.with_column("CP", np.where(grid["CP"] == 0, cp, grid["CP"]))
-    grid = grid.with_column("CD", np.where(grid["CD"] == 0, cd, grid["CD"]))
-    return grid.with_column("PS", np.where(grid["PS"] == "", ps, grid["PS"])) if ps else grid
+def _with_grdset(grid: Table, found: Cards) -> Table:
+    """Blank CP, CD and PS as GRDSET says; PS 0 means none."""
+    defaults = _written_out(found, "GRDSET")
+    if defaults:
+        default = defaults[0].fields
+        for name, at in (("CP", 2), ("CD", 6), ("PS", 7)):  # places of the GRID fields
+            text = default[at - 1]
+            if text:
+                value: int | str = text if name == "PS" else whole(text)
+                grid = grid.with_column(name, np.where(_blank(found, at - 1), value, grid[name]))
+    return grid.with_column("PS", np.where(grid["PS"] == "0", "", grid["PS"]))
 
 
-def _unique(name: str, table: Table, files: Sequence[Path]) -> Table:
+def _blank(found: Cards, field: int) -> NDArray[np.bool_]:
+    """Which GRID cards leave a data field blank, in reading order."""
+    groups = [(rows, cells[:, field] == b"") for rows, cells in found.cells("GRID")]
+    order = np.argsort(np.concatenate([rows for rows, _ in groups]), kind="stable")
+    return np.asarray(np.concatenate([blank for _, blank in groups])[order])
+
+
+def _without_gaps(tables: Mapping[str, Table], found: Cards) -> Table:
+    """SPC1 lists written with THRU may name points that are not there; they hold nothing and are left out."""
+    spc1 = tables["SPC1"]
+    groups = [(rows, (cells == b"THRU").any(axis=1)) for rows, cells in found.cells("SPC1")]
+    order = np.argsort(np.concatenate([rows for rows, _ in groups]), kind="stable")
+    thru = np.concatenate([t for _, t in groups])[order]
+    nodes = [tables["GRID"].ids] if "GRID" in tables else []
+    nodes += [tables["SPOINT"].ragged("ID").values] if "SPOINT" in tables else []
+    g = spc1.ragged("G")
+    owner = np.repeat(np.arange(len(g)), np.diff(g.offsets))
+    keep = ~thru[owner] | np.isin(g.values, np.concatenate([np.empty(0, dtype=np.int64), *nodes]))
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner[keep], minlength=len(g)))])
+    return replace(spc1, columns={**spc1.columns, "G": Ragged(g.values[keep], offsets)})
+
+
+def _unique(table: Table, files: tuple[str, ...]) -> Table:
+    """The table; GRID cards that say the same twice are dropped."""
     ids = table.ids
     _, first, inverse = np.unique(ids, return_index=True, return_inverse=True)
     if first.size == ids.size:
         return table
     again = np.flatnonzero(first[inverse] != np.arange(ids.size))
-    if name == "GRID":
-        x = table.stack("X1", "X2", "X3")
-        again = again[(x[again] != x[first[inverse[again]]]).any(axis=1)]
+    if table.card == "GRID":
+        again = again[~_same(table, again, first[inverse[again]])]
     if again.size:
         i = int(again[0])
+        before = int(first[inverse[i]])
         raise DeckError(
-            f"{int(ids[i])} stands twice, first at line {int(table.line[first[inverse[i]]])}",
-            path=files[int(table.file[i])],
+            f"{ids[i]} is defined twice, first at {files[table.file[before]]}:{table.line[before]}",
+            path=files[table.file[i]],
             line=int(table.line[i]),
-            card=name,
+            card=table.card,
         )
     keep = np.sort(first)
-    cols: dict[str, Any] = {k: v[keep] for k, v in table.columns.items() if not isinstance(v, Ragged)}
-    return replace(table, columns=cols, file=table.file[keep], line=table.line[keep])
+    columns: dict[str, Any_ | Ragged] = {name: table[name][keep] for name in table.columns}
+    return replace(table, columns=columns, file=table.file[keep], line=table.line[keep])
 
 
-def make_table(name: str, cards: Sequence[Card], files: Sequence[Path]) -> Table:
-    """A table by the schema of its card."""
-    spec = columns(name)
-    cols: dict[str, NDArray[Any] | Ragged] = {}
-    for j, f in enumerate(spec):
-        if f.tail:
-            cols[f.name] = _tail(f.name, f.kind, [c.fields[j:] for c in cards], cards, files)
-            continue
-        text = [c.fields[j] if j < len(c.fields) else "" for c in cards]
-        if f.blank:
-            continue
-        if f.other:
-            whole = [t if t and _is_int(t) else "" for t in text]
-            cols[f.other] = _convert(whole, "i", 0, cards, files, f.other)
-            text = ["" if w else t for w, t in zip(whole, text, strict=True)]
-        cols[f.name] = _convert(text, f.kind, f.default, cards, files, f.name)
-    if name == "SPOINT":
-        every = cols["ID"]
-        assert isinstance(every, Ragged)
-        at = np.repeat(np.arange(len(cards)), np.diff(every.offsets))
-        return Table(name, {"ID": every.values}, _files(cards)[at], _line(cards)[at])
-    return Table(name, cols, _files(cards), _line(cards))
+def _same(table: Table, a: Int, b: Int) -> NDArray[np.bool_]:
+    return np.asarray(np.all([table[name][a] == table[name][b] for name in table.columns], axis=0))
 
 
-def _files(cards: Sequence[Card]) -> NDArray[np.int64]:
-    return np.array([c.file for c in cards], dtype=np.int64)
-
-
-def _line(cards: Sequence[Card]) -> NDArray[np.int64]:
-    return np.array([c.line for c in cards], dtype=np.int64)
-
-
-def _is_int(text: str) -> bool:
-    return text.lstrip("+-").isdigit()
-
-
-_READ: dict[str, Callable[[str], Any]] = {"i": int, "f": parse_real, "s": str}
-_DTYPE = {"i": np.int64, "f": np.float64, "s": np.str_}
-
-
-def _convert(
-    text: list[str], kind: str, default: Any, cards: Sequence[Card], files: Sequence[Path], name: str
-) -> NDArray[Any]:
-    read = _READ[kind]
-    try:
-        return np.array([read(t) if t else default for t in text], dtype=_DTYPE[kind])
-    except ValueError:
-        return _blame(text, read, cards, files, name)
-
-
-def _blame(
-    text: list[str], read: Callable[[str], Any], cards: Sequence[Card], files: Sequence[Path], name: str
-) -> NDArray[Any]:
-    for t, c in zip(text, cards, strict=True):
-        try:
-            read(t) if t else None
-        except ValueError:
-            what = "an integer" if read is int else "a real"
-            raise DeckError(
-                f"{t!r} is not {what}", path=files[c.file], line=c.line, card=c.name, field=name
-            ) from None
-    raise DeckError(f"field {name} of {cards[0].name} cannot be read", path=files[0])
-
-
-def _tail(name: str, kind: str, rows: list[list[str]], cards: Sequence[Card], files: Sequence[Path]) -> Ragged:
-    values: list[Any] = []
-    offsets = [0]
-    for row, c in zip(rows, cards, strict=True):
-        try:
-            values += expand_thru(row) if kind == "i" else [r for r in row if r]
-        except ValueError as e:
-            raise DeckError(str(e), path=files[c.file], line=c.line, card=c.name, field=name) from None
-        offsets.append(len(values))
-    return Ragged(np.array(values, dtype=_DTYPE[kind]), np.array(offsets, dtype=np.int64))
-
-
-def expand_thru(fields: Sequence[str]) -> list[int]:
-    """Integers with `a THRU b [BY c]` expanded; an entry that is not an integer ends the list (ALPHA of RBE2).
-
-    Raises
-    ------
-    ValueError
-        On text that is neither.
-    """
-    words = [f for f in fields if f]
-    out: list[int] = []
-    i = 0
-    while i < len(words):
-        word = words[i].upper()
-        if word == "THRU":
-            step = int(words[i + 3]) if i + 3 < len(words) and words[i + 2].upper() == "BY" else 1
-            out += range(out[-1] + step, int(words[i + 1]) + 1, step)
-            i += 4 if step != 1 or (i + 2 < len(words) and words[i + 2].upper() == "BY") else 2
-            continue
-        if not _is_int(word):
-            parse_real(word)
-            break
-        out.append(int(word))
-        i += 1
-    return out
+def _dangling(model: Model, lost: Missing) -> DeckError:
+    table = model[lost.reference.card]
+    row, wanted = int(lost.rows[0]), int(lost.ids[0])
+    of = " or ".join(lost.reference.of) if len(lost.reference.of) < 3 else "coordinate frame"
+    more = f" ({lost.rows.size - 1} more like it)" if lost.rows.size > 1 else ""
+    what = f"names {of} {wanted}, which is not in the deck" if wanted else f"is blank; it must name a {of}"
+    return DeckError(
+        f"{what}{more}",
+        path=model.files[table.file[row]],
+        line=int(table.line[row]),
+        card=f"{table.card} {table.ids[row]}",
+        field=lost.reference.field,
+    )

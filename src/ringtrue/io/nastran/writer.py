@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from ringtrue.errors import InputError
 
@@ -12,6 +12,8 @@ Value = int | float | str | None
 
 def format_real(value: float, width: int = 8) -> str:
     """A real in Nastran's shortest forms, at most `width` characters, as near to `value` as they allow.
+
+    Exact where the shortest decimal that names the double fits; `-1.234-5`, `12346.+7` and `.12346-9` else.
 
     Raises
     ------
@@ -22,46 +24,42 @@ def format_real(value: float, width: int = 8) -> str:
         raise InputError(f"{value} cannot stand in a bulk data field")
     if value == 0:
         return "0.0"
-    best, error = "", math.inf
-    for text in _forms(value, width):
+    digits, exponent = _digits(repr(float(value)))
+    for text in _forms(digits, exponent):
         if len(text) <= width:
-            off = abs(parse_real(text) - value)
-            if off < error or (off == error and len(text) < len(best)):
-                best, error = text, off
-    return best
+            return text
+    for count in range(min(len(digits.lstrip("-")), width), 0, -1):
+        digits, exponent = _digits(f"{value:.{count - 1}e}")
+        for text in _forms(digits, exponent):
+            if len(text) <= width:
+                return text
+    raise InputError(f"{value} does not fit into a field of {width} characters")
 
 
-def _forms(value: float, width: int) -> list[str]:
-    forms = []
-    for digits in range(width):
-        fixed = f"{value:.{digits}f}"
-        fixed = fixed if "." in fixed else fixed + "."
-        head, tail = fixed.split(".")
-        tail = tail.rstrip("0")
-        if head in ("0", "-0") and tail:
-            forms.append(f"{head[:-1]}.{tail}")
-        forms.append(f"{head}.{tail}" if tail else f"{head}.")
-        mantissa, exponent = f"{value:.{digits}e}".split("e")
-        mantissa = mantissa.rstrip("0") if "." in mantissa else mantissa + "."
-        forms.append(f"{mantissa}{int(exponent):+d}")
-    return forms
+def _digits(text: str) -> tuple[str, int]:
+    """Signed significant digits and the exponent of the first: -0.0125 -> ("-125", -2)."""
+    mantissa, _, power = text.partition("e")
+    sign = "-" if mantissa.startswith("-") else ""
+    whole, _, fraction = mantissa.lstrip("-").partition(".")
+    digits = (whole + fraction).lstrip("0")
+    lead = len(whole) if whole.strip("0") else len(fraction.lstrip("0")) - len(fraction)
+    return sign + (digits.rstrip("0") or "0"), int(power or 0) + lead - 1
 
 
-def parse_real(text: str) -> float:
-    """A Nastran real: `1.5-3`, `1.D+3`, `7.`, `.5`.
-
-    Raises
-    ------
-    ValueError
-        If it is not one.
-    """
-    t = text.strip().upper().replace("D", "E")
-    if "E" not in t:
-        for i in range(len(t) - 1, 0, -1):
-            if t[i] in "+-":
-                t = f"{t[:i]}E{t[i:]}"
-                break
-    return float(t)
+def _forms(digits: str, exponent: int) -> Iterator[str]:
+    """Spellings, the pleasant ones first."""
+    sign, d = ("-", digits[1:]) if digits.startswith("-") else ("", digits)
+    if 0 <= exponent < 16:
+        whole, fraction = d[: exponent + 1].ljust(exponent + 1, "0"), d[exponent + 1 :]
+        yield f"{sign}{whole}.{fraction or '0'}"
+        yield f"{sign}{whole}.{fraction}"
+    elif -16 < exponent < 0:
+        fraction = "0" * (-exponent - 1) + d
+        yield f"{sign}0.{fraction}"
+        yield f"{sign}.{fraction}"
+    for point in (1, *range(2, 8), 0):
+        power = exponent + 1 - point
+        yield f"{sign}{d[:point].ljust(point, '0')}.{d[point:]}{f'{power:+d}' if power else ''}"
 
 
 def format_field(value: Value, width: int = 8) -> str:
@@ -70,7 +68,7 @@ def format_field(value: Value, width: int = 8) -> str:
     Raises
     ------
     InputError
-        If an integer or text does not fit.
+        If an integer or text does not fit, or a real is not finite.
     """
     if value is None:
         return ""
@@ -88,6 +86,11 @@ def format_card(name: str, fields: Sequence[Value], *, large: bool = False) -> s
     name : str
     fields : sequence of int, float, str or None
         Field 2 onward, eight to a small line; None is blank.
+
+    Raises
+    ------
+    InputError
+        If a value does not fit into its field.
     """
     values = list(fields)
     while values and values[-1] is None:

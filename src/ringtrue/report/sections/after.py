@@ -43,7 +43,12 @@ def _damping_table(data: Stages) -> Table:
     f = data.final
     assert f is not None
     rows = [
-        (str(k + 1), fixed(float(f.modes.frequencies[k]), 3), fixed(100 * float(f.damping[k]), 2), f.damping_from[k])
+        (
+            str(k + 1),
+            fixed(float(f.modes.frequencies[k]), 3),
+            fixed(100 * float(f.damping[k]), 2),
+            f.damping_from[k],
+        )
         for k in range(int(np.size(f.damping)))
     ]
     return Table(("FE #", "f, Hz", "ζ, %", "|Taken from"), rows, "Damping of the final model.")

@@ -20,7 +20,7 @@ def section(data: Stages) -> Section | None:
         return None
     one = plots.sensitivity(s, s.d_frequency, "∂ ln f / ∂x", f)
     two = plots.sensitivity(s, s.d_mac, "∂ MAC / ∂x", f)
-    caption = "Sensitivity of the {} to the candidates, x = 0 at the initial value (logarithmic parameters: x = ln factor)."
+    caption = "Sensitivity of the {} to the candidates; x = ln(factor) of logarithmic parameters, else factor − 1."
     blocks: list[Block] = [
         Tabs(
             [

@@ -17,7 +17,9 @@ def pairs(table: CorrelationTable, data: Stages, caption: str, heads: tuple[str,
     rows = []
     for i, r in enumerate(table.rows):
         ok = data.acceptance.holds(r.deviation_percent, r.deviation_hz, r.mac_percent)
-        flags = [Cell("subspace", "chip", "MAC of the subspace: the mode is close to another")] if r.subspace else [""]
+        flags = (
+            [Cell("subspace", "chip", "MAC of the subspace: the mode is close to another")] if r.subspace else [""]
+        )
         row: list[str | Cell] = [str(i + 1), str(r.test_mode + 1), str(r.fe_mode + 1)]
         row += [fixed(r.frequency_test, 3), fixed(r.frequency_fe, 3)]
         row += [fixed(r.deviation_percent, 2, sign=True), fixed(r.deviation_hz, 3, sign=True)]
@@ -43,7 +45,13 @@ def unpaired(table: CorrelationTable, names: tuple[str, str]) -> list[Block]:
 
 
 def blocks(
-    table: CorrelationTable, a: ModeSet, b: ModeSet, data: Stages, caption: str, names: tuple[str, str], updating: bool
+    table: CorrelationTable,
+    a: ModeSet,
+    b: ModeSet,
+    data: Stages,
+    caption: str,
+    names: tuple[str, str],
+    updating: bool,
 ) -> list[Block]:
     """Pairs, MAC matrix, unpaired."""
     out: list[Block] = [pairs(table, data, caption, names, updating)]

@@ -8,7 +8,20 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.plots import identification as plots
-from ringtrue.report.parts import Block, Cell, Columns, Heading, Plot, Section, Table, Tabs, Text, fixed, number
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Columns,
+    Heading,
+    Plot,
+    Section,
+    Table,
+    Tabs,
+    Text,
+    fixed,
+    number,
+    plain,
+)
 from ringtrue.report.stages import Stages
 
 
@@ -26,7 +39,9 @@ def section(data: Stages) -> Section | None:
         modes, std = ident.ambient, ident.ambient_uncertainty
         sides.append([_modes(modes, std, ident.ambient_reasons, "Ambient modes, merged over the records.")])
     if ident.hammer is not None:
-        sides.append([_modes(ident.hammer, ident.hammer_uncertainty, ident.hammer_reasons, "Modes of the hammer test.")])
+        sides.append(
+            [_modes(ident.hammer, ident.hammer_uncertainty, ident.hammer_reasons, "Modes of the hammer test.")]
+        )
     if sides:
         blocks.append(Columns(sides) if len(sides) > 1 else sides[0][0])
     if len(ident.ambient_records) > 1:
@@ -37,7 +52,7 @@ def section(data: Stages) -> Section | None:
 def _diagrams(name: str, diagrams: Sequence[StableDiagram], modes: ModeSet) -> list[Block]:
     out: list[Block] = []
     for d in diagrams:
-        span = f"{number(float(d.freqs.min()), 3)} to {number(float(d.freqs.max()), 3)} Hz" if d.freqs.size else "all"
+        span = f"{plain(float(d.freqs.min()))} to {plain(float(d.freqs.max()))} Hz" if d.freqs.size else "all"
         out.append(Plot(plots.stabilisation(d, modes), f"Stabilisation diagram, {name}, {span}."))
     return out
 

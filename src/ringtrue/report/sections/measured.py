@@ -27,8 +27,10 @@ def _unit(r: RecordSummary) -> str:
 
 
 def _record(r: RecordSummary) -> Block:
-    notes = f" {'; '.join(r.notes)}." if r.notes else ""
-    return Plot(plots.record(r, _unit(r)), f"{r.name}, {r.excitation}: time preview and power spectral density.{notes}")
+    notes = f" Notes: {'; '.join(r.notes)}." if r.notes else ""
+    return Plot(
+        plots.record(r, _unit(r)), f"{r.name}, {r.excitation}: time preview and power spectral density.{notes}"
+    )
 
 
 def functions(data: Stages) -> Section | None:
@@ -46,7 +48,9 @@ def functions(data: Stages) -> Section | None:
     blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks), caption)]
     if ident.synthesis_error.size:
         middle, worst = np.nanmedian(ident.synthesis_error), np.nanmax(ident.synthesis_error)
-        text = f"The FRFs synthesised from the identified modes differ from the measured ones by {100 * middle:.1f} % "
+        text = (
+            f"The FRFs synthesised from the identified modes differ from the measured ones by {100 * middle:.1f} % "
+        )
         blocks.append(Text(text + f"in the median and {100 * worst:.1f} % at worst (relative norm over the band)."))
     if ident.rejected_hits:
         blocks.append(Items(ident.rejected_hits, f"Rejected hits ({len(ident.rejected_hits)})"))

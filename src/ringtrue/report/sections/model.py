@@ -28,7 +28,8 @@ def section(data: Stages) -> Section | None:
 def _caption(test: TestModel | None) -> str:
     text = "The model by part"
     if test is not None:
-        text += f", with {len(test.channels)} channels at {test.points.size} points; arrows point in the positive reading"
+        text += f", with {len(test.channels)} channels at {test.points.size} points"
+        text += "; arrows point in the positive reading"
     return text + ". Drag to turn, shift-drag to move, click and use the wheel to zoom."
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.plots import correlation, identification
-from ringtrue.report.parts import Block, Columns, Fact, Facts, Plot, Section, Text, fixed, number
+from ringtrue.report.parts import Block, Columns, Fact, Facts, Plot, Section, Text, fixed, plain
 from ringtrue.report.stages import Stages
 
 
@@ -15,11 +15,11 @@ def section(data: Stages) -> Section | None:
     if plan is None:
         return None
     facts = [
-        Fact("Channels of candidates", f"{len(plan.test.channels)} of {plan.candidates}"),
+        Fact("Channels chosen", f"{len(plan.test.channels)} of {plan.candidates}"),
         Fact("Worst auto-MAC", fixed(100 * plan.worst_off_diagonal, 1), "%"),
-        Fact("Frequency step", number(plan.frequency_step, 3), "Hz"),
-        Fact("Block", number(plan.block, 3), "s"),
-        Fact("Ambient record", number(plan.record_length / 60, 3), "min"),
+        Fact("Frequency step", plain(plan.frequency_step), "Hz"),
+        Fact("Block", plain(plan.block), "s"),
+        Fact("Ambient record", plain(plan.record_length / 60), "min"),
     ]
     blocks: list[Block] = [Facts(facts), Text(f"{plan.rule} Hammer references: {', '.join(plan.references)}.")]
     names = [str(i + 1) for i in plan.target_modes.tolist()]

@@ -18,12 +18,10 @@ def section(data: Stages) -> Section | None:
     parts = ["Mode shapes: the model's skin, coloured by its displacement" if scene is not None else "Mode shapes"]
     if data.test is not None:
         parts.append("the test's wireframe in orange, turned and scaled onto the model's shape")
-    return Section("shapes", "Mode shapes", [Scene3D(modes(scene, data.test, shown), "; ".join(parts) + ".", 600)])
+    return Section("shapes", "Mode shapes", [Scene3D(modes(scene, data.test, shown), "; ".join(parts) + ".", 540)])
 
 
-def _paired(
-    stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, skin: ModeSet | None
-) -> list[Shown]:
+def _paired(stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, skin: ModeSet | None) -> list[Shown]:
     out = []
     for r in table.rows:
         t, k = int(r.test_mode), int(r.fe_mode)

@@ -76,7 +76,11 @@ def _outcome(data: Stages) -> list[Block]:
     final = data.final
     assert final is not None
     before = data.correlate.initial if data.correlate is not None else None
-    blocks: list[Block] = [_facts(final.table, before), Heading("What must hold"), Checks(list(final.checks.items()))]
+    blocks: list[Block] = [
+        _facts(final.table, before),
+        Heading("What must hold"),
+        Checks(list(final.checks.items())),
+    ]
     blocks += [_deviations(data), _stages_table(data)]
     if final.facts:
         rows = [(k, number(v, 4)) for k, v in final.facts.items()]

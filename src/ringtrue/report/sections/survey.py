@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ringtrue.report.parts import Block, Heading, Section, Table, Text, fixed, number
+from ringtrue.report.parts import Block, Heading, Section, Table, Text, fixed, number, plain
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import ModelStage, RecordSummary
 
@@ -18,7 +18,7 @@ def section(data: Stages) -> Section | None:
 
 
 def _system(model: ModelStage) -> Table:
-    x, y, z = (number(float(v), 4) for v in model.cg)
+    x, y, z = (fixed(float(v), 2) for v in model.cg)
     rows = [
         ("Model", model.title or "–", ""),
         ("Mass", number(model.mass / 1000, 5), "t"),
@@ -42,7 +42,15 @@ def _span(model: ModelStage) -> str:
 def _tests(records: tuple[RecordSummary, ...]) -> Table:
     heads = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min", "|Notes")
     rows = [
-        (r.test, r.name, r.excitation, str(r.channels), number(r.rate, 4), fixed(r.duration / 60, 1), "; ".join(r.notes))
+        (
+            r.test,
+            r.name,
+            r.excitation,
+            str(r.channels),
+            plain(r.rate),
+            fixed(r.duration / 60, 1),
+            "; ".join(r.notes),
+        )
         for r in records
     ]
     return Table(heads, rows, "The records of the tests.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ringtrue.plots import scene
 from ringtrue.plots import updating as plots
-from ringtrue.report.parts import Block, Cell, Heading, Plot, Scene3D, Section, Table, Text, fixed, number
+from ringtrue.report.parts import Block, Cell, Heading, Plot, Scene3D, Section, Table, Text, fixed, number, plain
 from ringtrue.report.sections.correlation import pairs
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import SetResult, UpdateStage
@@ -20,7 +20,8 @@ def section(data: Stages) -> Section | None:
     caption = "Convergence of every parameter set."
     blocks.append(Plot(plots.convergence(u.sets, u.chosen), caption))
     blocks += [Heading(f"The chosen set: {best.name}"), _parameters(u, best)]
-    text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. {best.outcome}."
+    text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. "
+    text += f"Outcome: {best.outcome}."
     blocks.append(Plot(plots.path(best), text))
     if data.model is not None and u.regions:
         notes = {p: f"× {number(f, 3)}" for p, f in zip(best.parameters, best.factor.tolist(), strict=True)}
@@ -30,15 +31,17 @@ def section(data: Stages) -> Section | None:
 
 
 def _compared(u: UpdateStage) -> Table:
-    heads = ("|Set", "Parameters", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Left out: mean |Δf|, %")
-    heads += ("Condition", "AICc", "Iterations", "|Outcome")
+    quality = ("Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Left out: mean |Δf|, %")
+    heads = ("|Set", "Parameters", *quality, "Condition", "AICc", "Iterations", "|Outcome")
     rows = []
     for i, s in enumerate(u.sets):
         name = Cell(s.name, "chosen", "chosen") if i == u.chosen else s.name
         values = [fixed(s.mean_deviation, 2), fixed(s.max_deviation, 2), fixed(s.mean_mac, 1)]
         values += [fixed(s.mean_deviation_left_out, 2), number(s.condition, 3), fixed(s.criterion, 1)]
         outcome = s.outcome.split(":")[0]
-        rows.append([name, str(len(s.parameters)), *values, str(max(len(s.objective) - 1, 0)), Cell(outcome, "", s.outcome)])
+        rows.append(
+            [name, str(len(s.parameters)), *values, str(max(len(s.objective) - 1, 0)), Cell(outcome, "", s.outcome)]
+        )
     return Table(heads, rows, "Parameter sets updated and compared; the chosen one is marked.")
 
 
@@ -51,7 +54,7 @@ def _parameters(u: UpdateStage, s: SetResult) -> Table:
         at_bound = min(abs(factor / low - 1), abs(factor / high - 1)) < 0.01
         shown = Cell(fixed(factor, 3), "warn", "at its bound") if at_bound else fixed(factor, 3)
         values = [number(u.initial_values.get(name), 4), number(u.updated_values.get(name), 4), shown]
-        spread = [number(100 * float(s.std[j]), 2), f"{number(low, 3)} to {number(high, 3)}"]
+        spread = [number(100 * float(s.std[j]), 2), f"{plain(low)} to {plain(high)}"]
         rows.append([name, *values, *spread, fixed(float(s.identifiability[j]), 2)])
     text = "The updated parameters, deck units. σ after / before near 1: the data say nothing about it."
     return Table(heads, rows, text)

@@ -2,7 +2,7 @@
 // Draws the figures one after the other so that the page stays usable, runs the tabs and the contents, prepares for print.
 (() => {
   const PAPER = 686; // px at 96 dpi: the text width of an A4 page
-  const config = { displaylogo: false, responsive: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
+  const config = { displaylogo: false, responsive: false, displayModeBar: true, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]] };
   const plots = [...document.querySelectorAll("[data-plot]")];
   const views = [...document.querySelectorAll("[data-view]")];
   const plotData = [...document.querySelectorAll("script.plot-data")];
@@ -13,6 +13,7 @@
   function drawPlot(div) {
     const spec = JSON.parse(plotData[+div.dataset.plot].textContent);
     spec.layout.width = widthOf(div);
+    div.ringtrueHeight = spec.layout.height;
     return Plotly.newPlot(div, spec.data, spec.layout, config).then(() => {
       drawn.push(div);
       window.ringtrueDrawn += 1;
@@ -34,10 +35,15 @@
     document.documentElement.dataset.drawn = "true";
   }
 
-  function fit(width) {
+  // On paper a figure is flatter (heat maps keep their height), and in two columns it has half the width.
+  function fit(paper) {
     for (const div of drawn) {
-      const w = width ? width(div) : widthOf(div);
-      if (Math.abs(w - div._fullLayout.width) > 2) Plotly.relayout(div, { width: w });
+      const narrow = div.closest(".columns"), flat = paper && !div.data.some((t) => t.type === "heatmap");
+      const width = paper ? (narrow ? (PAPER - 34) / 2 : PAPER) : widthOf(div);
+      const height = Math.round(div.ringtrueHeight * (flat && !narrow ? 0.82 : 1));
+      if (Math.abs(width - div._fullLayout.width) < 2 && height === div._fullLayout.height) continue;
+      div.style.height = `${height}px`;
+      Plotly.relayout(div, { width, height });
     }
   }
 
@@ -79,11 +85,13 @@
     clearTimeout(timer);
     timer = setTimeout(() => fit(), 150);
   });
-  // On paper a figure in two columns has half the width.
   addEventListener("beforeprint", () => {
-    fit((div) => (div.closest(".columns") ? (PAPER - 34) / 2 : PAPER));
+    fit(true);
     window.ringtrueStill(PAPER);
   });
-  addEventListener("afterprint", () => { fit(); window.ringtrueStill(0); });
+  addEventListener("afterprint", () => {
+    fit(false);
+    window.ringtrueStill(0);
+  });
   drawAll();
 })();

@@ -1,7 +1,7 @@
 "use strict";
 // The 3D viewer: one shared WebGL 2 context draws every view, each copied to its own 2D canvas (so printing works).
 (() => {
-  const RAMP = "vec3 ramp(float t){vec3 a=vec3(.914,.929,.941),b=vec3(.561,.737,.831),c=vec3(.184,.482,.639),d=vec3(.051,.231,.361);" +
+  const RAMP = "vec3 ramp(float t){vec3 a=vec3(.914,.929,.941),b=vec3(.561,.737,.831),c=vec3(.184,.482,.639),d=vec3(.098,.353,.545);" +
     "return t<.333?mix(a,b,t*3.):t<.667?mix(b,c,t*3.-1.):mix(c,d,t*3.-2.);}";
   const HEAD = "#version 300 es\nprecision highp float;\nuniform mat4 uM;uniform float uCos,uSin,uAmp;\n";
   const MESH_V = HEAD + "in vec3 aP,aD;in vec4 aC;out vec3 vP;out vec4 vC;out float vD;uniform mat4 uR;" +
@@ -155,14 +155,14 @@
       if (this.data.modes && this.xyz) bar.append(box("skin", "model"));
       if (this.txyz) bar.append(box("test", this.data.modes ? "test" : "sensors"));
       if (this.data.modes) bar.append(box("still", "at rest"));
-      bar.append(el("span", { className: "space" }));
+      const directions = el("div", { className: "directions" });
       for (const [name, az, e] of [["3D", -1.05, 0.42], ["X", 0, 0], ["Y", -Math.PI / 2, 0], ["Z", -Math.PI / 2, Math.PI / 2]])
-        bar.append(button(name, name === "3D" ? "Oblique view" : `View along ${name}`, () => { Object.assign(this.cam, { az, el: e, zoom: 1.35 }); this.pan = [0, 0]; this.draw(); }));
+        directions.append(button(name, name === "3D" ? "Oblique view" : `View along ${name}`, () => { Object.assign(this.cam, { az, el: e, zoom: 1.35 }); this.pan = [0, 0]; this.draw(); }));
       this.canvas = el("canvas", { tabIndex: 0, ariaLabel: "3D view: drag to turn, shift-drag to move, wheel to zoom" });
       this.tip = el("div", { className: "tip" });
       this.info = el("div", { className: "info" });
-      this.stage = el("div", { className: "stage" }, this.canvas, this.tip, this.info);
-      this.div.append(bar, this.stage);
+      this.stage = el("div", { className: "stage" }, this.canvas, this.tip, this.info, directions);
+      this.div.append(...(bar.children.length ? [bar] : []), this.stage);
       if (!this.ctx) this.info.textContent = "3D figures need WebGL 2, which this browser does not offer.";
       this.legend(el);
       this.mouse();
@@ -365,9 +365,10 @@
       requestAnimationFrame(() => { this.queued = false; this.paint(); });
     }
 
-    paint(width = 0) {
+    // Without arguments: on screen, as it moves. With a size: still, at the largest deflection.
+    paint(width = 0, height = Math.min(this.stage.clientHeight, 420)) {
       const { gl, canvas } = this.ctx, ratio = width ? 2 : Math.min(devicePixelRatio || 1, 2);
-      const w = Math.round((width || this.stage.clientWidth) * ratio), h = Math.round((width ? Math.min(this.stage.clientHeight, 420) : this.stage.clientHeight) * ratio);
+      const w = Math.round((width || this.stage.clientWidth) * ratio), h = Math.round((width ? height : this.stage.clientHeight) * ratio);
       if (!w || !h) return;
       if (this.canvas.width !== w || this.canvas.height !== h) Object.assign(this.canvas, { width: w, height: h });
       if (canvas.width < w || canvas.height < h) Object.assign(canvas, { width: Math.max(canvas.width, w), height: Math.max(canvas.height, h) });
@@ -387,6 +388,28 @@
       this.canvas.getContext("2d").drawImage(canvas, 0, canvas.height - h, w, h, 0, 0, w, h);
     }
 
+    // All modes of the chosen stage side by side, for paper.
+    sheet() {
+      if (!this.data.modes) return;
+      if (this.thumbs) this.thumbs.remove();
+      const at = this.modeBox.selectedIndex, big = this.canvas, box = Object.assign(document.createElement("div"), { className: "sheet" });
+      this.list.forEach((mode, k) => {
+        this.modeBox.selectedIndex = k;
+        this.setMode();
+        const small = document.createElement("canvas"), cell = document.createElement("div");
+        this.canvas = small;
+        this.paint(220, 150);
+        cell.append(small, mode.label);
+        box.append(cell);
+      });
+      this.canvas = big;
+      this.modeBox.selectedIndex = at;
+      this.setMode();
+      this.thumbs = box;
+      this.div.append(box);
+      this.div.closest("figure").classList.add("long");
+    }
+
     // Zoom that fills the canvas whatever its aspect, from the box seen obliquely.
     fit(aspect) {
       const { M } = matrices({ at: this.cam.at, az: -1.05, el: 0.42, zoom: 1 }, this.size, aspect, [0, 0]);
@@ -395,7 +418,7 @@
         const p = [0, 1, 2].map((c) => (k >> c & 1 ? this.high[c] : this.low[c]));
         for (const c of [0, 1]) most = Math.max(most, Math.abs(M[c] * p[0] + M[4 + c] * p[1] + M[8 + c] * p[2] + M[12 + c]));
       }
-      return 0.64 / (most || 1);
+      return 0.66 / (most || 1);
     }
 
     paintPart(p, w, h, ratio, phase, amp) {
@@ -437,5 +460,9 @@
 
   window.ringtrueView = (div, data) => { const v = new Viewer(div, data); all.push(v); if (v.ctx) v.paint(); return v; };
   // Redraws every view for paper (at largest deflection), or for the screen again.
-  window.ringtrueStill = (width) => all.forEach((v) => v.ctx && v.paint(width));
+  window.ringtrueStill = (width) => all.forEach((v) => {
+    if (!v.ctx) return;
+    if (width) v.sheet();
+    v.paint(width);
+  });
 })();

@@ -1,1 +1,99 @@
+"""The stages of a study in order: what each needs, and which settings and files decide whether it is up to date."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ringtrue.study.stages import (
+    compare,
+    correlate,
+    final,
+    identify,
+    model,
+    plan,
+    sensitivity,
+    tune,
+    update,
+)
+from ringtrue.study.workbench import Progress, Workbench
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One stage.
+
+    Attributes
+    ----------
+    name, title : str
+    run : callable (Workbench, Progress) -> result
+    settings : tuple of str
+        Sections of study.toml that it depends on.
+    needs : tuple of str
+        Stages that it takes results of.
+    inputs : callable, Workbench -> files
+        Files that it reads.
+    sections : tuple of str
+        Sections without which it does not apply.
+    """
+
+    name: str
+    title: str
+    run: Callable[[Workbench, Progress], Any]
+    settings: tuple[str, ...]
+    needs: tuple[str, ...]
+    inputs: Callable[[Workbench], list[Path]]
+    sections: tuple[str, ...]
+
+    def applies(self, desk: Workbench) -> bool:
+        """Whether the study has what the stage needs."""
+        return all(getattr(desk.config, s) for s in self.sections)
+
+    def files(self, desk: Workbench) -> list[Path]:
+        """Files that it reads."""
+        return self.inputs(desk)
+
+
+def _nothing(desk: Workbench) -> list[Path]:
+    return []
+
+
+def _deck(desk: Workbench) -> list[Path]:
+    return [Path(f) for f in desk.initial.model.files]
+
+
+def _remodelled(desk: Workbench) -> list[Path]:
+    step = desk.config.remodel
+    return [*_deck(desk), *([desk.base / step.cards] if step else [])]
+
+
+_BOTH = ("model", "test")
+STAGES = (
+    Stage("model", "modes of the deck", model.run, ("model",), (), _deck, ("model",)),
+    Stage("plan", "test plan", plan.run, ("model", "plan"), ("model",), _deck, ("model", "plan")),
+    Stage("identify", "modes from the signals", identify.run, ("test", "identify"), (), identify.files, ("test",)),
+    Stage("compare", "ambient against hammer", compare.run, ("correlate",), ("identify",), _nothing, ("test",)),
+    Stage(
+        "correlate",
+        "model against test",
+        correlate.run,
+        ("model", "correlate", "remodel", "identify"),
+        ("identify", "model"),
+        _remodelled,
+        _BOTH,
+    ),
+    Stage(
+        "sensitivity",
+        "sensitivities and parameter sets",
+        sensitivity.run,
+        ("candidate", "update"),
+        ("correlate",),
+        _remodelled,
+        (*_BOTH, "candidate"),
+    ),
+    Stage("update", "updating", update.run, ("update",), ("sensitivity",), _nothing, (*_BOTH, "candidate")),
+    Stage("tune", "rigid-body tuning", tune.run, ("suspension",), ("update",), _nothing, (*_BOTH, "suspension")),
+    Stage("final", "delivered deck", final.run, (), ("update", "tune"), _nothing, (*_BOTH, "candidate")),
+)

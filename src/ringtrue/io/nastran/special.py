@@ -1,20 +1,41 @@
-"""Cards with a pattern of their own: SPC, MPC, RBE3, PBUSH, PBEAM."""
+"""Cards with a pattern of their own: SPC, MPC, RBE3, PELAS, PMASS, PBUSH, PBEAM, PBARL, PBEAML."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ringtrue.errors import DeckError
-from ringtrue.io.nastran.lexer import Card
-from ringtrue.io.nastran.writer import parse_real
+from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.io.nastran.lexer import integers, real
+from ringtrue.io.nastran.sections import SECTIONS
+from ringtrue.model.cards import columns
 from ringtrue.model.model import Ragged, Table
 
-Files = Sequence[Path]
+Files = Sequence[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """One card: its name, data fields as text, and where its first line stands."""
+
+    name: str
+    fields: list[str]
+    file: int
+    line: int
+
+
+def whole(text: str) -> int:
+    """One integer; `ValueError` if malformed."""
+    value, good = integers(np.array([text.encode("latin-1")]))
+    if not good[0]:
+        raise ValueError(text)
+    return int(value[0])
 
 
 class _Reader:
@@ -35,7 +56,7 @@ class _Reader:
         if not t and default is not None:
             return default
         try:
-            return int(t)
+            return whole(t)
         except ValueError:
             raise self.fail(name, f"{t!r} is not an integer") from None
 
@@ -44,7 +65,7 @@ class _Reader:
         if not t and default is not None:
             return default
         try:
-            return parse_real(t)
+            return real(t)
         except ValueError:
             raise self.fail(name, f"{t!r} is not a real") from None
 
@@ -69,13 +90,34 @@ def _spc(cards: Sequence[Card], files: Files) -> Table:
                 rows.append((sid, r.whole(i, g), r.text(i + 1) or "0", r.real(i + 2, "D", 0.0)))
                 from_card.append(c)
     sid_, g_, c_, d_ = zip(*rows, strict=True) if rows else ((), (), (), ())
-    cols = {
+    cols: dict[str, NDArray[Any] | Ragged] = {
         "SID": np.array(sid_, dtype=np.int64),
         "G": np.array(g_, dtype=np.int64),
         "C": np.array(c_, dtype=np.str_),
         "D": np.array(d_, dtype=np.float64),
     }
     return Table("SPC", cols, *_place(from_card))
+
+
+def _several(card: str, id_name: str, names: Sequence[str]) -> Callable[[Sequence[Card], Files], Table]:
+    """A card that holds several rows of 1 + len(names) fields."""
+
+    def read(cards: Sequence[Card], files: Files) -> Table:
+        ids, values, of = [], [], []
+        width = 1 + len(names)
+        for c in cards:
+            r = _Reader(c, files)
+            for i in range(0, max(len(c.fields), 1), width):
+                if i == 0 or r.text(i):
+                    ids.append(r.whole(i, id_name))
+                    values.append([r.real(i + 1 + k, name, 0.0) for k, name in enumerate(names)])
+                    of.append(c)
+        data = np.array(values, dtype=np.float64).reshape(-1, len(names))
+        made: dict[str, NDArray[Any]] = {id_name: np.array(ids, dtype=np.int64)}
+        made |= {name: data[:, k] for k, name in enumerate(names)}
+        return Table(card, made, *_place(of))
+
+    return read
 
 
 def _mpc(cards: Sequence[Card], files: Files) -> Table:
@@ -88,7 +130,7 @@ def _mpc(cards: Sequence[Card], files: Files) -> Table:
         g.append([r.whole(i, "G") for i in at])
         comp.append([r.whole(i + 1, "C", 0) for i in at])
         a.append([r.real(i + 2, "A", 0.0) for i in at])
-    cols = {
+    cols: dict[str, NDArray[Any] | Ragged] = {
         "SID": np.array(sid, dtype=np.int64),
         "G": _ragged(g, np.int64),
         "C": _ragged(comp, np.int64),
@@ -108,7 +150,7 @@ def _rbe3(cards: Sequence[Card], files: Files) -> Table:
         g.append(nodes)
         comp.append(comps)
         w.append(weights)
-    cols = {
+    cols: dict[str, NDArray[Any] | Ragged] = {
         "EID": np.array(eid, dtype=np.int64),
         "REFGRID": np.array(ref, dtype=np.int64),
         "REFC": np.array(refc, dtype=np.str_),
@@ -135,12 +177,10 @@ def _rbe3_groups(r: _Reader) -> tuple[list[int], list[str], list[float]]:
         elif not t.lstrip("+-").isdigit():
             weight, comp, fresh = r.real(i, "WT"), r.text(i + 1), True
             i += 2
-        elif t == "THRU":
-            raise r.fail("G", "THRU is not allowed here")
         else:
             if not comp:
                 raise r.fail("C", "a node stands before its weight and components")
-            nodes.append(int(t))
+            nodes.append(r.whole(i, "G"))
             comps.append(comp)
             weights.append(weight)
             fresh = False
@@ -150,11 +190,11 @@ def _rbe3_groups(r: _Reader) -> tuple[list[int], list[str], list[float]]:
     return nodes, comps, weights
 
 
-_FLAGS = {"K": [f"K{i}" for i in range(1, 7)], "B": [f"B{i}" for i in range(1, 7)], "GE": ["GE"], "M": ["M"]}
+FLAGS = {"K": [f"K{i}" for i in range(1, 7)], "B": [f"B{i}" for i in range(1, 7)], "GE": ["GE"], "M": ["M"]}
 
 
 def _pbush(cards: Sequence[Card], files: Files) -> Table:
-    names = [n for f in _FLAGS.values() for n in f]
+    names = [n for f in FLAGS.values() for n in f]
     cols: dict[str, list[float]] = {n: [] for n in names}
     pid = []
     for c in cards:
@@ -165,9 +205,9 @@ def _pbush(cards: Sequence[Card], files: Files) -> Table:
             flag = r.text(start).upper()
             if flag == "RIGID":
                 raise r.fail("K", "RIGID is not supported; use RBE2")
-            if flag and flag not in (*_FLAGS, "RCV", "T", "D"):
+            if flag and flag not in (*FLAGS, "RCV", "T", "D"):
                 raise r.fail("flag", f"{flag!r}: allowed are K, B, GE, M, RCV")
-            for k, name in enumerate(_FLAGS.get(flag, [])):
+            for k, name in enumerate(FLAGS.get(flag, [])):
                 row[name] = r.real(start + 1 + k, name, 0.0)
         for name, value in row.items():
             cols[name].append(value)
@@ -175,8 +215,8 @@ def _pbush(cards: Sequence[Card], files: Files) -> Table:
     return Table("PBUSH", data, *_place(cards))
 
 
-_SECTION = ("A", "I1", "I2", "I12", "J", "NSM")
-_SECTION_B = ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
+END_A = ("A", "I1", "I2", "I12", "J", "NSM")
+END_B = ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
 _TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB", "CWA", "CWB")
 _TAIL2 = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
 _STATION = ("YES", "YESA", "NO")
@@ -198,17 +238,34 @@ def _pbeam(cards: Sequence[Card], files: Files) -> Table:
     return Table("PBEAM", data, *_place(cards))
 
 
-def _beam_row(r: _Reader) -> dict[str, float]:
-    row = {n: r.real(2 + k, n, 0.0) for k, n in enumerate(_SECTION)}
-    row |= dict(zip(_SECTION_B, row.values(), strict=True))
-    lines = len(r.card.fields) // 8 + 1
+def _stations(r: _Reader) -> tuple[list[tuple[float, int]], int]:
+    """(x / length, place of its A) of the stations behind end A, and where the fields behind the stations begin."""
     at = 8 if r.text(8).upper() in _STATION else 16  # the stress points may be left out
-    while at // 8 < lines and r.text(at).upper() in _STATION:
-        flag, x = r.text(at).upper(), r.real(at + 1, "X/XB", 1.0)
+    found = []
+    while (flag := r.text(at).upper()) in _STATION:
+        found.append((r.real(at + 1, "X/XB", 1.0), at + 2))
+        at += 16 if flag == "YES" and r.text(at + 8).upper() not in _STATION else 8  # YESA and NO: no stress points
+    return found, at
+
+
+def beam_stations(card: Card, files: Files) -> tuple[list[tuple[float, int]], int]:
+    """Stations behind end A of a PBEAM: x / length with the place of A, and the field behind the stations."""
+    return _stations(_Reader(card, files))
+
+
+def _beam_row(r: _Reader) -> dict[str, float]:
+    row = {n: r.real(2 + k, n, 0.0) for k, n in enumerate(END_A)}
+    row |= dict(zip(END_B, row.values(), strict=True))
+    stations, at = _stations(r)
+    for x, place in stations:
         if x == 1.0:
-            for k, (a, b) in enumerate(zip(_SECTION, _SECTION_B, strict=True)):
-                row[b] = r.real(at + 2 + k, b, row[a])
-        at += 16 if flag == "YES" else 8  # YESA and NO have no line of stress points
+            row |= {b: r.real(place + k, b, row[a]) for k, (a, b) in enumerate(zip(END_A, END_B, strict=True))}
+    for x, place in stations:
+        for k, (a, b) in enumerate(zip(END_A, END_B, strict=True)):
+            straight = row[a] + x * (row[b] - row[a])
+            if abs(r.real(place + k, a, straight) - straight) > 1e-6 * max(abs(row[a]), abs(row[b])):
+                why = f"{a} at the station {x} is not on the straight line between the ends"
+                raise UnsupportedCard("PBEAM", path=r.files[r.card.file], line=r.card.line, why=why)
     row |= {n: r.real(at + k, n, 1.0 if n in ("K1", "K2") else 0.0) for k, n in enumerate(_TAIL)}
     row |= {n: r.real(at + 8 + k, n, 0.0) for k, n in enumerate(_TAIL2)}
     if not r.text(at + 5):
@@ -219,10 +276,64 @@ def _beam_row(r: _Reader) -> dict[str, float]:
     return row
 
 
-EXPAND: dict[str, Callable[[Sequence[Card], Files], Table]] = {
-    "SPC": _spc,
-    "MPC": _mpc,
-    "RBE3": _rbe3,
-    "PBUSH": _pbush,
-    "PBEAM": _pbeam,
-}
+def _section(r: _Reader, at: int) -> tuple[dict[str, float], int]:
+    """Properties of the section whose dimensions begin at field `at`, NSM among them, and the field behind."""
+    c, kind = r.card, r.text(3).upper()
+    if kind not in SECTIONS:
+        why = f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
+        raise UnsupportedCard(c.name, path=r.files[c.file], line=c.line, why=why)
+    count, section = SECTIONS[kind]
+    dims = [r.real(at + k, f"DIM{k + 1}") for k in range(count)]
+    try:
+        values = section(*dims)
+    except ValueError as e:
+        raise r.fail("DIM1", str(e)) from None
+    return {**values, "NSM": r.real(at + count, "NSM", 0.0)}, at + count + 1
+
+
+def _bar_row(r: _Reader) -> dict[str, float]:
+    return _section(r, 8)[0]
+
+
+def _tapered_row(r: _Reader) -> dict[str, float]:
+    row, at = _section(r, 8)
+    row |= {b: row.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
+    while r.text(at).upper() in _STATION:
+        if r.real(at + 1, "X/XB", 1.0) != 1.0:
+            c = r.card
+            raise UnsupportedCard("PBEAML", path=r.files[c.file], line=c.line, why="a station between the ends")
+        if not r.text(at + 2):  # a blank section is that of end A
+            break
+        end, at = _section(r, at + 2)
+        row |= {b: end.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
+    return row
+
+
+def _from_sections(
+    card: str, read: Callable[[_Reader], dict[str, float]], cards: Sequence[Card], files: Files
+) -> Table:
+    rows = []
+    for c in cards:
+        r = _Reader(c, files)
+        rows.append({"PID": r.whole(0, "PID"), "MID": r.whole(1, "MID"), **read(r)})
+    made = {}
+    for spec in columns(card):
+        if not spec.blank:
+            kind = np.int64 if spec.kind == "i" else np.float64
+            made[spec.name] = np.array([row.get(spec.name, spec.default) for row in rows], dtype=kind)
+    return Table(card, made, *_place(cards))
+
+
+EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyType(
+    {
+        "SPC": _spc,
+        "MPC": _mpc,
+        "RBE3": _rbe3,
+        "PELAS": _several("PELAS", "PID", ("K", "GE", "S")),
+        "PMASS": _several("PMASS", "PID", ("M",)),
+        "PBUSH": _pbush,
+        "PBEAM": _pbeam,
+        "PBARL": partial(_from_sections, "PBAR", _bar_row),  # the table is of PBAR
+        "PBEAML": partial(_from_sections, "PBEAM", _tapered_row),  # the table is of PBEAM
+    }
+)

@@ -1,0 +1,85 @@
+"""Modes that the pole search missed: peaks in what a fit leaves of the FRFs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
+
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.identify.judge import Candidates
+from ringtrue.identify.lsfd import Lines, modal_part
+from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.refine import Refined
+
+ABOVE = 2.0  # of the error over its surroundings
+SHARE = 0.03  # amplitude of the error against the data
+
+
+def left_over(lines: Lines, fit: Refined) -> Complex:
+    """(in, freq, out) weighted data without the modes and residual terms."""
+    model = (
+        modal_part(lines, fit.poles, fit.shapes, fit.participation).transpose(2, 0, 1) * lines.weight[:, :, None]
+    )
+    model -= lines.terms @ (lines.terms.conj().transpose(0, 2, 1) @ model)
+    return np.asarray((lines.y - model) * lines.response)
+
+
+def missed(lines: Lines, fit: Refined, sets: Sequence[PoleSet], decay: float, most: int) -> Candidates:
+    """Candidates at the highest peaks of the error, one for each.
+
+    Parameters
+    ----------
+    lines : Lines
+    fit : Refined
+    sets : sequence of PoleSet
+        The poles of all orders, to count the orders that hold a candidate.
+    decay : float, 1/s
+        Exponential window still in `sets`.
+    most : int
+    """
+    rest = left_over(lines, fit)
+    at = _peaks(rest, lines, fit)[:most]
+    omega = lines.s.imag[at]
+    zeta = np.median(-fit.poles.real / np.abs(fit.poles)) if fit.poles.size else 0.01
+    pole = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    part = np.array([_direction(rest[:, max(k - 1, 0) : k + 2]) for k in at]).reshape(at.size, rest.shape[0])
+    return Candidates(pole, part, support(pole, part, sets, decay), np.zeros(at.size))
+
+
+def _peaks(rest: Complex, lines: Lines, fit: Refined) -> Int:
+    """Lines of the peaks, highest first, half a bandwidth apart at least."""
+    power = uniform_filter1d((np.abs(rest) ** 2).mean(axis=(0, 2)), 3, mode="nearest")
+    total = (np.abs(lines.y * lines.response) ** 2).mean(axis=(0, 2))
+    step = lines.s.imag[1] - lines.s.imag[0]
+    zeta = np.median(-fit.poles.real / np.abs(fit.poles)) if fit.poles.size else 0.01
+    half = int(np.ceil(zeta * np.median(lines.s.imag) / step)) + 2
+    floor = median_filter(power, size=min(20 * half + 1, power.size), mode="nearest")
+    top = power >= maximum_filter1d(power, 2 * half + 1, mode="nearest")
+    seen = top & (power > ABOVE * floor) & (power > SHARE**2 * uniform_filter1d(total, 3, mode="nearest"))
+    at = np.flatnonzero(seen)
+    return at[np.argsort(-(power / floor)[at], kind="stable")]
+
+
+def _direction(rest: Complex) -> Complex:
+    """Participation vector (in,) that carries most of the error at a few lines (in, freq, out)."""
+    a = rest.reshape(rest.shape[0], -1)
+    return np.asarray(np.linalg.eigh(a @ a.conj().T)[1][:, -1], dtype=np.complex128)
+
+
+def support(pole: Complex, part: Complex, sets: Sequence[PoleSet], decay: float) -> Float:
+    """Share of the orders that hold each pole, in the band that knows it best."""
+    best = np.zeros(pole.size)
+    for s in sets:  # a few bands
+        if not len(s):
+            continue
+        width = np.abs(pole.real) + 0.2 * decay + 1e-4 * np.abs(pole)
+        near = np.abs(s.pole[:, None] + decay - pole) < width
+        v = s.shape / np.linalg.norm(s.shape, axis=0)
+        u = part.T / np.linalg.norm(part.T, axis=0)
+        near &= np.abs(v.conj().T @ u) ** 2 > 0.6
+        upper = s.order >= np.median(s.orders)
+        held = np.array([np.unique(s.order[upper & n]).size for n in near.T])
+        best = np.maximum(best, held / max(np.unique(s.order[upper]).size, 1))
+    return best

@@ -1,0 +1,325 @@
+"""Decks edited in place: a changed field is the only thing that changes in its file."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.errors import DeckError, InputError
+from ringtrue.io.atomic import atomic_write
+from ringtrue.io.nastran.deck import Cards, cards, load
+from ringtrue.io.nastran.lexer import LineFields, split_line
+from ringtrue.io.nastran.places import field_place
+from ringtrue.io.nastran.writer import format_field
+from ringtrue.model.cards import columns
+from ringtrue.model.edit import BOTH_ENDS, FieldChange, resolve_target
+from ringtrue.model.model import Model
+
+Place = tuple[int, int]  # file number, line from 1
+
+
+def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Path) -> list[Path]:
+    """Copy a deck with all its includes, changing only the characters of the given fields.
+
+    A field keeps the format of its line (small, large, free); the value is written with the digits that fit. A blank
+    field is filled; a field behind the end of its card gets the continuation lines it needs.
+
+    Returns
+    -------
+    list of Path
+        The written files in the order of `model.files`, the main deck first.
+
+    Raises
+    ------
+    InputError, DeckError
+        If a change names what is not in the deck, or a field that is no single field of its card. Nothing is
+        written then.
+    """
+    found = cards(load(_main(model)))
+    files = [Path(f) for f in found.deck.files]
+    contents = [_File(f.read_bytes()) for f in files]
+    for group in _by_card(model, found, changes):
+        _edit_card(found, contents, group)
+    return _write(files, [c.joined() for c in contents], Path(out_dir))
+
+
+def add_cards(model: Model, file: str | Path, text: str, out_dir: str | Path) -> list[Path]:
+    """Copy a deck with cards added: before ENDDATA of `file` (one of `model.files`), at its end if it has none.
+
+    Returns
+    -------
+    list of Path
+        The written files in the order of `model.files`.
+
+    Raises
+    ------
+    InputError
+        If `file` is none of the deck's files.
+    """
+    files = [Path(f) for f in model.files]
+    number = _number(files, Path(file))
+    data = [f.read_bytes() for f in files]
+    data[number] = _inserted(data[number], text)
+    return _write(files, data, Path(out_dir))
+
+
+def append_include(model: Model, file: str | Path, name: str, text: str, out_dir: str | Path) -> list[Path]:
+    """Copy a deck with a new file `name` of cards beside `file`, included there before ENDDATA.
+
+    Returns
+    -------
+    list of Path
+        The written files in the order of `model.files`, the new one last.
+
+    Raises
+    ------
+    InputError
+        If `file` is none of the deck's files, or `name` is one already.
+    """
+    files = [Path(f) for f in model.files]
+    new = files[_number(files, Path(file))].parent / name
+    if new in files:
+        raise InputError(f"{name} is already a file of the deck; choose another name")
+    data = [f.read_bytes() for f in files]
+    number = _number(files, Path(file))
+    data[number] = _inserted(data[number], f"INCLUDE '{name}'\n")
+    return _write([*files, new], [*data, text.encode()], Path(out_dir))
+
+
+def unified_diff(old: Sequence[str | Path], new: Sequence[str | Path]) -> str:
+    """The differences between files pair by pair, in the form of `diff -u`; "" if there are none."""
+    parts: list[str] = []
+    for a, b in zip(map(Path, old), map(Path, new), strict=True):
+        before, after = a.read_bytes(), b.read_bytes()
+        if before != after:
+            lines = (x.decode("latin-1").splitlines() for x in (before, after))
+            parts += difflib.unified_diff(*lines, fromfile=a.name, tofile=b.name, lineterm="")
+    return "\n".join(parts) + ("\n" if parts else "")
+
+
+def _main(model: Model) -> str:
+    if not model.files:
+        raise InputError("this model was not read from a deck, so there is none to edit")
+    return model.files[0]
+
+
+def _number(files: Sequence[Path], wanted: Path) -> int:
+    if not files:
+        raise InputError("this model was not read from a deck, so there is none to edit")
+    candidates = (wanted.resolve(), (files[0].parent / wanted).resolve())
+    for i, f in enumerate(files):
+        if f in candidates:
+            return i
+    raise InputError(f"{wanted} is not a file of the deck; its files are {', '.join(str(f) for f in files)}")
+
+
+def _inserted(data: bytes, text: str) -> bytes:
+    newline = b"\r\n" if b"\r\n" in data else b"\n"
+    lines = newline.join(line.encode() for line in text.splitlines()) + newline
+    end = re.search(rb"(?im)^[ \t]*ENDDATA", data)
+    at = end.start() if end else len(data)
+    gap = newline if at and not data[:at].endswith(b"\n") else b""
+    return data[:at] + gap + lines + data[at:]
+
+
+def _write(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list[Path]:
+    """Write the files in their layout; the main deck stands in `out_dir` unless an include lies outside its folder."""
+    root = Path(os.path.commonpath([f.parent for f in files]))
+    targets = [out_dir / f.relative_to(root) for f in files]
+    for target, content in zip(targets, data, strict=True):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(target) as part:
+            part.write_bytes(content)
+    expected = {t.resolve() for t in targets}
+    strangers = [f for f in load(targets[0]).files if Path(f) not in expected]
+    if strangers:
+        raise DeckError(
+            f"the copy still includes {strangers[0]}: make the path of that INCLUDE relative", path=targets[0]
+        )
+    return targets
+
+
+class _File:
+    """The lines of a file, each with its line ending."""
+
+    def __init__(self, data: bytes) -> None:
+        self.lines = data.splitlines(keepends=True) if b"\n" not in data else re.findall(rb"[^\n]*\n|[^\n]+", data)
+
+    def joined(self) -> bytes:
+        return b"".join(self.lines)
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """All changes of one card of the deck."""
+
+    card: int
+    changes: tuple[FieldChange, ...]
+
+
+def _by_card(model: Model, found: Cards, changes: Sequence[FieldChange]) -> list[_Group]:
+    """Changes gathered by the card of the deck that holds them."""
+    every = np.arange(found.head.size)
+    file, line = found.places(every)
+    order = np.lexsort((line, file))
+    key = np.stack([file[order], line[order]], axis=1)
+    groups: dict[int, list[FieldChange]] = {}
+    for change in changes:
+        table = model[change.card] if change.card in model else None
+        rows = resolve_target(model, change)
+        assert table is not None
+        if len(rows) > 1:
+            raise InputError(f"{change.card} {change.id} stands {len(rows)} times in the deck: which one is meant?")
+        at = (int(table.file[rows[0]]), int(table.line[rows[0]]))
+        hit = np.flatnonzero((key[:, 0] == at[0]) & (key[:, 1] == at[1]))
+        if not hit.size:
+            raise InputError(f"{change.card} {change.id} is not where it was read: the deck has changed since")
+        groups.setdefault(int(order[hit[0]]), []).append(change)
+    return [_Group(card, tuple(c)) for card, c in groups.items()]
+
+
+def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:
+    path, line = found.place(group.card)
+    name = found.name[group.card].decode()
+    rows = found.raw_of[found.head[group.card] + np.arange(found.count[group.card])]
+    at: list[Place] = [(int(found.deck.file[r]), int(found.deck.line[r])) for r in rows]
+    lines = [_Line(contents[f].lines[n - 1]) for f, n in at]
+    given = {(c.id, c.field): c.value for c in group.changes}
+    for change in group.changes:
+        if change.card != name:
+            why = f"it was made from a {name}; change that card's own fields"
+            raise DeckError(why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field)
+        place = field_place(name, _texts(lines), change.id, change.field)
+        if _inherits(change, place, lines, given):
+            continue
+        if place is None:
+            why = "the card has no place for it"
+            raise DeckError(why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field)
+        _set(lines, place, _typed(change))
+    for i, (f, n) in enumerate(at):
+        contents[f].lines[n - 1] = lines[i].whole
+    f, n = at[-1]
+    contents[f].lines[n - 1] += b"".join(x.whole for x in lines[len(at) :])
+
+
+def _inherits(
+    change: FieldChange, place: int | None, lines: Sequence[_Line], given: Mapping[tuple[int, str], object]
+) -> bool:
+    """Whether a blank field of end B of a PBEAM follows end A, which gets the same value."""
+    partner = next((a for a, b in BOTH_ENDS.items() if b == change.field), None)
+    if change.card != "PBEAM" or partner is None or given.get((change.id, partner)) != change.value:
+        return False
+    return place is None or not _texts(lines)[place]
+
+
+def _typed(change: FieldChange) -> int | float | str:
+    kinds = {s.name: s.kind for s in columns(change.card)}
+    kind = kinds.get(change.field, "i")
+    if kind == "f":
+        return float(change.value)
+    if kind == "i" and not isinstance(change.value, int | np.integer):
+        raise InputError(f"{change.card} {change.id} {change.field} must be an integer, got {change.value!r}")
+    return change.value
+
+
+class _Line:
+    """One physical line: its bytes without and with the line ending, and its fields."""
+
+    def __init__(self, whole: bytes) -> None:
+        self.text = whole.rstrip(b"\r\n")
+        self.ending = whole[len(self.text) :]
+
+    @property
+    def whole(self) -> bytes:
+        return self.text + self.ending
+
+    @property
+    def fields(self) -> LineFields:
+        return split_line(self.text)
+
+    @property
+    def size(self) -> int:
+        """Number of data fields."""
+        return 4 if self.is_large else 8
+
+    @property
+    def is_large(self) -> bool:
+        return b"*" in (self.text.split(b",")[0] if self.fields.style == "free" else self.text[:8])
+
+
+def _starts(lines: Sequence[_Line]) -> list[int]:
+    """Number of the first data field of each line, and of the one behind the card."""
+    out, at = [], 0
+    for line in lines:
+        if line.size == 8 and at % 8:
+            at += 4
+        out.append(at)
+        at += line.size
+    return [*out, at]
+
+
+def _texts(lines: Sequence[_Line]) -> list[str]:
+    starts = _starts(lines)
+    out = [""] * starts[-1]
+    for start, line in zip(starts, lines, strict=False):
+        for k, (a, b) in enumerate(line.fields.spans):
+            out[start + k] = line.text[a:b].strip().upper().decode("latin-1")
+    return out
+
+
+def _set(lines: list[_Line], place: int, value: int | float | str) -> None:
+    """Write a value into data field `place` (from 0) of a card, with new lines where there are too few."""
+    while place >= _starts(lines)[-1]:
+        lines.append(_continuation(lines[-1]))
+    starts = _starts(lines)
+    at = max(i for i, s in enumerate(starts[:-1]) if s <= place)
+    line, k = lines[at], place - starts[at]
+    width = 16 if line.is_large else 8
+    if line.fields.style == "free":
+        line.text = _set_free(line, k, value, width)
+    else:
+        line.text = _set_fixed(line, k, value, width)
+
+
+def _continuation(last: _Line) -> _Line:
+    """An empty line to continue the card, in the style of its last line (which gets a line ending if it has none)."""
+    ending = last.ending or b"\n"
+    last.ending = ending
+    if last.fields.style == "free":
+        return _Line((b"*," if last.is_large else b"+,") + ending)
+    tag = last.text.expandtabs(8)[72:80].strip().lstrip(b"+*") if last.fields.end >= 72 else b""
+    return _Line((b"*" if last.is_large else b"+") + tag[:7] + ending)
+
+
+def _set_free(line: _Line, k: int, value: int | float | str, width: int) -> bytes:
+    fields, text = line.fields, line.text
+    if k >= len(fields.spans):
+        end = len(text[: fields.end].rstrip())
+        new = format_field(value, width).encode()
+        return text[:end] + b"," * (k + 1 - len(fields.spans)) + new + text[end:]
+    a, b = fields.spans[k]
+    old = text[a:b]
+    core = old.strip()
+    new = format_field(value, max(width, min(len(core), 16))).encode()
+    if not core:
+        return text[:a] + new + text[b:]
+    lead = len(old) - len(old.lstrip())
+    return text[: a + lead] + new + text[a + lead + len(core) :]
+
+
+def _set_fixed(line: _Line, k: int, value: int | float | str, width: int) -> bytes:
+    fields, text = line.fields, line.text
+    new = format_field(value, width).encode()
+    a, b = fields.spans[k]
+    old = text[a:b]
+    new = new.ljust(width) if old[:1].strip() and old[-1:].isspace() else new.rjust(width)
+    reached = len(text[: fields.end].expandtabs(8))  # columns that the line has before a comment
+    pad = b" " * max(8 + k * width - reached, 0)
+    rest = text[b:]
+    return text[:a] + pad + (new if rest.strip() else new.rstrip() + rest)

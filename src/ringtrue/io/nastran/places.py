@@ -1,0 +1,80 @@
+"""Where on a card a named field stands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ringtrue.errors import InputError
+from ringtrue.io.nastran.special import END_A, END_B, FLAGS, Card, beam_stations
+from ringtrue.model.cards import CARDS, columns
+
+_SEVERAL = {"PELAS": ("K", "GE", "S"), "PMASS": ("M",)}
+_BEAM = (
+    "K1",
+    "K2",
+    "S1",
+    "S2",
+    "NSIA",
+    "NSIB",
+    "CWA",
+    "CWB",
+    "M1A",
+    "M2A",
+    "M1B",
+    "M2B",
+    "N1A",
+    "N2A",
+    "N1B",
+    "N2B",
+)
+
+
+def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | None:
+    """Number (from 0) of a data field of a card whose data fields are `fields`; None if the card has no place for it.
+
+    Raises
+    ------
+    InputError
+        If the field is no single field of that card.
+    """
+    if name in CARDS:
+        return _by_schema(name, field)
+    if name in _SEVERAL:
+        return _of_several(name, fields, id, field)
+    if field in ("PID", "MID"):
+        return ("PID", "MID").index(field)
+    if name == "PBUSH":
+        return _of_bush(fields, field)
+    if name == "PBEAM":
+        return _of_beam(fields, field)
+    raise InputError(f"fields of {name} cannot be changed in place")
+
+
+def _by_schema(name: str, field: str) -> int:
+    for i, spec in enumerate(columns(name)):
+        if field in (spec.name, spec.other) and not spec.tail and not spec.blank:
+            return i
+    raise InputError(f"{name} field {field} cannot be changed in place")
+
+
+def _of_several(name: str, fields: Sequence[str], id: int, field: str) -> int | None:
+    names = ("PID", *_SEVERAL[name])
+    starts = range(0, len(fields), len(names))
+    return next((i + names.index(field) for i in starts if fields[i] == str(id)), None)
+
+
+def _of_bush(fields: Sequence[str], field: str) -> int | None:
+    flag = next((f for f, names in FLAGS.items() if field in names), None)
+    at = next((i for i in range(1, len(fields), 8) if fields[i] == flag), None)
+    return None if at is None or flag is None else at + 1 + FLAGS[flag].index(field)
+
+
+def _of_beam(fields: Sequence[str], field: str) -> int | None:
+    if field in END_A:
+        return 2 + END_A.index(field)
+    stations, behind = beam_stations(Card("PBEAM", list(fields), 0, 0), ())
+    if field in END_B:
+        k = END_B.index(field)
+        place = next((p + k for x, p in stations if x == 1.0), None)
+        return place
+    return behind + _BEAM.index(field)

@@ -1,0 +1,154 @@
+"""Logical cards to tables: each field of all cards of a name is parsed at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.core.arrays import Bool, Int, frozen
+from ringtrue.errors import DeckError
+from ringtrue.io.nastran.deck import Cards
+from ringtrue.io.nastran.lexer import integers, is_real, reals
+from ringtrue.model.cards import FieldSpec, columns
+from ringtrue.model.model import Ragged, Table
+
+Cells = NDArray[np.bytes_]
+_KINDS = {"i": "an integer", "f": "a real"}
+_ELEMENTS_WITH_PID = frozenset(("CROD", "CTUBE", "CBAR", "CBEAM", "CTRIA3", "CQUAD4", "CELAS1", "CBUSH", "CMASS1"))
+
+
+def fault(cards: Cards, card: int, message: str, field: str = "") -> DeckError:
+    """The error of a card, at its place."""
+    path, line = cards.place(card)
+    return DeckError(message, path=path, line=line, card=cards.name[card].decode(), field=field)
+
+
+def make_table(cards: Cards, name: str) -> Table:
+    """All cards of one name by the schema of `model.cards`.
+
+    Raises
+    ------
+    DeckError
+        On a malformed number.
+    """
+    groups = list(cards.cells(name))
+    every = np.concatenate([rows for rows, _ in groups])
+    order = np.argsort(every, kind="stable")
+    parts = [_parse(cards, name, rows, cells) for rows, cells in groups]
+    made = {key: _joined([p[key] for p in parts], order) for key in parts[0]}
+    file, line = cards.places(every[order])
+    return Table(name, made, file, line)
+
+
+def _joined(parts: Sequence[NDArray[Any] | Ragged], order: Int) -> NDArray[Any] | Ragged:
+    plain = [p for p in parts if not isinstance(p, Ragged)]
+    if plain:
+        return frozen(np.concatenate(plain)[order])
+    ragged = [p for p in parts if isinstance(p, Ragged)]
+    values = np.concatenate([p.values for p in ragged])
+    count = np.concatenate([np.diff(p.offsets) for p in ragged])
+    start = np.cumsum(count) - count
+    offsets = np.concatenate([[0], np.cumsum(count[order])])
+    take = np.repeat(start[order] - offsets[:-1], count[order]) + np.arange(offsets[-1])
+    return Ragged(frozen(values[take]), frozen(offsets))
+
+
+def _parse(cards: Cards, name: str, rows: Int, cells: Cells) -> dict[str, NDArray[Any] | Ragged]:
+    specs = columns(name)
+    _refuse_surplus(cards, specs, rows, cells)
+    made: dict[str, NDArray[Any] | Ragged] = {}
+    for j, spec in enumerate(specs):
+        if spec.blank:
+            continue
+        if spec.tail:
+            made[spec.name] = _tail(cards, spec, rows, cells[:, j:])
+            continue
+        cell = cells[:, j] if j < cells.shape[1] else np.full(rows.size, b"", dtype="S1")
+        if spec.other:
+            whole = ~is_real(cell) & (cell != b"")
+            made[spec.other] = _column(cards, FieldSpec(spec.other), rows, np.where(whole, cell, b""))
+            cell = np.where(whole, b"", cell)
+        made[spec.name] = _column(cards, spec, rows, cell)
+    if name in _ELEMENTS_WITH_PID:
+        eid = integers(cells[:, 0])[0]
+        made["PID"] = np.where(cells[:, 1] == b"", eid, np.asarray(made["PID"]))
+    return made
+
+
+def _refuse_surplus(cards: Cards, specs: Sequence[FieldSpec], rows: Int, cells: Cells) -> None:
+    """An element with more fields than it has is a card of another make: never cut it short in silence."""
+    if specs[-1].tail or cells.shape[1] <= len(specs) or specs[0].name != "EID":
+        return
+    extra = (cells[:, len(specs) :] != b"").any(axis=1)
+    if extra.any():
+        card = int(rows[extra.argmax()])
+        raise fault(cards, card, f"more than {len(specs)} data fields")
+
+
+def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[Any]:
+    if spec.kind == "s":
+        if not (cell != b"").any():
+            return np.full(rows.size, str(spec.default))
+        return np.where(cell == b"", str(spec.default), np.char.decode(cell, "latin-1"))
+    given = cell != b""
+    parse = integers if spec.kind == "i" else reals
+    values, good = parse(cell[given])
+    if not good.all():
+        at = np.flatnonzero(given)[~good][0]
+        text = cell[at].decode("latin-1")
+        raise fault(cards, int(rows[at]), f"{text!r} is not {_KINDS[spec.kind]}", spec.name)
+    out = np.full(rows.size, spec.default, dtype=np.int64 if spec.kind == "i" else np.float64)
+    out[given] = values
+    return out
+
+
+def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells) -> Ragged:
+    """Integers to the end of the card; `THRU` and `BY` expanded, a final real (ALPHA of RBE2) left out."""
+    given: Bool = cells != b""
+    words = cells == b"THRU"
+    special = (words | is_real(cells.reshape(-1)).reshape(cells.shape)).any(axis=1)
+    values, good = integers(cells[given & ~special[:, None]])
+    owner = np.broadcast_to(np.arange(rows.size)[:, None], cells.shape)[given & ~special[:, None]]
+    if not good.all():
+        at = int(np.flatnonzero(~good)[0])
+        text = cells[given & ~special[:, None]][at].decode("latin-1")
+        raise fault(cards, int(rows[owner[at]]), f"{text!r} is not an integer", spec.name)
+    lists = [
+        expand_thru(cards, int(rows[i]), cells[i][given[i]].tolist(), spec.name) for i in np.flatnonzero(special)
+    ]
+    more = np.repeat(np.flatnonzero(special), [len(x) for x in lists])
+    values = np.concatenate([values, *(np.array(x, dtype=np.int64) for x in lists)])
+    owner = np.concatenate([owner, more])
+    count = np.bincount(owner, minlength=rows.size)
+    return Ragged(values[np.argsort(owner, kind="stable")], np.concatenate([[0], np.cumsum(count)]))
+
+
+def expand_thru(cards: Cards, card: int, words: Sequence[bytes], field: str) -> list[int]:
+    """`1 THRU 9 BY 2` as integers; the list ends at a real."""
+    out: list[int] = []
+    i = 0
+    while i < len(words):
+        if words[i] == b"THRU":
+            tail = words[i + 1 : i + 4]
+            step = _whole(cards, card, tail[2], field) if len(tail) == 3 and tail[1] == b"BY" else 1
+            last = _whole(cards, card, tail[0] if tail else b"", field)
+            if not out or last < out[-1] or step < 1:
+                raise fault(cards, card, f"a THRU b needs a <= b, got {b' '.join(words).decode('latin-1')}", field)
+            out.extend(range(out[-1] + step, last + 1, step))
+            i += 4 if len(tail) == 3 and tail[1] == b"BY" else 2
+            continue
+        if b"." in words[i]:
+            break
+        out.append(_whole(cards, card, words[i], field))
+        i += 1
+    return out
+
+
+def _whole(cards: Cards, card: int, word: bytes, field: str) -> int:
+    value, good = integers(np.array([word], dtype=np.bytes_)) if word else (np.zeros(1), np.zeros(1, dtype=bool))
+    if not good[0]:
+        raise fault(cards, card, f"{word.decode('latin-1')!r} is not an integer", field)
+    return int(value[0])

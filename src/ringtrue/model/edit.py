@@ -1,0 +1,103 @@
+"""Factors of parameters as values of a model, and as changes of the fields of its deck."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.errors import InputError, did_you_mean
+from ringtrue.model.model import Model, Ragged
+
+# A PBEAM whose end B equals its end A keeps that.
+BOTH_ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "I12": "I12B", "J": "JB", "NSM": "NSMB"}
+
+
+@dataclass(frozen=True, slots=True)
+class FieldChange:
+    """A new value of a field of a card: `FieldChange("MAT1", 7, "E", 7.1e10)`."""
+
+    card: str
+    id: int
+    field: str
+    value: int | float | str
+
+
+def resolve_target(model: Model, target: Target | FieldChange) -> Int:
+    """Rows of the target's table that it means, (k,) int64, k >= 1.
+
+    Raises
+    ------
+    InputError
+        If the card, the id or the field is not in the model.
+    """
+    if target.card not in model:
+        raise InputError(f"no {target.card} card in the model{did_you_mean(target.card, model.tables)}")
+    table = model[target.card]
+    if target.field not in table.columns:
+        raise InputError(f"{target.card} has no field {target.field}{did_you_mean(target.field, table.columns)}")
+    if isinstance(table.columns[target.field], Ragged):
+        raise InputError(f"{target.card} field {target.field} is a list, not one value")
+    rows = np.flatnonzero(table.ids == target.id)
+    if not rows.size:
+        near = table.ids[np.argsort(abs(table.ids - target.id), kind="stable")[:3]].tolist()
+        raise InputError(f"{target.card} {target.id} is not in the model; the nearest ids are {near}")
+    return rows
+
+
+def companions(model: Model, target: Target) -> tuple[Target, ...]:
+    """The target, and the same field at end B of a PBEAM that is equal there."""
+    rows = resolve_target(model, target)
+    twin = BOTH_ENDS.get(target.field) if target.card == "PBEAM" else None
+    table = model[target.card]
+    if twin is None or (table[twin][rows] != table[target.field][rows]).any():
+        return (target,)
+    return (target, Target(target.card, target.id, twin))
+
+
+def _nominal(model: Model, parameter: Parameter, target: Target) -> float:
+    value = model[target.card][target.field][resolve_target(model, target)[0]]
+    where = f"parameter {parameter.name}: {target.card} {target.id} {target.field}"
+    if not isinstance(value, np.floating):
+        raise InputError(f"{where} is no real quantity, got {value!r}")
+    if np.isnan(value):
+        raise InputError(f"{where} is blank in the deck; write its value there to put a factor on it")
+    return float(value)
+
+
+def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> list[FieldChange]:
+    """The deck's fields at the given factors (p,), in the order of the parameters; a field met twice gets both.
+
+    Raises
+    ------
+    InputError
+        If a target is not in the model, is blank or is no real quantity.
+    """
+    a = np.asarray(factors, dtype=np.float64)
+    if a.shape != (len(parameters),):
+        raise InputError(f"factors must have shape ({len(parameters)},), got {a.shape}")
+    values: dict[Target, float] = {}
+    for parameter, factor in zip(parameters.parameters, a.tolist(), strict=True):
+        for target in parameter.targets:
+            for one in companions(model, target):
+                values[one] = values.get(one, _nominal(model, parameter, one)) * factor
+    return [FieldChange(t.card, t.id, t.field, v) for t, v in values.items()]
+
+
+def apply_factors(model: Model, parameters: ParameterSet, factors: Float) -> Model:
+    """A copy of the model with each parameter's fields times its factor (p,).
+
+    Raises
+    ------
+    InputError
+        If a target is not in the model, is blank or is no real quantity.
+    """
+    grouped: dict[tuple[str, str], list[FieldChange]] = {}
+    for change in field_changes(model, parameters, factors):
+        grouped.setdefault((change.card, change.field), []).append(change)
+    for (card, name), changes in grouped.items():
+        ids = np.array([c.id for c in changes], dtype=np.int64)
+        model = model.with_values(card, name, ids, np.array([c.value for c in changes]))
+    return model

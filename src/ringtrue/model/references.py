@@ -1,0 +1,134 @@
+"""Which field of a card names a row of which other card."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.core.arrays import Int
+from ringtrue.model.model import Model, Ragged
+
+FRAMES = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
+NODES = ("GRID", "SPOINT")
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Field `card.field` holds ids of one of the cards `of`; `required`: 0 (blank) is no valid value."""
+
+    card: str
+    field: str
+    of: tuple[str, ...]
+    required: bool = True
+
+
+def _nodes(card: str, required: str, optional: str = "") -> list[Reference]:
+    made = [Reference(card, f, NODES) for f in required.split()]
+    return made + [Reference(card, f, NODES, False) for f in optional.split()]
+
+
+def _numbered(first: int, last: int) -> str:
+    return " ".join(f"G{i}" for i in range(first, last + 1))
+
+
+REFERENCES: tuple[Reference, ...] = (
+    *(Reference("GRID", f, FRAMES, False) for f in ("CP", "CD")),
+    *(r for k in "RCS" for r in _nodes(f"CORD1{k}", "G1 G2 G3")),
+    *(Reference(f"CORD2{k}", "RID", FRAMES, False) for k in "RCS"),
+    *_nodes("CROD", "G1 G2"),
+    *_nodes("CTUBE", "G1 G2"),
+    *_nodes("CONROD", "G1 G2"),
+    *_nodes("CBAR", "GA GB", "G0"),
+    *_nodes("CBEAM", "GA GB", "G0 SA SB"),
+    *_nodes("CTRIA3", _numbered(1, 3)),
+    *_nodes("CQUAD4", _numbered(1, 4)),
+    *_nodes("CTETRA", _numbered(1, 4), _numbered(5, 10)),
+    *_nodes("CPENTA", _numbered(1, 6), _numbered(7, 15)),
+    *_nodes("CHEXA", _numbered(1, 8), _numbered(9, 20)),
+    *_nodes("CELAS1", "", "G1 G2"),
+    *_nodes("CELAS2", "", "G1 G2"),
+    *_nodes("CBUSH", "GA", "GB G0"),
+    *_nodes("CONM2", "G"),
+    *_nodes("RBE2", "GN GM"),
+    *_nodes("RBE3", "REFGRID G"),
+    *_nodes("SPC", "G"),
+    *_nodes("SPC1", "G"),
+    *_nodes("MPC", "G"),
+    Reference("CTRIA3", "MCID", FRAMES, False),
+    Reference("CQUAD4", "MCID", FRAMES, False),
+    Reference("CBUSH", "CID", FRAMES, False),
+    Reference("CBUSH", "OCID", FRAMES, False),
+    Reference("CONM2", "CID", FRAMES, False),
+    Reference("CROD", "PID", ("PROD",)),
+    Reference("CTUBE", "PID", ("PTUBE",)),
+    Reference("CBAR", "PID", ("PBAR",)),
+    Reference("CBEAM", "PID", ("PBEAM",)),
+    Reference("CTRIA3", "PID", ("PSHELL",)),
+    Reference("CQUAD4", "PID", ("PSHELL",)),
+    *(Reference(c, "PID", ("PSOLID",)) for c in ("CTETRA", "CPENTA", "CHEXA")),
+    Reference("CELAS1", "PID", ("PELAS",)),
+    Reference("CBUSH", "PID", ("PBUSH",)),
+    *(Reference(c, "MID", ("MAT1",)) for c in ("CONROD", "PROD", "PTUBE", "PBAR", "PBEAM", "PSOLID")),
+    *(Reference("PSHELL", f, ("MAT1",), False) for f in ("MID1", "MID2", "MID3", "MID4")),
+)
+
+
+def known_ids(model: Model, of: tuple[str, ...]) -> Int:
+    """Ids of all rows of these cards, (n,) int64."""
+    made = [np.empty(0, dtype=np.int64)]
+    for card in of:
+        if card in model:
+            table = model[card]
+            first = next(iter(table.columns.values()))
+            made.append(first.values if isinstance(first, Ragged) else first)
+    return np.concatenate(made)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Missing:
+    """Rows of `reference.card` whose field names what is not in the model.
+
+    Attributes
+    ----------
+    reference : Reference
+    rows : (n,) int64
+    ids : (n,) int64
+        The ids that are missing; 0 for a blank field.
+    """
+
+    reference: Reference
+    rows: Int
+    ids: Int
+
+
+def missing(model: Model, elsewhere: Mapping[str, Collection[int]] | None = None) -> Iterator[Missing]:
+    """All references to what is not in the model.
+
+    Parameters
+    ----------
+    elsewhere : mapping of str to collection of int
+        Ids that count as known though the model has no such rows (those of unsupported cards), by card.
+    """
+    known: dict[tuple[str, ...], Int] = {}
+    for ref in REFERENCES:
+        if ref.card not in model:
+            continue
+        if ref.of not in known:
+            more = [i for c in ref.of for i in (elsewhere or {}).get(c, ())]
+            known[ref.of] = np.concatenate([known_ids(model, ref.of), np.array(more, dtype=np.int64)])
+        ids, rows = _values(model, ref)
+        wrong = ~np.isin(ids, known[ref.of])
+        if not ref.required:
+            wrong &= ids > 0
+        if wrong.any():
+            yield Missing(ref, rows[wrong], ids[wrong])
+
+
+def _values(model: Model, ref: Reference) -> tuple[NDArray[np.int64], Int]:
+    column = model[ref.card].columns[ref.field]
+    if isinstance(column, Ragged):
+        return column.values, np.repeat(np.arange(len(column)), np.diff(column.offsets))
+    return column, np.arange(column.size)

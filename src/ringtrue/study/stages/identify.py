@@ -1,0 +1,202 @@
+"""Modes from raw signals: each ambient record, their merger, and the hammer test."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.signals import TimeHistory
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.identify.ambient import AmbientSettings, identify_ambient
+from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
+from ringtrue.identify.merge import merge_modes
+from ringtrue.io.records import read_record
+from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.signal.frf import HammerSettings, estimate_frf, join_frfs
+from ringtrue.signal.psd import Welch, csd
+from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
+from ringtrue.study.config import IdentifySection, TestSection
+from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
+from ringtrue.study.workbench import Progress, Workbench
+
+SHOWN, POINTS = 4, 1500  # channels and samples of a preview
+
+
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """One record of the crew's log, with the test it belongs to."""
+
+    name: str
+    path: Path
+    test: str
+    kind: str
+    excitation: str
+    details: dict[str, Any]
+
+
+def section(desk: Workbench) -> TestSection:
+    """The [test] section."""
+    if desk.config.test is None:
+        raise ConfigError("this stage needs a [test] with a sheet and a log")
+    return desk.config.test
+
+
+def read_log(path: Path) -> tuple[list[Logged], dict[str, Any]]:
+    """The crew's log: its records, and the data sheets of the sensor types.
+
+    Raises
+    ------
+    DataError
+        If the file is not there, is not JSON, or misses an entry.
+    """
+    try:
+        log = json.loads(path.read_text(encoding="utf-8"))
+        records = [
+            Logged(Path(r["file"]).stem, path.parent / r["file"], t["name"], t["kind"], r["excitation"], {**t, **r})
+            for t in log["tests"]
+            for r in t["records"]
+        ]
+    except FileNotFoundError as e:
+        raise DataError(f"{path}: no such log") from e
+    except json.JSONDecodeError as e:
+        raise DataError(f"{path}:{e.lineno}: not JSON: {e.msg}") from e
+    except KeyError as e:
+        raise DataError(f"{path}: entry {e} is missing; a log has tests with name, kind and records") from e
+    return records, log.get("sensors", {})
+
+
+def files(desk: Workbench) -> list[Path]:
+    """All inputs of the stage."""
+    test = section(desk)
+    records, _ = read_log(desk.base / test.log)
+    return [desk.base / test.sheet, desk.base / test.log, *(r.path for r in records)]
+
+
+def corrected(history: TimeHistory, sensors: dict[str, Any]) -> tuple[TimeHistory, float, str]:
+    """The history with the corner of its sensors taken out where the signal allows, from which frequency, and why."""
+    types = {c.sensor for c in history.channels}
+    corners = {sensors[t]["corner_hz"]: sensors[t] for t in types if sensors.get(t, {}).get("corner_hz")}
+    if not corners or all(s.get("quantity") != "velocity" for s in corners.values()):
+        return history, 0.0, ""
+    (corner, sheet), *_ = corners.items()
+    psd = csd(history, Welch.resolving(0.1, history.rate))
+    level = np.median(np.real(np.einsum("fii->fi", psd.data)), axis=1)
+    noise = np.full(psd.freqs.shape, sheet.get("noise", 0.0) ** 2)
+    low = max(lowest_frequency(psd.freqs, level, noise), corner * 0.6)
+    fixed = deconvolve(history, Geophone(corner, sheet["damping"]), low=low)
+    return fixed, low, f"{corner:g} Hz corner corrected from {low:.2f} Hz on"
+
+
+def summary(record: Logged, history: TimeHistory, notes: Sequence[str]) -> RecordSummary:
+    """What the report shows of a record."""
+    show = history.data[:SHOWN]
+    step = max(1, show.shape[1] // POINTS)
+    psd = csd(TimeHistory(show, history.rate, history.channels[:SHOWN]), Welch.resolving(0.05, history.rate))
+    power = np.real(np.einsum("fii->if", psd.data))
+    thin = max(1, psd.freqs.size // 2000)
+    return RecordSummary(
+        record.name,
+        record.test,
+        record.excitation,
+        record.path.name,
+        len(history.channels),
+        history.rate,
+        history.duration,
+        np.arange(show.shape[1])[::step] / history.rate,
+        np.asarray(show[:, ::step], dtype=np.float64),
+        tuple(c.id for c in history.channels[:SHOWN]),
+        psd.freqs[::thin],
+        power[:, ::thin],
+        tuple(notes),
+    )
+
+
+def ambient(desk: Workbench, records: Sequence[Logged], sensors: dict[str, Any], progress: Progress) -> tuple[
+    list[IdentifiedRecord], list[RecordSummary]
+]:
+    """Modes of each ambient record."""
+    settings = desk.config.identify
+    found, shown = [], []
+    for i, record in enumerate(records):
+        progress(i / max(len(records), 1), f"ambient modes: {record.name}")
+        history, low, note = corrected(read_record(record.path), sensors)
+        low = max(low, settings.ambient_fmin or 0.0) or None
+        result = identify_ambient(history, AmbientSettings(fmin=low, fmax=settings.ambient_fmax))
+        notes = [n for n in (note, *result.notes) if n]
+        found.append(
+            IdentifiedRecord(record.name, result.modes, result.uncertainty, result.reasons, result.diagrams)
+        )
+        shown.append(summary(record, history, notes))
+    return found, shown
+
+
+def hammer(
+    records: Sequence[Logged], settings: IdentifySection, progress: Progress
+) -> tuple[HammerResult, Any, list[RecordSummary], tuple[str, ...]]:
+    """FRFs of all setups and the modes in them."""
+    setups: dict[int, list[Any]] = {}
+    rejected: list[str] = []
+    shown = []
+    for i, record in enumerate(records):
+        progress(0.5 * i / len(records), f"FRFs: {record.name}")
+        history = read_record(record.path)
+        d = record.details
+        want = HammerSettings(
+            force=d["force_channel"],
+            block=d["block_samples"],
+            pretrigger=d["pretrigger_samples"],
+        )
+        frfs, hits = estimate_frf(history, want)
+        rejected += [f"{record.name}: {h}" for h in hits if not h.accepted]
+        setups.setdefault(d["setup"], []).append(frfs)
+        if d["setup"] == 1:
+            shown.append(summary(record, history, [f"{sum(h.accepted for h in hits)} of {len(hits)} hits kept"]))
+    joined = join_frfs([f for s in setups.values() for f in s])
+    result = identify_hammer(
+        joined,
+        HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax),
+        progress=lambda f, t: progress(0.5 + 0.5 * f, t),
+    )
+    return result, joined, shown, tuple(rejected)
+
+
+def run(desk: Workbench, progress: Progress) -> IdentifyStage:
+    """Identify everything that the log lists."""
+    test = section(desk)
+    sheet = read_sensor_sheet(desk.base / test.sheet, desk.base / test.lines if test.lines else None)
+    records, sensors = read_log(desk.base / test.log)
+    quiet = [r for r in records if r.kind == "ambient"]
+    hits = [r for r in records if r.kind == "hammer"]
+    found, shown = ambient(desk, quiet, sensors, lambda f, t: progress(0.5 * f, t))
+    merged = merge_modes([(r.modes, r.uncertainty, r.record) for r in found]) if found else None
+    nothing = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
+    none = Uncertainty.independent(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
+    result = frfs = None
+    rejected: tuple[str, ...] = ()
+    if hits:
+        result, frfs, more, rejected = hammer(hits, desk.config.identify, lambda f, t: progress(0.5 + 0.5 * f, t))
+        shown += more
+    return IdentifyStage(
+        sheet.model,
+        tuple(shown),
+        tuple(found),
+        merged.modes if merged else nothing,
+        merged.uncertainty if merged else none,
+        merged.reasons if merged else (),
+        frfs,
+        result.cmif if result else np.zeros((0, 0)),
+        rejected,
+        result.modes if result else None,
+        result.uncertainty if result else None,
+        result.reasons if result else (),
+        result.diagrams if result else (),
+        result.model if result else None,
+        result.synthesis_error if result else np.zeros((0, 0)),
+    )

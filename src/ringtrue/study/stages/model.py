@@ -1,0 +1,36 @@
+"""The deck and its modes."""
+
+from __future__ import annotations
+
+from ringtrue.checks.deck import check_deck
+from ringtrue.checks.mass import mass_properties
+from ringtrue.study.results import ModelStage
+from ringtrue.study.scene import make_scene, scene_modes
+from ringtrue.study.workbench import Progress, Workbench
+
+
+def run(desk: Workbench, progress: Progress) -> ModelStage:
+    """Read, check, weigh and solve the deck."""
+    progress(0.0, "reading the deck")
+    opened = desk.initial
+    report = check_deck(opened.model, units=desk.deck.units)
+    progress(0.2, "modes of the deck")
+    result = opened.modes(desk.deck.fmax)
+    mass = mass_properties(opened.analysis.system)
+    scene = make_scene(opened.model, desk.deck.regions, desk.length)
+    return ModelStage(
+        opened.model.case.title,
+        tuple(opened.model.files),
+        desk.deck.units,
+        {card: len(table) for card, table in sorted(opened.model.tables.items())},
+        tuple(str(f) for f in report.findings),
+        len(opened.model["GRID"]),
+        int(opened.analysis.system.stiffness.shape[0]),
+        mass.mass,
+        mass.cg,
+        mass.inertia,
+        scene_modes(result.modes, scene),
+        result.residuals,
+        result.proof,
+        scene,
+    )

@@ -1,0 +1,150 @@
+"""The report: built from any subset of stages, and drawn without complaint by a browser that is offline."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import chromium
+import pytest
+from fake_study import study
+
+from ringtrue.errors import ConfigError, InputError
+from ringtrue.report.build import Acceptance, Photo, build
+
+PIXEL = (
+    b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x06\x00\x00\x00\x1f\x15\xc4\x89\x00\x00\x00\r"
+    b"IDATx\x9cc`\xf8\xcf\xf0\x1f\x00\x05\x00\x01\xff\x89\x99=\x1d\x00\x00\x00\x00IEND\xaeB`\x82"
+)
+needs_browser = pytest.mark.skipif(
+    chromium.find() is None, reason="no Chromium on this machine: the drawing of the report is NOT tested"
+)
+
+
+@pytest.fixture(scope="module")
+def stages() -> dict[str, object]:
+    return study()
+
+
+def ids(page: Path) -> list[str]:
+    return re.findall(r'<section id="(\w+)">', page.read_text())
+
+
+@pytest.fixture(scope="module")
+def full(stages: dict[str, object], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "bay.png").write_bytes(PIXEL)
+    photos = [Photo(folder / "bay.png", "The bay.")]
+    text = "A test bay.\n\nIts model is to predict."
+    return build(stages, folder / "report.html", title="Spinning <bay>", system_text=text, photos=photos)
+
+
+def test_has_every_section_and_stays_small(full: Path) -> None:
+    want = "summary survey model plan signals frfs identification tests initial remodelled sensitivities updating"
+    assert ids(full) == [*want.split(), "suspension", "final", "shapes", "response", "provenance"]
+    assert full.stat().st_size < 15e6
+    text = full.read_text()
+    assert "Spinning &lt;bay&gt;" in text
+    assert "data:image/png;base64," in text
+    assert [p.name for p in full.parent.iterdir() if p.name.endswith(".part")] == []
+
+
+@pytest.mark.parametrize(
+    ("names", "present", "absent"),
+    [
+        (("model",), {"summary", "survey", "model", "shapes"}, {"signals", "initial", "final", "plan"}),
+        (("identify", "provenance"), {"signals", "frfs", "identification", "shapes"}, {"model", "initial"}),
+        (("model", "identify", "correlate"), {"initial", "remodelled"}, {"final", "updating", "tests"}),
+        ((), set(), {"summary"}),
+    ],
+)
+def test_leaves_out_what_was_not_run(
+    stages: dict[str, object], tmp_path: Path, names: tuple[str, ...], present: set[str], absent: set[str]
+) -> None:
+    there = set(ids(build({n: stages[n] for n in names}, tmp_path / "r.html", title="part")))
+    assert present <= there
+    assert not absent & there
+
+
+def test_refuses_what_it_does_not_know(stages: dict[str, object], tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    with pytest.raises(ConfigError, match="did you mean 'identify'"):
+        build({"identifi": stages["identify"]}, out, title="")
+    with pytest.raises(ConfigError, match="needs ModelStage"):
+        build({"model": stages["plan"]}, out, title="")
+    with pytest.raises(InputError, match="no such file"):
+        build({"model": stages["model"]}, out, title="", photos=[Photo(tmp_path / "lost.png", "")])
+    with pytest.raises(ConfigError, match=r"allowed are .*\.png"):
+        build({"model": stages["model"]}, out, title="", photos=[Photo(tmp_path / "deck.bdf", "")])
+    assert not list(tmp_path.iterdir())
+
+
+def test_acceptance_takes_percent_or_hertz_and_mac() -> None:
+    rule = Acceptance(percent=2.0, hz=0.1, mac=80.0)
+    assert rule.holds(1.9, 5.0, 90.0)
+    assert rule.holds(-9.0, -0.05, 90.0)
+    assert not rule.holds(3.0, 0.2, 99.0)
+    assert not rule.holds(0.0, 0.0, 79.0)
+    assert rule.words() == "|Δf| ≤ 2 % or |Δf| ≤ 0.1 Hz and MAC ≥ 80 %"
+
+
+@pytest.fixture(scope="module")
+def page(full: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[chromium.Page]:
+    with chromium.page(tmp_path_factory.mktemp("profile")) as opened:
+        opened.call("Page.navigate", url=full.as_uri())
+        yield opened
+
+
+DRAWN = "window.ringtrueExpected > 0 && window.ringtrueDrawn === window.ringtrueExpected"
+EMPTY = """[...document.querySelectorAll('[data-plot], [data-view]')].filter(d => {
+    const drawing = d.querySelector(d.dataset.plot ? 'svg.main-svg' : 'canvas');
+    const box = drawing && drawing.getBoundingClientRect();
+    return !box || box.width < 50 || box.height < 50; }).length"""
+# Every 3D view shows more than its background.
+COLORS = """[...document.querySelectorAll('.view > .stage > canvas')].map(c => {
+    const p = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, seen = new Set();
+    for (let k = 0; k < p.length; k += 64) seen.add(p[k] << 16 | p[k + 1] << 8 | p[k + 2]);
+    return seen.size; })"""
+
+
+@needs_browser
+def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromium.Page) -> None:
+    assert page.until(DRAWN, 120), (
+        page.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]") or page.complaints()
+    )
+    assert page.evaluate("window.ringtrueExpected") == page.evaluate(
+        "document.querySelectorAll('[data-plot], [data-view]').length"
+    )
+    assert page.evaluate(EMPTY) == 0
+    assert page.complaints() == []
+    outside = [u for u in page.requests() if not u.startswith(("data:", "blob:", full.as_uri()))]
+    assert outside == []
+
+
+@needs_browser
+def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
+    assert page.until(DRAWN, 120)
+    colors = page.evaluate(COLORS)
+    assert len(colors) == 3
+    assert min(colors) > 20
+    page.evaluate("document.getElementById('shapes').scrollIntoView({behavior: 'instant'})")
+    image = "document.querySelector('#shapes canvas').toDataURL().slice(-4000)"
+    first = page.evaluate(image)
+    assert page.until(f"({image}) !== {first!r}", 20)
+    page.evaluate(
+        "(() => { const s = document.querySelectorAll('#shapes select')[1]; s.selectedIndex = 3; s.onchange(); })()"
+    )
+    assert "FE" in page.evaluate("document.querySelector('#shapes .info').textContent")
+    assert page.complaints() == []
+
+
+@needs_browser
+def test_fits_the_paper(page: chromium.Page) -> None:
+    assert page.until(DRAWN, 120)
+    pdf = page.call("Page.printToPDF", preferCSSPageSize=True, printBackground=True, transferMode="ReturnAsStream")
+    assert pdf["stream"]
+    page.call("IO.close", handle=pdf["stream"])
+    assert page.complaints() == []
+    wide = "[...document.querySelectorAll('section')].filter(s => s.scrollWidth > s.clientWidth + 2).map(s => s.id)"
+    assert page.evaluate(wide) == []

@@ -1,0 +1,110 @@
+"""Clusters, shapes' uncertainty and merging, on made-up poles."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.errors import ConfigError, InputError
+from ringtrue.identify.ambient import AmbientSettings, bands_for
+from ringtrue.identify.cluster import cluster_poles
+from ringtrue.identify.merge import merge_modes
+from ringtrue.identify.ssi import SsiCov, decompose
+from ringtrue.identify.variance import frequency_damping, hankel
+
+
+def test_close_pair_with_unlike_shapes_stays_apart():
+    rng = np.random.default_rng(1)
+    order = np.tile(np.arange(2, 42, 2), 2)
+    f = np.repeat([1.85, 1.90], 20) * (1 + 0.002 * rng.standard_normal(40))
+    psi = np.repeat(np.array([[1.0, 1, 0], [1, -1, 0.3]]).T, 20, axis=1) + 0.02 * rng.standard_normal((3, 40))
+    label = cluster_poles(2 * np.pi * f * (-0.01 + 1j), psi.astype(complex), order)
+    assert len(set(label[:20])) == len(set(label[20:])) == 1
+    assert label[0] != label[20]
+
+
+def test_a_cluster_holds_one_pole_of_an_order():
+    pole = 2j * np.pi * np.array([1.0, 1.001, 1.0, 1.03])
+    label = cluster_poles(pole, np.ones((2, 4), complex), np.array([2, 4, 6, 6]))
+    assert label.tolist() == [0, 0, 0, -1]
+
+
+def test_bands_overlap_and_reach_the_lowest_frequency():
+    bands = bands_for(200.0, 3600.0, AmbientSettings(fmin=0.2))
+    assert bands[-1].low == 0.2
+    for above, below in pairwise(bands):
+        assert below.high > 1.2 * above.low
+    assert bands_for(200.0, 600.0, AmbientSettings(fmin=0.5, fmax=10.0))[0].rate < 40.0
+    with pytest.raises(ConfigError, match="is empty"):
+        bands_for(10.0, 600.0, AmbientSettings(fmin=8.0))
+
+
+def test_leading_triplets_are_those_of_the_full_decomposition():
+    h = hankel(np.random.default_rng(2).standard_normal((80, 4, 3)), 40)
+    u, s, v = decompose(h, 6)
+    want = np.linalg.svd(h, compute_uv=False)
+    assert s == pytest.approx(want[:6], rel=1e-9)
+    assert h @ v == pytest.approx(u * s, abs=1e-9)
+
+
+def test_deviation_of_a_pole_is_its_derivative():
+    pole, d = np.array([-0.3 + 20j]), np.array([[1e-6 - 2e-6j]])
+    df, dz = frequency_damping(pole, d)
+    moved = pole + d[:, 0]
+    assert df[0, 0] == pytest.approx((np.abs(moved) - np.abs(pole))[0] / (2 * np.pi), rel=1e-4)
+    assert dz[0, 0] == pytest.approx((-moved.real / np.abs(moved) + pole.real / np.abs(pole))[0], rel=1e-4)
+
+
+def test_settings_are_checked():
+    with pytest.raises(ConfigError, match="block_rows"):
+        SsiCov(block_rows=1)
+    with pytest.raises(ConfigError, match="fmin < fmax"):
+        AmbientSettings(fmin=5.0, fmax=2.0)
+
+
+def _record(at: list[int], f: list[float], std: float, factor: complex, seed: int) -> tuple[ModeSet, Uncertainty]:
+    rng = np.random.default_rng(seed)
+    truth = np.cos(np.outer(np.arange(8), [0.3, 0.9]))
+    shapes = truth[at] * factor + 1e-3 * abs(factor) * rng.standard_normal((len(at), 2))
+    modes = ModeSet(np.array(f), np.array([0.01, 0.02]), shapes.astype(complex), tuple(f"{i}+X" for i in at))
+    u = Uncertainty.independent(np.full(2, std), np.full(2, 1e-3), np.full((len(at), 2), 1e-3 * abs(factor)))
+    return modes, u
+
+
+def test_shapes_of_roving_records_are_glued_on_the_common_channels():
+    a = (*_record([0, 1, 2, 3], [1.0, 3.0], 0.01, 1.0, 1), "first")
+    b = (*_record([0, 1, 4, 5], [1.002, 3.01], 0.01, -2.0j, 2), "second")
+    c = (*_record([0, 1, 6, 7], [0.998, 2.99], 0.01, 0.5, 3), "third")
+    m = merge_modes([a, b, c])
+    truth = np.cos(np.outer(np.arange(8), [0.3, 0.9]))
+    rows = [m.modes.channels.index(f"{i}+X") for i in range(8)]
+    for k in range(2):
+        got = m.modes.shapes[rows, k]
+        like = abs(np.vdot(got, truth[:, k])) ** 2 / (np.vdot(got, got).real * (truth[:, k] ** 2).sum())
+        assert like > 0.99999
+    assert m.modes.frequencies == pytest.approx([1.0, 3.0], abs=0.005)
+    assert m.uncertainty.frequency == pytest.approx(0.01 / np.sqrt(3), rel=0.01)
+    assert [len(p) for p in m.provenance] == [3, 3]
+
+
+def test_weights_and_outliers():
+    a = (*_record([0, 1, 2], [1.0, 3.0], 0.001, 1.0, 1), "good")
+    b = (*_record([0, 1, 2], [1.001, 3.001], 0.002, 1.0, 2), "fair")
+    c = (*_record([0, 1, 2], [1.03, 3.0], 0.002, 1.0, 3), "warm")
+    m = merge_modes([a, b, c])
+    assert m.modes.frequencies[0] == pytest.approx((1.0 * 4 + 1.001) / 5, abs=1e-9)
+    assert [x.record for p in m.provenance for x in p if x.outlier] == ["warm"]
+
+
+def test_a_mode_of_one_record_is_kept_and_unknown_channels_refused():
+    a = (*_record([0, 1, 2], [1.0, 3.0], 0.01, 1.0, 1), "a")
+    b = (*_record([0, 1, 2], [1.0, 7.0], 0.01, 1.0, 2), "b")
+    assert merge_modes([a, b]).modes.frequencies == pytest.approx([1.0, 3.0, 7.0], abs=0.01)
+    with pytest.raises(InputError, match="in no record"):
+        merge_modes([a], ["99+Z"])
+    with pytest.raises(InputError, match="no record"):
+        merge_modes([])

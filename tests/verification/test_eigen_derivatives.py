@@ -1,0 +1,122 @@
+"""Derivatives of modes: Taylor remainders of slope 2, dense solutions, repeated roots."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from eigen_plate import held, plate
+from scipy import sparse
+
+from ringtrue.eigen.derivatives import (
+    Slope,
+    eigenvalue_derivatives,
+    eigenvector_derivatives,
+    split_derivatives,
+)
+from ringtrue.eigen.factor import Pencil
+from ringtrue.eigen.solve import solve_modes
+from ringtrue.errors import InputError, NotConverged
+
+N, M = 14, 8
+
+
+def _case(clamped: bool) -> tuple[sparse.csr_array, sparse.csr_array, list[Slope]]:
+    """A plate whose first half changes stiffness or mass."""
+    half = (np.arange(N) < N // 2).astype(float)
+    k, m = plate(N, N, ly=1.13)
+    dk, dm = plate(N, N, ly=1.13, weight=half)
+    pick = held(k, N, N) if clamped else np.arange(k.shape[0])
+    k, m, dk, dm = (sparse.csr_array(a[pick][:, pick]) for a in (k, m, dk, dm))
+    return k, m, [Slope(dk, 0 * dm), Slope(0 * dk, dm)]
+
+
+def _remainders(k, m, slope, base, d_lambda, d_phi, h):
+    got = solve_modes(Pencil(k + h * slope.stiffness, m + h * slope.mass), M + 6)
+    phi = got.vectors[:, :M] * np.sign(np.einsum("fm,fm->m", base.vectors[:, :M], m @ got.vectors[:, :M]))
+    r_lambda = np.abs(got.values[:M] - base.values[:M] - h * d_lambda) / base.values[:M].max()
+    return r_lambda.max(), np.linalg.norm(phi - base.vectors[:, :M] - h * d_phi, axis=0).max()
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_taylor_remainder(which):
+    k, m, slopes = _case(clamped=True)
+    pencil = Pencil(k, m)
+    base = solve_modes(pencil, M + 6)
+    d_lambda = eigenvalue_derivatives(base, slopes)[:M, which]
+    d_phi = eigenvector_derivatives(pencil, base, slopes, count=M)[:, :, which]
+    steps = (1e-2, 1e-3)
+    r = np.array([_remainders(k, m, slopes[which], base, d_lambda, d_phi, h) for h in steps])
+    slope = np.log(r[0] / r[1]) / np.log(steps[0] / steps[1])
+    assert np.allclose(slope, 2, atol=0.1)  # cubic terms bend it by about the larger step
+
+
+def test_against_full_modal_expansion():
+    k, m, slopes = _case(clamped=False)
+    pencil = Pencil(k, m)
+    some = solve_modes(pencil, M + 6)
+    got = eigenvector_derivatives(pencil, some, slopes, count=M)
+    for i, s in enumerate(slopes):  # the equation itself and the normalisation
+        phi, lam = some.vectors[:, 3:M], some.values[3:M]
+        load = s.stiffness @ phi - (s.mass @ phi) * lam
+        d_lambda = np.einsum("fm,fm->m", phi, load)
+        d = got[:, 3:M, i]
+        rest = k @ d - (m @ d) * lam + load - (m @ phi) * d_lambda
+        assert np.abs(rest).max() < 1e-6 * np.abs(load).max()
+        norm = 2 * np.einsum("fm,fm->m", phi, m @ d) + np.einsum("fm,fm->m", phi, s.mass @ phi)
+        assert np.abs(norm).max() < 1e-9
+
+
+def test_branches_of_a_repeated_root():
+    """A square plate made stiffer in one half splits its double modes: the block's eigenvalues are the slopes."""
+    k, m = plate(N, N)
+    dk, dm = plate(N, N, weight=(np.arange(N) < N // 2).astype(float))
+    slope = Slope(dk, 0 * dm)
+    base = solve_modes(Pencil(k, m), 8)
+    assert np.isclose(base.values[4], base.values[5], rtol=1e-8)
+    h = 1e-5
+    up, down = (solve_modes(Pencil(k + s * h * dk, m), 8).values for s in (1, -1))
+    want = split_derivatives(base, slope)
+    forward = (up - base.values)[3:8] / h
+    assert np.allclose(forward, want[3:8], rtol=1e-3)
+    assert np.allclose(np.sort((base.values - down)[4:6]), np.sort(want[4:6] * h), rtol=1e-3)
+    total = eigenvalue_derivatives(base, [slope])[4:6, 0].sum()
+    assert np.isclose(total, want[4:6].sum(), rtol=1e-8)
+
+
+def test_subspace_of_a_repeated_root_moves_as_told():
+    """φ' of a double root, rotation-free: the projector's derivative is φ'φᵀ + φφ'ᵀ, whatever the basis.
+
+    The change keeps the square's symmetry, so the root stays double and the subspace is smooth.
+    """
+    k, m = plate(N, N)
+    ring = np.minimum(np.arange(N), np.arange(N)[::-1]) < 3
+    weight = ring.astype(float)
+    dk = plate(N, N, weight=weight)[0]
+    turn = np.arange(k.shape[0]).reshape(N + 1, 2, N + 1, 2).transpose(2, 3, 0, 1).ravel()
+    dk = sparse.csr_array(dk + dk[turn][:, turn])
+    pencil = Pencil(k, m)
+    base = solve_modes(pencil, 14)
+    d = eigenvector_derivatives(pencil, base, [Slope(dk, 0 * m)], count=6)[:, 4:6, 0]
+    phi, h = base.vectors[:, 4:6], 1e-4
+    ends = [solve_modes(Pencil(k + s * h * dk, m), 8).vectors[:, 4:6] for s in (1, -1)]
+    probe = m @ np.random.default_rng(3).standard_normal((k.shape[0], 3))
+    moved = (ends[0] @ (ends[0].T @ probe) - ends[1] @ (ends[1].T @ probe)) / (2 * h)
+    told = d @ (phi.T @ probe) + phi @ (d.T @ probe)
+    assert np.abs(moved - told).max() < 1e-4 * np.abs(told).max()  # h² of a central difference, twisted by h
+
+
+def test_requests_that_cannot_be_met():
+    k, m, slopes = _case(clamped=True)
+    pencil = Pencil(k, m)
+    base = solve_modes(pencil, 4)
+    with pytest.raises(InputError, match="4 are given"):
+        eigenvector_derivatives(pencil, base, slopes, count=5)
+
+
+def test_missing_lower_mode_is_refused():
+    """The complement is not definite when a lower mode is not given."""
+    k, m, slopes = _case(clamped=True)
+    pencil = Pencil(k, m)
+    band = solve_modes(pencil, band=(100.0, 400.0))
+    with pytest.raises(NotConverged, match="compute more modes"):
+        eigenvector_derivatives(pencil, band, slopes)

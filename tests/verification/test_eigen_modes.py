@@ -1,0 +1,151 @@
+"""Modes against closed forms and dense solutions: multiplicities, rigid bodies, singular masses, bands, counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from eigen_plate import held, line, plate
+from scipy import linalg, sparse
+
+from ringtrue.eigen import lanczos
+from ringtrue.eigen.factor import Pencil
+from ringtrue.eigen.solve import solve_modes
+from ringtrue.errors import InputError, SingularModel
+
+RESIDUAL = 1e-8
+
+
+def test_free_beam_closed_form():
+    """Free-free beam EI = 2, m = 3, L = 1.5: λ_k = EI/m (β_k/L)⁴ with β = 0, 0, 4.730041, 7.853205, 10.995608."""
+    k2, _, k0 = line(300, 1.5)
+    got = solve_modes(Pencil(sparse.csr_array(2 * k2), sparse.csr_array(3 * k0)), 5)
+    beta = np.array([4.730040744862704, 7.853204624095838, 10.995607838001671])
+    assert np.allclose(got.values[2:], 2 / 3 * (beta / 1.5) ** 4, rtol=1e-7)
+    assert np.abs(got.values[:2]).max() < 1e-5 * got.values[2]
+    assert got.complete
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e9])
+@pytest.mark.parametrize("mesh", [5, 14])
+def test_square_free_plate(mesh, scale):
+    """Three rigid modes, double elastic ones, whatever the units; dense for the small mesh."""
+    k, m = plate(mesh, mesh)
+    got = solve_modes(Pencil(k * scale, m), 20)
+    want = linalg.eigh(k.toarray() * scale, m.toarray(), eigvals_only=True)[:20]
+    assert np.allclose(got.values[3:], want[3:], rtol=1e-6)
+    assert np.abs(got.values[:3]).max() < 1e-6 * want[3]
+    assert np.isclose(got.values[4], got.values[5], rtol=1e-8)
+    assert got.residuals.max() < RESIDUAL
+    assert got.orthogonality < 1e-9
+    assert got.complete
+    top = np.take_along_axis(got.vectors, np.abs(got.vectors).argmax(axis=0)[None], axis=0)
+    assert (top > 0).all()
+
+
+@pytest.mark.parametrize("copies", [3, 6])
+def test_equal_structures_side_by_side(copies):
+    """Multiplicity 3 is below the block size, 6 above: the count finds what a block misses."""
+    k, m = plate(6, 6)
+    free = held(k, 6, 6)
+    k, m = k[free][:, free], m[free][:, free]
+    many = [sparse.csr_array(sparse.block_diag([a] * copies)) for a in (k, m)]
+    got = solve_modes(Pencil(*many), 4 * copies)
+    one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)[:4]
+    assert np.allclose(got.values, np.repeat(one, copies), rtol=1e-8)
+    assert got.complete
+
+
+def test_missing_mode_is_found_by_the_count(monkeypatch):
+    """A start that is blind to one of two uncoupled structures: only the inertia count can tell."""
+    k, m = plate(7, 7)
+    free = held(k, 7, 7)
+    k, m = k[free][:, free], m[free][:, free]
+    n = k.shape[0]
+    both = [sparse.csr_array(sparse.block_diag(a)) for a in ((k, 1.21 * k), (m, m))]
+    start, calls = lanczos.Krylov.start, []
+
+    def blind(self, locked, theta):
+        start(self, locked, theta)
+        calls.append(theta.size)
+        if not theta.size:
+            self.basis[n:] = 0
+            q, self.loaded, _ = self._orthonormal(self.basis[:, : self.ahead].copy(), 0.0)
+            self._put(q, 0)
+
+    monkeypatch.setattr(lanczos.Krylov, "start", blind)
+    got = solve_modes(Pencil(*both), 8, shift=-100.0)
+    one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)[:8]
+    assert np.allclose(got.values, np.sort(np.concatenate([one, 1.21 * one]))[:8], rtol=1e-8)
+    assert got.complete
+    assert max(calls) > 0
+
+
+@pytest.mark.parametrize("mesh", [4, 12])
+def test_massless_dofs(mesh):
+    """Lumped mass without rotations: as the statically condensed model."""
+    k, m = plate(mesh, mesh)
+    heavy = np.arange(k.shape[0]) % 4 == 0
+    lumped = np.where(heavy, m.diagonal(), 0.0)
+    got = solve_modes(Pencil(k, sparse.csr_array(sparse.diags_array(lumped))), 10)
+    d = k.toarray()
+    light = ~heavy
+    small = d[np.ix_(heavy, heavy)] - d[np.ix_(heavy, light)] @ np.linalg.solve(
+        d[np.ix_(light, light)], d[np.ix_(light, heavy)]
+    )
+    want = linalg.eigh(small, np.diag(lumped[heavy]), eigvals_only=True)[:10]
+    assert np.allclose(got.values[3:], want[3:], rtol=1e-7)
+    assert got.residuals.max() < RESIDUAL
+    assert got.complete
+
+
+def test_mass_of_low_rank():
+    """Three masses on a large massless plate: three modes exist, more are asked for."""
+    k, _ = plate(12, 12)
+    free = held(k, 12, 12)
+    k = k[free][:, free]
+    mass = np.zeros(k.shape[0])
+    mass[[100, 200, 300]] = 5.0, 7.0, 9.0
+    got = solve_modes(Pencil(k, sparse.csr_array(sparse.diags_array(mass))), 10)
+    flexibility = np.linalg.inv(k.toarray())[np.ix_([100, 200, 300], [100, 200, 300])]
+    want = np.sort(1 / linalg.eigvals(flexibility * [5.0, 7.0, 9.0]).real)
+    assert np.allclose(got.values, want, rtol=1e-7)
+    assert got.complete
+    assert "rank" in got.proof
+
+
+@pytest.mark.parametrize("ends", [(-1.0, 200.0), (60.0, 420.0), (300.0, 420.0), (41.0, 55.0)])
+def test_band(ends):
+    k, m = plate(12, 12)
+    want = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)
+    f = np.sqrt(np.maximum(want, 0)) / (2 * np.pi)
+    inside = want[(f >= ends[0]) & (f <= ends[1])]
+    got = solve_modes(Pencil(k, m), band=ends)
+    assert got.values.size == inside.size
+    assert np.allclose(got.values, inside, rtol=1e-6, atol=1e-3)
+    assert got.complete
+    assert "Sturm" in got.proof
+
+
+def test_repeatable():
+    k, m = plate(12, 12)
+    a, b = (solve_modes(Pencil(k, m), 12) for _ in range(2))
+    assert np.array_equal(a.values, b.values)
+    assert np.array_equal(a.vectors, b.vectors)
+
+
+def test_bad_requests():
+    k, m = plate(2, 2)
+    with pytest.raises(InputError, match="at least 1"):
+        solve_modes(Pencil(k, m), 0)
+    with pytest.raises(InputError, match="empty"):
+        solve_modes(Pencil(k, m), band=(3.0, 2.0))
+    with pytest.raises(InputError, match="mass matrix is zero"):
+        solve_modes(Pencil(k, 0 * m), 2)
+
+
+@pytest.mark.parametrize("mesh", [3, 12])
+def test_mechanism_without_mass(mesh):
+    k, m = plate(mesh, mesh)
+    k, m = (sparse.csr_array(sparse.block_diag([a, np.zeros((1, 1))])) for a in (k, m))
+    with pytest.raises(SingularModel):
+        solve_modes(Pencil(k, m), 5)
