@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from ringtrue.correlate.pairing import CorrelationTable
 
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.pairing import Pairing
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.study import results as r
 
@@ -210,15 +211,15 @@ def _mac(a: ModeSet, b: ModeSet) -> np.ndarray:
 
 def correlation(a: ModeSet, b: ModeSet, first: int = 0, left_out: tuple[int, ...] = ()) -> CorrelationTable:
     """Pairs mode k + first of `a` with k of `b`; the last mode of `a` stays alone."""
-    from ringtrue.correlate.pairing import Lone, PairRow
-
-    mac, rows = _mac(a, b), []
-    for k in range(min(len(a) - first - 1, len(b))):
-        f, g = float(a.frequencies[k + first]), float(b.frequencies[k])
-        cell = float(100 * mac[k + first, k])
-        rows.append(PairRow(k + first, k, f, g, 100 * (g / f - 1), g - f, cell, k not in left_out, k in (16, 17)))
-    lone = (Lone("test", len(a) - 1, float(a.frequencies[-1]), "best MAC 31 % with FE 20, below the gate of 60 %"),)
-    return CorrelationTable(tuple(rows), mac, lone)
+    n = min(len(a) - first - 1, len(b))
+    one, two, mac = np.arange(n) + first, np.arange(n), _mac(a, b)
+    f, g = a.frequencies, b.frequencies
+    lone = np.setdiff1d(np.arange(len(a)), one), np.setdiff1d(np.arange(len(b)), two)
+    why = [("no FE mode within 30 % has MAC >= 60 %: best FE 20 with 31 %",) * x.size for x in lone]
+    close = np.isin(two, (16, 17))
+    error = (g[two] - f[one]) / f[one]
+    pairing = Pairing(one, two, mac[one, two], error, np.ones(n), close, lone[0], why[0], lone[1], why[1])
+    return CorrelationTable(pairing, f[one], g[two], 2e-4 * f[one], ~np.isin(one, left_out), mac, f, g)
 
 
 def _unsure(modes: ModeSet) -> Uncertainty:
@@ -266,6 +267,7 @@ def _record(name: str, test: str, excitation: str, channels: int, rate: float, d
         f,
         psd * np.array([[1], [0.4], [2.5]]),
         ("mains hum at 50 Hz", "machine harmonic at 24.7 Hz removed"),
+        "m/s^2",
     )
 
 
@@ -431,7 +433,7 @@ def study() -> dict[str, object]:
             "Effective independence over 12 target modes.",
         ),
         "identify": identify,
-        "compare": r.CompareStage(correlation(ambient, hammer, first=6)),
+        "compare": r.CompareStage(replace(correlation(ambient, hammer, first=6), names=("ambient", "hammer"))),
         "correlate": r.CorrelateStage(
             reference,
             _unsure(reference),

@@ -115,7 +115,7 @@ def small_plan(twin: MadeUp) -> CampaignPlan:
         references=("101+Z", "102+Z"),
         duration_a=120.0,
         duration_b=120.0,
-        hammer=HammerPlan(hits=3, overload=0.3),
+        hammer=HammerPlan(hits=3, overload=0.3, peak=(1e3, 4e3)),
     )
 
 

@@ -24,6 +24,7 @@ from ringtrue.shapes.mac import mac
 from ringtrue.signal.preprocess import Band, Harmonic, band_signals, harmonics, usable
 from ringtrue.signal.psd import Welch, csd
 
+LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 Progress = Callable[[float, str], None]
 
@@ -214,10 +215,11 @@ def _machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: flo
 def _reason(c: Candidates, i: int) -> str:
     sf, sz = c.stds()
     n, tried = c.orders[i].tolist()
+    thin = "; so little damping may be a machine of unsteady speed" if c.damping[i] < 2.5e-3 else ""
     return (
         f"found at {n} of {tried} orders, std {100 * sf[i] / c.frequencies[i]:.2g} % of frequency and "
         f"{100 * sz[i] / c.damping[i]:.2g} % of damping, MPC {c.mpc[i]:.2f}, halves of the record agree to "
-        f"{c.halves[i]:.2f}"
+        f"{c.halves[i]:.2f}{thin}"
     )
 
 
@@ -314,6 +316,8 @@ def _assemble(
         f, z = float(found[b].table.frequencies[i]), float(found[b].table.damping[i])
         if h := _machine(f, z, lines, resolution):
             left_out.append(f"pole at {f:.4g} Hz left out: {h.why}")
+        elif z < LEAST_DAMPING:
+            left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")
         else:
             at.append((b, i))
     shapes = [found[b].shape[:, i] for b, i in at]

@@ -9,21 +9,12 @@ from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.identify.judge import Candidates
-from ringtrue.identify.lsfd import Lines, modal_part
+from ringtrue.identify.lsfd import Lines, weighted_rest
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.refine import Refined
 
 ABOVE = 2.0  # of the error over its surroundings
 SHARE = 0.03  # amplitude of the error against the data
-
-
-def left_over(lines: Lines, fit: Refined) -> Complex:
-    """(in, freq, out) weighted data without the modes and residual terms."""
-    model = (
-        modal_part(lines, fit.poles, fit.shapes, fit.participation).transpose(2, 0, 1) * lines.weight[:, :, None]
-    )
-    model -= lines.terms @ (lines.terms.conj().transpose(0, 2, 1) @ model)
-    return np.asarray((lines.y - model) * lines.response)
 
 
 def missed(lines: Lines, fit: Refined, sets: Sequence[PoleSet], decay: float, most: int) -> Candidates:
@@ -39,12 +30,14 @@ def missed(lines: Lines, fit: Refined, sets: Sequence[PoleSet], decay: float, mo
         Exponential window still in `sets`.
     most : int
     """
-    rest = left_over(lines, fit)
+    rest = weighted_rest(lines, fit.poles, fit.participation, fit.shapes)
     at = _peaks(rest, lines, fit)[:most]
     omega = lines.s.imag[at]
     zeta = np.median(-fit.poles.real / np.abs(fit.poles)) if fit.poles.size else 0.01
     pole = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
-    part = np.array([_direction(rest[:, max(k - 1, 0) : k + 2]) for k in at]).reshape(at.size, rest.shape[0])
+    part = np.array([_direction(rest[:, max(k - 1, 0) : k + 2]) / lines.input for k in at]).reshape(
+        at.size, rest.shape[0]
+    )
     return Candidates(pole, part, support(pole, part, sets, decay), np.zeros(at.size))
 
 

@@ -32,6 +32,8 @@ LEAST_LINES = 64
 MOST_PEAKS = 5
 TURNS = 6
 MOST_NEW = 6
+MOST_BANDS = 40
+MOST_BYTES = 2e9
 MOST_PRINCIPAL = 40
 
 
@@ -58,7 +60,7 @@ class HammerModes:
     damping_max: float = 0.12
     bands: tuple[tuple[float, float], ...] = ()
     confidence_min: float = 0.5
-    searches: int = 6
+    searches: int = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +86,7 @@ class HammerResult:
     cmif : (f, in) float64
         Singular values of the FRF matrix at those lines, descending.
     synthesis_error : (out, in) float64
-        ‖H − H_fit‖/‖H‖ over the lines.
+        ‖H − H_fit‖/‖H‖ over the lines of the reported band.
     """
 
     model: ModalModel
@@ -138,6 +140,11 @@ def identify_hammer(
     candidates = _merge(found, _step(used), used.window_decay)
     if not candidates.pole.size:
         raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz")
+    if 16 * 6 * candidates.pole.size * used.freqs.size > MOST_BYTES:
+        raise DataError(
+            f"{frfs.source}: {candidates.pole.size} candidates on {used.freqs.size} lines are too many; "
+            "narrow the band with fmin, fmax"
+        )
     tell(0.65, f"residues of {candidates.pole.size} candidates")
     lines = prepare(used, sigma)
     fit, rejected = _fit(lines, used, candidates, [d.poles for d in diagrams], settings, tell)
@@ -156,13 +163,14 @@ def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[t
     """Overlapping bands, Hz: none spans more than RATIO, holds too few lines or too many peaks of the CMIF."""
     step = float(freqs[1] - freqs[0])
     low = max(low, float(freqs[0]))
+    all_peaks = np.sort(freqs[count_peaks(curve)])
+    most = max(MOST_PEAKS, all_peaks.size // MOST_BANDS)
     edges = [high]
-    while edges[-1] > low * 1.05 and len(edges) < 60:
+    while edges[-1] > low * 1.05:
         lower = min(edges[-1] / RATIO, edges[-1] - LEAST_LINES * step)
-        peaks = np.sort(freqs[count_peaks(curve)])
-        inside = peaks[(peaks < edges[-1]) & (peaks > lower)]
-        if inside.size > MOST_PEAKS:
-            cut = 0.5 * (inside[-MOST_PEAKS] + inside[-MOST_PEAKS - 1])
+        inside = all_peaks[(all_peaks < edges[-1]) & (all_peaks > lower)]
+        if inside.size > most:
+            cut = 0.5 * (inside[-most] + inside[-most - 1])
             lower = max(lower, min(float(cut), edges[-1] - LEAST_LINES * step))
         edges.append(lower if lower - low > LEAST_LINES / 2 * step else low)
     edges = edges[::-1]
@@ -217,7 +225,7 @@ def _band(
     lowest, highest = order_range(n_in, count_peaks(curve[at]).size, int(at.sum()))
     most = settings.damping_max + frfs.window_decay / (2 * np.pi * band[0])
     estimator = Plscf(lowest, highest, most)
-    white = frfs.data[at] / sigma.response[:, None] / sigma.line[at].mean(axis=1)[:, None, None]
+    white = frfs.data[at] / sigma.response[:, None] / sigma.line[at][:, None, None] / sigma.input
     poles = plscf(principal(white), frfs.freqs[at], estimator)
     clusters = cluster_poles(poles, _step(frfs))
     db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
@@ -287,11 +295,26 @@ def _fit(
             break
         new, why = _settle(lines, _joined(best, more), pairs, settings, sets, decay)
         rejected += why
-        gained = new.refined.poles.size > best.refined.poles.size and new.refined.cost < best.refined.cost
-        if not gained:
+        if new.refined.poles.size < best.refined.poles.size or new.refined.cost > 0.99 * best.refined.cost:
             break
         best = new
-    return best, rejected
+    return _strict(lines, best, pairs, settings, rejected)
+
+
+def _strict(
+    lines: Lines, fit: _Fit, pairs: Sequence[tuple[int, int, float]], settings: HammerModes, rejected: list[str]
+) -> tuple[_Fit, list[str]]:
+    """The final verdict, now that no mode is missing; what is dropped is fitted no more."""
+    refined = fit.refined
+    verdict = judge(lines, refined, fit.candidates, pairs, damping_max=settings.damping_max)
+    keep = verdict.confidence >= settings.confidence_min
+    if keep.all():
+        return _Fit(refined, fit.candidates, verdict), rejected
+    rejected += [verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
+    candidates = fit.candidates.take(keep)
+    refined = refine(lines, refined.poles[keep], refined.participation[keep])
+    verdict = judge(lines, refined, candidates, pairs, damping_max=settings.damping_max)
+    return _Fit(refined, candidates, verdict), rejected
 
 
 def _joined(fit: _Fit, more: Candidates) -> Candidates:
@@ -319,14 +342,14 @@ def _settle(
         if sets:
             seen = support(fit.poles, fit.participation, sets, decay)
             candidates = replace(candidates, pole=fit.poles, support=np.maximum(candidates.support, seen))
-        verdict = judge(lines, fit, candidates, pairs, damping_max=settings.damping_max)
+        verdict = judge(lines, fit, candidates, pairs, damping_max=settings.damping_max, strict=False)
         keep = verdict.confidence >= settings.confidence_min
         if keep.all():
             break
         rejected += [verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
         candidates = candidates.take(keep)
         fit = refine(lines, fit.poles[keep], fit.participation[keep])
-    return _Fit(fit, candidates, judge(lines, fit, candidates, pairs, damping_max=settings.damping_max)), rejected
+    return _Fit(fit, candidates, verdict), rejected
 
 
 def _scale(model: ModalModel) -> Complex:
@@ -366,6 +389,8 @@ def _report(
     unit = np.linalg.norm(model.shapes * alpha, axis=0) / np.maximum(np.linalg.norm(fit.shapes, axis=0), 1e-300)
     std = Uncertainty(fit.std_frequency, fit.std_damping, fit.std_shape * unit, fit.factor).take(told)
     fitted = synthesise_windowed(model, lines)
-    error = np.linalg.norm(frfs.data - fitted, axis=0) / np.maximum(np.linalg.norm(frfs.data, axis=0), 1e-300)
+    at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
+    size = np.linalg.norm(frfs.data[at], axis=0)
+    error = np.linalg.norm(frfs.data[at] - fitted[at], axis=0) / np.maximum(size, 1e-300)
     reasons = tuple(verdict.reason[k] for k in told)
     return HammerResult(model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error)

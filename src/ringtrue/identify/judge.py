@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float
-from ringtrue.identify.lsfd import Lines, modal_part, solve_shapes
+from ringtrue.identify.lsfd import Lines, solve_shapes, weighted_rest
 from ringtrue.identify.refine import Refined
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
@@ -73,6 +73,7 @@ def judge(
     pairs: Sequence[tuple[int, int, float]],
     *,
     damping_max: float,
+    strict: bool = True,
 ) -> Verdict:
     """Weigh each candidate.
 
@@ -89,18 +90,20 @@ def judge(
     pairs : sequence of (output, input, sign)
         Driving points.
     damping_max : float
+    strict : bool
+        False while modes may still be missing: their neighbours then have complex shapes.
     """
     shapes, gain = solve_shapes(lines, fit.poles, fit.participation)
     total = gain.sum(axis=0)
     driven = _driven(fit, shapes, pairs)
-    real, gains = _real(shapes, lines.response), _gains(lines, fit, shapes, total)
-    clear = (real.factor > 0.99) & (gains.factor > 0.99) & (driven.factor > 0.99)
+    real, gains = _real(shapes, lines.response, strict), _gains(lines, fit, shapes, total)
+    clear = _clear(fit, shapes, lines) & (gains.factor > 0.99) & (driven.factor > 0.99)
     aspects = [
         _stable(candidates, clear),
         gains,
         _damped(fit, damping_max),
         _placed(lines, fit, candidates),
-        _double(lines, fit, shapes, total),
+        _double(lines, fit, candidates, shapes, total),
         real,
         driven,
     ]
@@ -111,6 +114,16 @@ def judge(
 
 def _texts(factor: Float, good: Sequence[str], bad: Sequence[str], below: float = 0.9) -> _Aspect:
     return _Aspect(factor, tuple(b if x < below else g for x, g, b in zip(factor, good, bad, strict=True)))
+
+
+def _clear(fit: Refined, shapes: Complex, lines: Lines) -> Bool:
+    """A real shape and a damping of the size of the others'."""
+    zeta = -fit.poles.real / np.abs(fit.poles)
+    return np.asarray((_mpc(shapes, lines.response) > 0.9) & (zeta < 4 * np.median(zeta)))
+
+
+def _mpc(shapes: Complex, weight: Float) -> Float:
+    return mpc(shapes * weight[:, None]) if shapes.shape[0] > 2 else np.ones(shapes.shape[1])
 
 
 def _stable(c: Candidates, clear: Bool) -> _Aspect:
@@ -136,10 +149,8 @@ def _gains(lines: Lines, fit: Refined, shapes: Complex, total: Float) -> _Aspect
 
 def _rest(lines: Lines, poles: Complex, participation: Complex, shapes: Complex) -> Float:
     """(freq,) mean squared weighted error per real value."""
-    model = modal_part(lines, poles, shapes, participation).transpose(2, 0, 1) * lines.weight[:, :, None]
-    model -= lines.terms @ (lines.terms.conj().transpose(0, 2, 1) @ model)
-    e = np.abs(lines.y - model) ** 2 * lines.response**2
-    return np.asarray(0.5 * e.mean(axis=(0, 2)))
+    e = weighted_rest(lines, poles, participation, shapes)
+    return np.asarray(0.5 * (np.abs(e) ** 2).mean(axis=(0, 2)))
 
 
 def _damped(fit: Refined, damping_max: float) -> _Aspect:
@@ -163,12 +174,17 @@ def _placed(lines: Lines, fit: Refined, c: Candidates) -> _Aspect:
     return _texts(factor, [""] * f.size, [f"moved {m:.1f} half bandwidths in the refinement" for m in moved])
 
 
-def _double(lines: Lines, fit: Refined, shapes: Complex, total: Float) -> _Aspect:
-    """A weaker mode near a stronger one of the same shape and participation is its double."""
+def _double(lines: Lines, fit: Refined, c: Candidates, shapes: Complex, total: Float) -> _Aspect:
+    """A weaker mode near a stronger one of the same shape and participation is its double.
+
+    One that the orders do not show needs the same shape only: setups that disagree about a mode split it that way.
+    """
     p = fit.poles
     width = np.maximum(np.abs(p.real)[:, None], np.abs(p.real)[None]) + (lines.s.imag[1] - lines.s.imag[0])
     close = np.abs(p[:, None] - p) / width
     alike = mac(shapes, shapes) * mac(fit.participation.T, fit.participation.T)
+    same = mac(shapes, shapes) if shapes.shape[0] > 4 else alike
+    alike = np.where((c.support < 0.4)[:, None], same, np.where((close < 1.0) & (same > 0.9), same, alike))
     stronger = total[None] > total[:, None]
     share = total[:, None] / np.maximum(total[None], 1e-300)
     bad = stronger & (((close < 1.0) & (alike > 0.8)) | ((close < 3.0) & (alike > 0.9) & (share < 0.1)))
@@ -177,9 +193,9 @@ def _double(lines: Lines, fit: Refined, shapes: Complex, total: Float) -> _Aspec
     return _texts(np.where(which >= 0, 0.1, 1.0), [""] * p.size, text)
 
 
-def _real(shapes: Complex, weight: Float) -> _Aspect:
-    value = mpc(shapes * weight[:, None]) if shapes.shape[0] > 2 else np.ones(shapes.shape[1])
-    factor = np.clip(0.6 + 0.6 * value, 0, 1)
+def _real(shapes: Complex, weight: Float, strict: bool) -> _Aspect:
+    value = _mpc(shapes, weight)
+    factor = np.clip(0.25 + 0.85 * value if strict else 0.6 + 0.6 * value, 0, 1)
     text = [f"MPC {v:.3f}" for v in value]
     return _texts(factor, text, [f"{t}, a complex shape" for t in text])
 

@@ -24,17 +24,20 @@ POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """A separable model of the standard deviation of the FRFs: σ(f, o, i) = line(f, i) · response(o).
+    """A separable model of the standard deviation of the FRFs: σ(f, o, i) = line(f) · response(o) · input(i).
 
     Attributes
     ----------
-    line : (freq, in) float64
+    line : (freq,) float64
     response : (out,) float64
+        Geometric mean 1.
+    input : (in,) float64
         Geometric mean 1.
     """
 
     line: Float
     response: Float
+    input: Float
 
 
 def noise(frfs: FrfSet) -> Noise:
@@ -52,9 +55,10 @@ def noise(frfs: FrfSet) -> Noise:
         var = floor + (0.02**2) * h2
     var = np.maximum(var, 1e-12 * h2.mean(axis=0) + np.finfo(float).tiny)
     log = np.log(var)
-    response = log.mean(axis=(0, 2))
-    line = _smooth((log - response[:, None]).mean(axis=1))
-    return Noise(np.exp(0.5 * (line + response.mean())), np.exp(0.5 * (response - response.mean())))
+    mean = log.mean()
+    line = _smooth(log.mean(axis=(1, 2)))
+    response, given = log.mean(axis=(0, 2)) - mean, log.mean(axis=(0, 1)) - mean
+    return Noise(np.exp(0.5 * line), np.exp(0.5 * response), np.exp(0.5 * given))
 
 
 def _roughness(h: Complex) -> Float:
@@ -65,8 +69,7 @@ def _roughness(h: Complex) -> Float:
 
 def _smooth(line: Float, width: int = 5) -> Float:
     kernel = np.ones(width) / width
-    pad = np.pad(line, ((width // 2, width // 2), (0, 0)), mode="edge")
-    return np.stack([np.convolve(c, kernel, "valid") for c in pad.T], axis=1)
+    return np.convolve(np.pad(line, width // 2, mode="edge"), kernel, "valid")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,11 +83,13 @@ class Lines:
         s^p that turns receptance into the kind of the data.
     y : (in, freq, out) complex128
         Weighted data, without its part in the span of the residual terms.
-    weight : (in, freq) float64
-    terms : (in, freq, t) complex128
+    weight : (freq,) float64
+    terms : (freq, t) complex128
         Orthonormal basis of the weighted residual terms.
     response : (out,) float64
-        Weight of each response.
+        Weight of each response, not in `y`.
+    input : (in,) float64
+        Weight of each input, in `y`; a participation vector times it belongs to `y`.
     """
 
     s: Complex
@@ -93,6 +98,7 @@ class Lines:
     weight: Float
     terms: Complex
     response: Float
+    input: Float
 
 
 def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
@@ -101,26 +107,27 @@ def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
     An exponential window e^{-σt} on force and response moves the FRF from s to s + σ, poles, s² of the accelerance
     and all: so the fit is done at s = iω + σ, and the poles come out without the window.
     """
-    s: Complex = 2j * np.pi * frfs.freqs + frfs.window_decay
+    s = np.asarray(2j * np.pi * frfs.freqs + frfs.window_decay, dtype=np.complex128)
     if (frfs.freqs <= 0).any():
         raise InputError("the line at 0 Hz has no place in a fit of modes: leave it out")
     kind = np.asarray(s ** POWER[frfs.kind], dtype=np.complex128)
-    weight = 1 / sigma.line.T
+    weight, given = 1 / sigma.line, 1 / sigma.input
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
-    terms = np.asarray(np.linalg.qr(weight[:, :, None] * t)[0], dtype=np.complex128)
-    y: Complex = weight[:, :, None] * frfs.data.transpose(2, 0, 1)
-    return Lines(s, kind, _without(terms, y), weight, terms, 1 / sigma.response)
+    terms = np.asarray(np.linalg.qr(weight[:, None] * t)[0], dtype=np.complex128)
+    y: Complex = weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1)
+    return Lines(s, kind, without_terms(terms, y), weight, terms, 1 / sigma.response, given)
 
 
-def _without(terms: Complex, y: Complex) -> Complex:
-    return np.asarray(y - terms @ (terms.conj().transpose(0, 2, 1) @ y))
+def without_terms(terms: Complex, y: Complex) -> Complex:
+    """(..., freq, n) the part of `y` outside the span of the residual terms (freq, t)."""
+    return np.asarray(y - terms @ (terms.conj().T @ y))
 
 
 def functions(lines: Lines, poles: Complex, power: int = 1) -> Complex:
-    """Weighted 1/(s − λ)^power and those of the conjugate poles, (in, freq, 2 m), residual terms projected out."""
+    """Weighted 1/(s − λ)^power and those of the conjugate poles, (freq, 2 m), residual terms projected out."""
     both = np.concatenate([poles, poles.conj()])
     q = lines.kind[:, None] / (lines.s[:, None] - both) ** power
-    return _without(lines.terms, lines.weight[:, :, None] * q)
+    return without_terms(lines.terms, lines.weight[:, None] * q)
 
 
 def mirrored(a: Complex) -> Complex:
@@ -149,9 +156,9 @@ def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> tuple[
         Fall of the weighted sum of squares (σ = 1) by the mode with all others present.
     """
     q = functions(lines, poles)
-    qh = q.conj().transpose(0, 2, 1)
-    d = augment(participation).T[:, :, None]  # (in, 2 m, 1)
-    n = mirrored((d.conj() * (qh @ q) * d.transpose(0, 2, 1)).sum(axis=0))
+    qh = q.conj().T
+    d = augment(participation * lines.input).T[:, :, None]  # (in, 2 m, 1)
+    n = mirrored(qh @ q) * (d.conj() * d.transpose(0, 2, 1)).sum(axis=0)
     b = mirrored_rows(qh @ lines.y)
     rhs = (d.conj() * b).sum(axis=0)
     scale = 1 / np.sqrt(np.maximum(np.diag(n).real, np.finfo(float).tiny))
@@ -194,6 +201,12 @@ def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Com
     return np.asarray(h.reshape(lines.s.size, shapes.shape[0], participation.shape[1]))
 
 
+def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: Complex) -> Complex:
+    """(in, freq, out) what modes and residual terms leave of the data, in units of the noise."""
+    model = modal_part(lines, poles, shapes, participation * lines.input).transpose(2, 0, 1) * lines.weight[:, None]
+    return np.asarray((lines.y - without_terms(lines.terms, model)) * lines.response)
+
+
 def synthesise_windowed(model: ModalModel, lines: Lines) -> Complex:
     """(freq, out, in) the FRFs of the model as measured: under the exponential window of the data."""
     h = modal_part(lines, model.poles, model.shapes, model.participation)
@@ -204,10 +217,9 @@ def synthesise_windowed(model: ModalModel, lines: Lines) -> Complex:
 def _residuals(rest: Complex, lines: Lines) -> tuple[Complex, Complex]:
     """Lower and upper residuals (out, in) of what the modes leave."""
     t = np.stack([(lines.s[0] / lines.s) ** 2, np.ones(lines.s.size)], axis=1)
-    t = lines.weight[:, :, None] * (lines.kind[:, None] * t)
-    y = lines.weight[:, :, None] * rest.transpose(2, 0, 1)
-    q, r = np.linalg.qr(t)
-    x = np.asarray(np.linalg.solve(r, q.conj().transpose(0, 2, 1) @ y), dtype=np.complex128)  # (in, 2, out)
+    q, r = np.linalg.qr(lines.weight[:, None] * (lines.kind[:, None] * t))
+    y = lines.weight[:, None] * rest.transpose(2, 0, 1)
+    x = np.asarray(np.linalg.solve(r, q.conj().T @ y), dtype=np.complex128)  # (in, 2, out)
     return (x[:, 0] * lines.s[0] ** 2).T, x[:, 1].T
 
 

@@ -16,7 +16,7 @@ from ringtrue.core.outcome import Outcome
 from ringtrue.identify.lsfd import Lines, augment, functions, mirrored, mirrored_rows
 
 ITERATIONS = 20
-TOLERANCE = 1e-7  # relative fall of the objective
+TOLERANCE = 1e-6  # relative fall of the objective
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +78,8 @@ def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: 
     -------
     Refined
     """
-    part = participation / np.linalg.norm(participation, axis=1, keepdims=True)
+    part = participation * lines.input
+    part = part / np.linalg.norm(part, axis=1, keepdims=True)
     state = _evaluate(lines, poles, part)
     damping, outcome = 1e-3, Outcome.MAX_ITERATIONS
     for _ in range(iterations if poles.size else 0):
@@ -126,21 +127,21 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
     """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input; value, conj)."""
     m, n_in = part.shape
     q, dq = functions(lines, poles), functions(lines, poles, 2)
-    qh, dqh = q.conj().transpose(0, 2, 1), dq.conj().transpose(0, 2, 1)
+    qh, dqh = q.conj().T, dq.conj().T
     cc, cd, dd = mirrored(qh @ q), mirrored(qh @ dq), mirrored(dqh @ dq)
     cy, dy = mirrored_rows(qh @ lines.y), mirrored_rows(dqh @ lines.y)
     l = augment(part).T[:, :, None]
-    lt = l.transpose(0, 2, 1)
-    xx = (l.conj() * cc * lt).sum(axis=0)
+    ll = (l.conj() * l.transpose(0, 2, 1)).sum(axis=0)
+    xx = cc * ll
     xy = (l.conj() * cy).sum(axis=0)
-    xg = np.concatenate([(l.conj() * cd * lt).sum(axis=0), *(l.conj() * cc)], axis=1)
+    xg = np.concatenate([cd * ll, *(l.conj() * cc)], axis=1)
     gy = np.concatenate([(l.conj() * dy).sum(axis=0), *cy])
     scale = 1 / np.sqrt(np.maximum(np.diag(xx).real, 1e-300))
     inverse = (
         scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale
     )  # small; its diagonal is needed too
     psi = inverse @ xy
-    gg = _gram(cc, cd, dd, l)
+    gg = _gram(cc, cd, dd * ll, l)
     core = gg - xg.conj().T @ inverse @ xg
     w2 = lines.response**2
     tile = np.tile(psi, (1 + n_in, 1))
@@ -156,10 +157,10 @@ def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
     """Gram matrix of the derivatives with unit shapes: pole columns span all inputs, participations one each."""
     n_in, n = l.shape[:2]
     gg = np.zeros((1 + n_in, n, 1 + n_in, n), dtype=np.complex128)
-    gg[0, :, 0] = (l.conj() * dd * l.transpose(0, 2, 1)).sum(axis=0)
+    gg[0, :, 0] = dd
     for i in range(n_in):  # a handful of inputs
-        gg[1 + i, :, 1 + i] = cc[i]
-        gg[1 + i, :, 0] = cd[i] * l[i].T
+        gg[1 + i, :, 1 + i] = cc
+        gg[1 + i, :, 0] = cd * l[i].T
         gg[0, :, 1 + i] = gg[1 + i, :, 0].conj().T
     return gg.reshape((1 + n_in) * n, -1)
 
@@ -181,7 +182,7 @@ def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
     std = np.sqrt(np.maximum(np.diag(real), 0))
     return Refined(
         state.poles,
-        state.part,
+        state.part / lines.input,
         state.shapes,
         std[:m],
         std[m:],

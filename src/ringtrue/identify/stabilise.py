@@ -165,9 +165,8 @@ def _seen(c: Candidates, h: PoleSet, sf: Float, sz: Float) -> tuple[Float, Compl
     shape_like = mac(h.shape, c.shape)
     like = (df < reach) & (dz < width) & (shape_like > 0.7)
     if len(h.shape) > 3:  # half a record may split a mode in two; with three channels any shape is like any other
-        like |= (
-            (df < 0.7 * c.damping * c.frequencies) & (dz < np.maximum(width, 0.5 * c.damping)) & (shape_like > 0.95)
-        )
+        reach = np.where(shape_like > 0.99, 2.0, 0.7) * c.damping * c.frequencies
+        like |= (df < reach) & (dz < np.maximum(width, 0.5 * c.damping)) & (shape_like > 0.95)
     tried = h.orders
     share = np.array([np.unique(h.order[x]).size for x in like.T]) / max(tried.size, 1)
     turn = (c.shape.conj().T @ h.shape).T

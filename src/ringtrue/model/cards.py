@@ -62,7 +62,7 @@ SPECIAL = {
     "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f M:f",
     "PBEAM": "PID MID A:f I1:f I2:f I12:f J:f NSM:f K1:f=1.0 K2:f=1.0 S1:f S2:f NSIA:f NSIB:f "
     "M1A:f M2A:f M1B:f M2B:f N1A:f N2A:f N1B:f N2B:f AB:f I1B:f I2B:f I12B:f JB:f NSMB:f",
-    # PBEAM: the section at end A, at end B (a blank end B equals A); stations between are averaged over the length
+    # PBEAM: the section at end A, at end B (a blank end B equals A); stations between must lie on the straight line
 }
 
 CARDS = {line.split()[0]: line.split(maxsplit=1)[1] for line in _TEXT.strip().splitlines()}

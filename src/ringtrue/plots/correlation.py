@@ -43,12 +43,10 @@ def labels(frequencies: Float) -> list[str]:
     return [f"{i + 1}: {f:.2f}" for i, f in enumerate(frequencies.tolist())]
 
 
-def table_matrix(table: CorrelationTable, a: Float, b: Float, names: tuple[str, str]) -> go.Figure:
-    """The MAC matrix of a correlation; `a`, `b` (m,) Hz are the modes of its rows and columns."""
-    rows, columns = table.mac.shape
-    a_labels = labels(a) if a.size == rows else [str(i + 1) for i in range(rows)]
-    b_labels = labels(b) if b.size == columns else [str(i + 1) for i in range(columns)]
-    return matrix(table.mac, a_labels, b_labels, f"{names[0]} mode, Hz", f"{names[1]} mode, Hz")
+def table_matrix(table: CorrelationTable) -> go.Figure:
+    """The MAC matrix of a correlation."""
+    a, b = (f"{name} mode, Hz" for name in table.names)
+    return matrix(table.mac, labels(table.all_test_hz), labels(table.all_fe_hz), a, b)
 
 
 def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
@@ -58,14 +56,14 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         xaxis=axis("Test mode, Hz", type="category", tickangle=-45),
         yaxis=axis("(f FE − f test)/f test, %", zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1),
     )
-    order = {int(r.test_mode): r.frequency_test for _, t in stages for r in t.rows}
-    names = {k: f"{k + 1}: {order[k]:.2f}" for k in sorted(order)}
+    order = {r.test: r.test_hz for _, t in stages for r in t.rows()}
+    names = {k: f"{k}: {order[k]:.2f}" for k in sorted(order)}
     for size, (name, table) in zip((13, 10, 9), stages, strict=False):
         color = STAGE_COLORS.get(name, FINAL)
-        marks = ["circle" if r.used or name != "final" else "circle-open" for r in table.rows]
+        marks = ["circle" if r.used or name != "final" else "circle-open" for r in table.rows()]
         look = {"size": size, "color": color, "symbol": marks, "line": {"width": 2, "color": color}}
-        x = [names[int(r.test_mode)] for r in table.rows]
-        y = f32(np.array([r.deviation_percent for r in table.rows]))
+        x = [names[r.test] for r in table.rows()]
+        y = f32(table.deviation_percent)
         fig.add_scatter(x=x, y=y, mode="markers", marker=look, name=name)
         fig.data[-1].hovertemplate = f"{name}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
     fig.layout.xaxis.update(categoryorder="array", categoryarray=list(names.values()))

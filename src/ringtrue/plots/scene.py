@@ -104,6 +104,7 @@ class Shown:
 
 
 def _quantised(a: Float) -> dict[str, Any]:
+    a = np.nan_to_num(a)
     peak = float(np.abs(a).max(initial=0.0)) or 1.0
     return {"peak": peak, "q": _pack(np.round(a * (32767 / peak)), "<i2")}
 
@@ -134,7 +135,7 @@ def _phased(shown: Shown) -> Any_:
     """The test shape turned and scaled onto the model's shape at the same channels (for drawing only)."""
     assert shown.test is not None
     modes, k = shown.test
-    shape = np.asarray(modes.shapes[:, k])
+    shape = np.nan_to_num(modes.shapes[:, k])
     if shown.seen is not None:
         other, j = shown.seen
         here = {c: i for i, c in enumerate(other.channels)}

@@ -14,7 +14,8 @@ FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m
 
 
 def record(summary: RecordSummary, unit: str) -> go.Figure:
-    """Time previews on the left, power spectral densities on the right."""
+    """Time previews on the left, power spectral densities on the right; `unit` of the channels, empty if mixed."""
+    unit = unit or "SI unit"
     fig = figure(
         250,
         xaxis=axis("Time, s", domain=[0, 0.41]),

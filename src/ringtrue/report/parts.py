@@ -107,7 +107,7 @@ class Cell:
 class Table:
     """Rows of texts or cells; a head that starts with `|` is left-aligned text, others are numbers."""
 
-    heads: tuple[str, ...]
+    heads: Sequence[str]
     rows: Sequence[Sequence[str | Cell]]
     caption: str = ""
     foot: Sequence[str | Cell] = ()

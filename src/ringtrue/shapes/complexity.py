@@ -22,13 +22,13 @@ def mpc(shapes: Any_) -> Float:
 
 
 def mean_phase(shapes: Any_) -> Float:
-    """Angle (m,), rad in (−π/2, π/2], of the line through the origin that fits the components best (total least squares)."""
+    """Angle (m,), rad in (−π/2, π/2], of the line through the origin that fits the components best."""
     p = np.asarray(shapes)
     return np.asarray(0.5 * np.angle((p * p).sum(axis=0)), dtype=np.float64)
 
 
 def mpd(shapes: Any_) -> Float:
-    """Mean phase deviation, (m,) rad: amplitude-weighted angle of the components from the mean phase (Reynders, 2012)."""
+    """Mean phase deviation, (m,) rad: amplitude-weighted angle of the components from the mean (Reynders, 2012)."""
     p = np.asarray(shapes) * np.exp(-1j * mean_phase(shapes))
     weight = np.abs(p)
     angle = np.arctan2(np.abs(p.imag), np.abs(p.real))

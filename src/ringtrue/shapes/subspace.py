@@ -41,7 +41,7 @@ def subspace_mac(a: Any_, b: Any_) -> Float:
 
 
 def rotation(a: Any_, b: Any_) -> Any_:
-    """The matrix T (kb, ka), TᴴT = 1, that turns the mass-normalised shapes `b` towards `a`: compare `b @ T` with `a`.
+    """The matrix T (kb, ka), TᴴT = 1, that turns mass-normalised shapes `b` towards `a`: compare `b @ T` with `a`.
 
     Close mass-normalised modes are defined up to such a T. The scale of `a` is free: `b⁺a` is scaled by column
     before its polar factor is taken.

@@ -65,7 +65,7 @@ def _starts(samples: int, length: int, hop: int) -> Int:
 
 
 def segments_spectrum(data: Any_, starts: Int, win: Any_) -> Any_:
-    """(segment, ch, freq) spectra of mean-free, windowed segments of `data` (ch, sample), in the precision of `win`."""
+    """(segment, ch, freq) spectra of mean-free, windowed segments of `data` (ch, sample), precision as `win`."""
     at = starts[:, None] + np.arange(win.size)
     seg = np.asarray(data[:, at], dtype=win.dtype)
     seg -= seg.mean(-1, keepdims=True)

@@ -94,6 +94,7 @@ class RecordSummary:
     psd_freqs: Float  # (f,) Hz
     psd: Float  # (channel<=4, f) one-sided, unit²/Hz
     notes: tuple[str, ...]  # harmonics found, channels dropped, band of the sensor correction
+    unit: str = ""  # of the previewed channels; empty where they differ
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,7 +39,7 @@ class Ambient:
     ground_rms: float = 1e-6
     lateral: float = 0.6
     correlation: float = 0.2
-    force_density: float = 0.05
+    force_density: float = 0.2
     force_corner: float = 20.0
     machine_hz: float = 24.3
     machine_force: float = 3.0

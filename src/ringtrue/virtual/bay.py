@@ -52,7 +52,7 @@ class AmbientTest:
     def volts(self, forces: Complex, freqs: Float) -> Complex:
         """(channel, line) spectra at the recorder, without noise."""
         motion = response_spectrum(self.model, forces, freqs, quantity=self.chain.sensors[0].motion)
-        motion *= self.chain.gain(freqs, self.rate)
+        self.chain.to_volts(motion, self.rate)
         return motion
 
 
@@ -68,15 +68,18 @@ def expected_snr(test: AmbientTest) -> float:
 def on_a_day(test: AmbientTest, snr_db: float, bounds: tuple[float, float]) -> AmbientTest:
     """The test with all ambient levels scaled for a ratio at resonance, ground motion within `bounds`, m/s rms."""
     gain = 10 ** ((snr_db - expected_snr(test)) / 20)
-    rms = float(np.clip(test.site.ground_rms * gain, *bounds))
-    gain = rms / test.site.ground_rms
-    site = replace(
-        test.site,
-        ground_rms=rms,
-        force_density=gain * test.site.force_density,
-        machine_force=gain * test.site.machine_force,
+    return replace(test, site=scaled(test.site, float(np.clip(test.site.ground_rms * gain, *bounds))))
+
+
+def scaled(site: Ambient, ground_rms: float) -> Ambient:
+    """A quieter or louder day: all levels in proportion to the ground motion, m/s rms."""
+    gain = ground_rms / site.ground_rms
+    return replace(
+        site,
+        ground_rms=ground_rms,
+        force_density=gain * site.force_density,
+        machine_force=gain * site.machine_force,
     )
-    return replace(test, site=site)
 
 
 def measure(
@@ -94,9 +97,9 @@ def measure(
     forces = test.forces(samples, rng)
     for pulses in events:
         forces += pulse_spectrum(pulses, forces.shape[0], samples, test.rate)
-    signal = test.volts(forces, freqs)
-    strength = resonance_power(signal, test.poles, samples, test.rate)
+    signal = response_spectrum(test.model, forces, freqs, quantity=test.chain.sensors[0].motion)
     volts, noise = record(signal, test.chain, samples, test.rate, rng)
+    strength = resonance_power(signal, test.poles, samples, test.rate)
     quantisation = np.array([s.step**2 / 6 / test.rate for s in test.chain.sensors])[:, None]
     noisy = resonance_power(noise, test.poles, samples, test.rate) + quantisation
     return volts, float(np.median(ratio_db(strength, noisy)))

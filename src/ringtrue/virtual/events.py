@@ -10,9 +10,10 @@ from scipy import fft
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.errors import InputError
+from ringtrue.virtual.response import lines
 
 G = 9.80665  # m/s²
-OVERSAMPLE = 4096.0  # Hz: a 3 ms pulse spans 12 cells, each holding its exact share of the impulse
+OVERSAMPLE = 2048.0  # Hz at least: a 3 ms pulse spans 6 cells, each holding its exact share of the impulse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,17 +58,18 @@ class Pulses:
 def pulse_spectrum(pulses: Pulses, inputs: int, samples: int, rate: float) -> Complex:
     """Spectra (in, line) of band-limited pulses.
 
-    Built on a fine grid whose cells hold the exact impulse, then cut at half the rate, as an ideal
-    anti-aliasing filter does. What lies beyond the record is cut off.
+    Built on a fine grid whose cells hold the exact impulse (the mean over a cell is taken out of the spectrum),
+    then cut at half the rate, as an ideal anti-aliasing filter does. What lies beyond the record is cut off.
     """
     if pulses.at.size and pulses.at.max() >= inputs:
         raise InputError(f"pulse at input {int(pulses.at.max())}: there are {inputs}")
     factor = int(np.ceil(OVERSAMPLE / rate))
     out = np.zeros((inputs, samples // 2 + 1), dtype=np.complex128)
+    cell = np.sinc(lines(samples, rate) / (rate * factor)) * factor
     for i in np.unique(pulses.at):  # a handful of struck points
         keep = pulses.at == i
         fine = _sampled(pulses.pick(keep), samples * factor, rate * factor)
-        out[i] = fft.rfft(fine)[: samples // 2 + 1] / factor
+        out[i] = fft.rfft(fine)[: samples // 2 + 1] / cell
     return out
 
 

@@ -120,6 +120,12 @@ def _sampled_peak(pulses: Pulses, rate: float) -> Float:
     return np.asarray(np.abs(fft.irfft(spectrum, n)).reshape(-1, width).max(axis=1))
 
 
+def clean_energy(blows: Blows) -> float:
+    """Mean squared impulse of the clean blows over the sum of all squared impulses."""
+    square, n = blows.pulses.impulse**2, blows.times.size
+    return float(square[:n][~blows.double & ~blows.overload].mean() / square.sum())
+
+
 def block_samples(plan: HammerPlan, times: Float, rate: float) -> Int:
     """(attempt, sample) positions of the blocks in the continuous signal."""
     first = np.round((times - plan.pretrigger) * rate).astype(np.int64)
@@ -157,10 +163,12 @@ def hammer_record(
     """
     freqs = lines(samples, rate)
     force = pulse_spectrum(blows.pulses, background.shape[0], samples, rate)
-    gain = chain.gain(freqs, rate)
-    noise = chain.noise(samples, rate, rng)
-    noise[1:] += gain[1:] * response_spectrum(model, background, freqs)
-    signal = np.vstack([force.sum(axis=0), response_spectrum(model, force, freqs)]) * gain
+    still = np.zeros((1, freqs.size))  # the force cell feels the hammer alone
+    signal = np.vstack([force.sum(axis=0), response_spectrum(model, force, freqs)])
+    noise = np.vstack([still, response_spectrum(model, background, freqs)])
+    chain.to_volts(signal, rate)
+    chain.to_volts(noise, rate)
+    noise += chain.noise(samples, rate, rng)
     volts = chain.digitise(np.asarray(fft.irfft(signal + noise, samples)), rate)
     cut = block_samples(plan, blows.times, rate).ravel()
     return volts[:, cut], signal[1:], noise[1:]

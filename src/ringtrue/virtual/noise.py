@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Complex, Float, Int
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +63,22 @@ def tone(freq: float, amplitude: Float, phase: Float, samples: int, rate: float)
 
 
 def hum(amplitude: Float, samples: int, rate: float, rng: np.random.Generator, mains: float = 50.0) -> Complex:
-    """Mains hum and its third harmonic (30 %), (row, line); lines above half the rate are filtered away."""
-    first = tone(mains, amplitude, rng.uniform(0, 2 * np.pi, amplitude.size), samples, rate)
-    return first + tone(3 * mains, 0.3 * amplitude, rng.uniform(0, 2 * np.pi, amplitude.size), samples, rate)
+    """Mains hum and its third harmonic (30 %); lines above half the rate are filtered away.
+
+    Returns
+    -------
+    (row, 2) complex128
+        Spectra at the lines `hum_lines`, 0 where there is no such line.
+    """
+    at = hum_lines(samples, rate, mains)
+    phase = rng.uniform(0, 2 * np.pi, (amplitude.size, 2))
+    return np.asarray(0.5 * samples * amplitude[:, None] * [1.0, 0.3] * np.exp(1j * phase) * (at > 0))
+
+
+def hum_lines(samples: int, rate: float, mains: float = 50.0) -> Int:
+    """(2,) lines nearest to the mains frequency and its third harmonic; 0 where beyond half the rate."""
+    at = np.round(np.array([1, 3]) * mains * samples / rate).astype(np.int64)
+    return np.asarray(np.where(at < samples // 2, at, 0))
 
 
 def anti_alias(freqs: Float, rate: float, start: float = 0.4) -> Float:

@@ -20,7 +20,7 @@ from ringtrue.errors import InputError
 Motion = Literal["displacement", "velocity", "acceleration"]
 MOTIONS: tuple[Motion, ...] = ("displacement", "velocity", "acceleration")
 POWER: dict[Motion, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
-_CHUNK = 1 << 14  # lines at a time: 130 modes take 34 MB each
+_CHUNK = 1 << 11  # lines at a time: the modal coordinates of 130 modes take 4 MB and stay in cache
 
 
 def lines(samples: int, rate: float) -> Float:
@@ -55,21 +55,22 @@ def response_spectrum(
     out = np.empty((model.shapes.shape[0], freqs.size), dtype=np.complex128)
     for at in range(0, freqs.size, _CHUNK):  # bounds the memory of the modal coordinates
         part = slice(at, at + _CHUNK)
-        out[:, part] = _motion(model, forces[:, part], 2j * np.pi * freqs[part], POWER[quantity])
+        out[:, part] = _motion(model, forces[:, part], np.asarray(2j * np.pi * freqs[part]), POWER[quantity])
     return out
 
 
 def _motion(model: ModalModel, f: Complex, s: Complex, power: int) -> Complex:
     """(out, line) at s = iω.
 
-    A mode and its conjugate share real products: with u = Re(l)·f and v = i·Im(l)·f the pair is
-    Re(ψ)·(q₊ + q₋) + i·Im(ψ)·(q₊ − q₋), q± = (u ± v)/(s − s±); half the work of complex products.
+    With u = Re(l)·f, v = Im(l)·f and s − s_k = S − iω_k, S = s − σ_k, a mode and its conjugate make
+    2·[Re(ψ)·(S·u − ω_k·v) − Im(ψ)·(S·v + ω_k·u)]/(S² + ω_k²): real matrices, one division a mode and line.
     """
-    poles = model.poles[:, None]
-    u, v = _real_times(model.participation.real, f), 1j * _real_times(model.participation.imag, f)
-    plus, minus = (u + v) / (s - poles), (u - v) / (s - poles.conj())
-    y = _real_times(model.shapes.real, plus + minus)
-    y += 1j * _real_times(model.shapes.imag, plus - minus)
+    sigma, omega = model.poles.real[:, None], model.poles.imag[:, None]
+    u, v = _real_times(model.participation.real, f), _real_times(model.participation.imag, f)
+    rest = s - sigma
+    inverse = 2.0 / (rest * rest + omega**2)
+    y = _real_times(model.shapes.real, (rest * u - omega * v) * inverse)
+    y -= _real_times(model.shapes.imag, (rest * v + omega * u) * inverse)
     y += model.upper @ f
     if np.any(model.lower):
         y += (model.lower @ f) / np.where(s == 0, np.inf, s**2)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from ringtrue.core.arrays import Any_, Complex, Float
+from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.signals import Quantity
 from ringtrue.errors import InputError
-from ringtrue.virtual.noise import NoiseFloor, anti_alias, coloured, hum
+from ringtrue.virtual.noise import NoiseFloor, anti_alias, coloured, hum, hum_lines
 from ringtrue.virtual.response import MOTIONS, Motion, lines
 
 
@@ -98,7 +98,7 @@ GEOPHONE = Sensor(
     "geophone 4.5 Hz", "velocity", "m/s", 28.8, 1.0, NoiseFloor(5e-9, 1.0), 4.5, 0.56, hum=3e-6, drift=2e-4
 )
 ICP = Sensor(
-    "ICP accelerometer", "acceleration", "m/s^2", 0.0102, 0.5, NoiseFloor(10 * _UG, 5.0), 0.25, 0.9, hum=1e-6
+    "ICP accelerometer", "acceleration", "m/s^2", 0.0102, 0.5, NoiseFloor(3 * _UG, 5.0), 0.25, 0.9, hum=1e-6
 )
 FORCE_CELL = Sensor("force cell", "force", "N", 2.3e-4, 5.0, NoiseFloor(0.02, 5.0), 0.01, 0.9, hum=1e-5)
 
@@ -132,18 +132,31 @@ class Chain:
         pickup = column("hum") * rng.lognormal(0, 0.5, len(sensors))
         return cls(sensors, column("sensitivity") * (1 + error), offset, drift, pickup)
 
-    def gain(self, freqs: Float, rate: float) -> Complex:
-        """(channel, line) volts per unit, recorder filter included."""
+    def to_volts(self, motion: Complex, rate: float) -> None:
+        """Turn motions into volts behind the recorder's filter, in place.
+
+        Parameters
+        ----------
+        motion : (channel, line) complex128
+            Spectra of an even number of samples, in the unit of each sensor.
+        rate : float, Hz
+        """
+        freqs = lines(2 * motion.shape[1] - 2, rate)
         kinds, which = _kinds(self.sensors)
-        rows = np.stack([s.transfer(freqs) for s in kinds]) * anti_alias(freqs, rate)
-        return np.asarray(rows[which] * self.true_sensitivity[:, None])
+        for k, sensor in enumerate(kinds):  # one or two types
+            gain = sensor.transfer(freqs) * anti_alias(freqs, rate)
+            np.multiply(motion, gain, out=motion, where=(which == k)[:, None])
+        motion *= self.true_sensitivity[:, None]
 
     def noise(self, samples: int, rate: float, rng: np.random.Generator) -> Complex:
         """(channel, line) spectra of self-noise and hum, V, recorder filter included."""
         freqs = lines(samples, rate)
         kinds, which = _kinds(self.sensors)
         psd = np.stack([s.floor.psd(freqs) * s.sensitivity**2 for s in kinds])[which]
-        return (coloured(psd, samples, rate, rng) + hum(self.hum, samples, rate, rng)) * anti_alias(freqs, rate)
+        out = coloured(psd, samples, rate, rng)
+        out[:, hum_lines(samples, rate)] += hum(self.hum, samples, rate, rng)
+        out *= anti_alias(freqs, rate)
+        return out
 
     def digitise(self, volts: Float, rate: float, *, start: int = 0) -> Any_:
         """Offset, drift, clipping at the range and rounding to the converter's step.
@@ -189,12 +202,12 @@ def record(
     """
     if motion.shape[0] != len(chain.sensors):
         raise InputError(f"{motion.shape[0]} motions for {len(chain.sensors)} sensors")
-    motion *= chain.gain(lines(samples, rate), rate)
+    chain.to_volts(motion, rate)
     noise = chain.noise(samples, rate, rng)
     return chain.digitise(np.asarray(fft.irfft(motion + noise, samples, overwrite_x=True)), rate), noise
 
 
-def _kinds(sensors: tuple[Sensor, ...]) -> tuple[list[Sensor], list[int]]:
+def _kinds(sensors: tuple[Sensor, ...]) -> tuple[list[Sensor], Int]:
     kinds = list(dict.fromkeys(sensors))
     here = {s: i for i, s in enumerate(kinds)}
-    return kinds, [here[s] for s in sensors]
+    return kinds, np.array([here[s] for s in sensors])

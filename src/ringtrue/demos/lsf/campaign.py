@@ -18,9 +18,9 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
 from ringtrue.io.records import write_record
 from ringtrue.virtual.ambient import Ambient, ambient_forces
-from ringtrue.virtual.bay import AmbientTest, expected_snr, measure, measure_long, on_a_day
+from ringtrue.virtual.bay import AmbientTest, expected_snr, measure, measure_long, on_a_day, scaled
 from ringtrue.virtual.events import Pulses, dropped_weight, event_times, jumping, sledge
-from ringtrue.virtual.hammer import HammerPlan, hammer_record, strike
+from ringtrue.virtual.hammer import HammerPlan, clean_energy, hammer_record, strike
 from ringtrue.virtual.logbook import record_channels, write_lines, write_log, write_sheet
 from ringtrue.virtual.response import at_outputs
 from ringtrue.virtual.sensors import ACCELEROMETER, FORCE_CELL, GEOPHONE, ICP, Chain
@@ -306,15 +306,15 @@ def _hammer_record(
     limit = FORCE_CELL.range / FORCE_CELL.sensitivity
     blows = strike(plan.hammer, here[reference], limit, rate, rng)
     samples = _even(float(blows.times[-1]) + plan.hammer.block + plan.hammer.rest, rate)
-    site = ambient_forces(list(here), _pushed(twin, plan), None, Ambient(), samples, rate, rng)
-    volts, signal, noise = hammer_record(model, blows, plan.hammer, chain, site, samples, rate, rng)
+    forces = ambient_forces(list(here), _pushed(twin, plan), None, scaled(Ambient(), QUIET), samples, rate, rng)
+    volts, signal, noise = hammer_record(model, blows, plan.hammer, chain, forces, samples, rate, rng)
     table = [
         replace(c, id=f"F:{c.id}") if i == 0 else c
         for i, c in enumerate(record_channels(twin.test, [reference, *channels], chain.sensors, plan.date))
     ]
     write_record(folder / f"{name}.h5", volts, rate, table, source=f"hammer at {reference}, {plan.date}")
     poles = in_band(model.poles, GEOPHONE_FMIN, FMAX)
-    share = samples / (blows.times.size * plan.hammer.block * rate)  # the blow's energy stands in its block alone
+    share = samples / (plan.hammer.block * rate) * clean_energy(blows)  # one clean blow in its own block
     power = resonance_power(signal, poles, samples, rate) * share
     return float(np.median(ratio_db(power, resonance_power(noise, poles, samples, rate))))
 

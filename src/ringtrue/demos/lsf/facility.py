@@ -164,11 +164,14 @@ def frame(b: Builder) -> None:
 
 def _braces(b: Builder) -> None:
     bays = list(zip(S.PORTALS[:-1], S.PORTALS[1:], strict=True))
+    b.mesh.part = "frame"
+    storeys = [(i, S.BASE, S.MID) for i in (0, 2, 4)] + [(i, S.MID, S.TOP) for i in (0, 2, 4)]
+    if b.spec.extra_braces:
+        storeys += [(i, S.MID, S.TOP) for i in S.BAYS_LEFT_OUT]
     for y in S.SIDES:
-        for i in (0, 2, 4) + ((1, 3) if b.spec.extra_braces else ()):
-            b.mesh.part = "frame"
+        for i, low, high in storeys:
             a, c = bays[i]
-            ends = b.mesh.lattice(np.array([(a, y, S.MID), (c, y, S.TOP)]))
+            ends = b.mesh.lattice(np.array([(a, y, low), (c, y, high)]))
             b.mesh.element("CBAR", b.property("braces"), *ends.tolist(), 0.0, 1.0, 0.0, None, "56", "56")
     for i in (0, 4):
         a, c = bays[i]
@@ -192,7 +195,7 @@ def vessel(b: Builder) -> None:
     quads = np.stack([g[:-1], right[:-1], right[1:], g[1:]], axis=-1).reshape(-1, 4)
     for pid, row in zip(b.properties("vessel shell", len(quads)).tolist(), quads.tolist(), strict=True):
         m.element("CQUAD4", pid, *row)
-    outward = (0.17, 0.0, 0.0)  # the rings stand outside the shell
+    outward = (0.43, 0.0, 0.0)  # the rings stand outside the shell
     for stop in S.VESSEL_X:
         at = int(np.argmin(np.abs(x - stop)))
         loop = np.append(g[at], g[at, 0])
@@ -217,7 +220,7 @@ def _head(b: Builder, rim: Int, x: float, t: Float, sign: float) -> None:
     outer = rim
     for i in range(1, layers):
         r = S.RADIUS * (1 - i / layers)
-        bulge = 0.6 * (1 - (r / S.RADIUS) ** 2)
+        bulge = S.DISH * (1 - (r / S.RADIUS) ** 2)
         pts = np.stack([np.full_like(t, x + sign * bulge), S.AXIS_Y + r * np.cos(t), S.MID + r * np.sin(t)], axis=1)
         inner = m.lattice(pts)
         for j in range(t.size):
@@ -225,7 +228,7 @@ def _head(b: Builder, rim: Int, x: float, t: Float, sign: float) -> None:
             quad = [outer[j], outer[k], inner[k], inner[j]]
             m.element("CQUAD4", b.property("vessel heads"), *map(int, quad if sign < 0 else quad[::-1]))
         outer = inner
-    pole = m.node(x + sign * 0.6, S.AXIS_Y, S.MID)
+    pole = m.node(x + sign * S.DISH, S.AXIS_Y, S.MID)
     for j in range(t.size):
         k = (j + 1) % t.size
         tri = [int(outer[j]), int(outer[k]), pole]

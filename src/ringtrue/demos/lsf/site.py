@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 # property number -> what it is made of; see `deck.properties`
 PARTITION, PLATFORM, PIPE, HOSE_LINK, HOIST_LINK, PIPE_CLAMP = 5, 71, 72, 73, 74, 75
-HOSE_BRIDGE, HOIST = 12_000.0, 7_000.0  # kg, hung so softly that they move alone
+HOSE_BRIDGE, HOIST = 9_000.0, 5_000.0  # kg, hung so softly that they move alone
 CABINETS = ((4.0, 0.45, S.TOP, 1500.0), (21.0, 9.55, S.MID, 2500.0), (14.2, 9.55, S.TOP, 1200.0))
 
 
@@ -28,12 +28,13 @@ def site(b: Builder) -> None:
 
 
 def _platform(b: Builder) -> None:
+    """A service platform along one side of the frame, cantilevered from the lower girder."""
     m, n = b.mesh, b.spec.mesh
     m.part = "site"
-    x = np.linspace(17.6, 21.0, n.span + 1)
-    stops = ((S.SIDES[0], S.DECK_Y[0], n.span), (*S.DECK_Y, n.deck_y), (S.DECK_Y[1], S.SIDES[1], n.span))
-    y = np.unique(np.concatenate([np.linspace(a, c, k + 1).round(9) for a, c, k in stops]))
-    g = m.lattice(np.stack(np.meshgrid(x, y, [S.TOP], indexing="ij"), axis=-1)[:, :, 0])
+    spans = [np.linspace(a, c, n.span + 1)[:-1] for a, c in pairwise(S.PORTALS)]
+    x = np.concatenate([*spans, S.PORTALS[-1:]])
+    y = S.SIDES[0] - np.array([0.0, 0.4, 0.8])
+    g = m.lattice(np.stack(np.meshgrid(x, y, [S.MID], indexing="ij"), axis=-1)[:, :, 0])
     for i in range(x.size - 1):
         for j in range(y.size - 1):
             m.element("CQUAD4", PLATFORM, *map(int, (g[i, j], g[i + 1, j], g[i + 1, j + 1], g[i, j + 1])))
@@ -58,7 +59,7 @@ def _hung(b: Builder) -> None:
     m.part = "site"
     for point, place, mass, pid in (
         (m.nearest("foundation", (25.0, 5.0, S.WALL_TOP))[0], (25.0, 5.0, S.WALL_TOP), HOSE_BRIDGE, HOSE_LINK),
-        (m.node(21.0, 5.0, S.TOP), (21.0, 5.0, S.TOP), HOIST, HOIST_LINK),
+        (m.node(21.0, S.SIDES[0], S.TOP), (21.0, S.SIDES[0], S.TOP), HOIST, HOIST_LINK),
     ):
         hung = m.node(*place, new=True)
         m.element("CONM2", hung, None, mass)

@@ -10,11 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-LENGTH, WIDTH, SLAB, WALL_TOP, WALL, END_WALL = 25.0, 10.0, 1.4, 3.2, 0.9, 0.8
+LENGTH, WIDTH, SLAB, WALL_TOP, WALL, END_WALL = 25.0, 10.0, 1.27, 3.2, 0.9, 0.8
 PORTALS = (4.0, 7.4, 10.8, 14.2, 17.6, 21.0)
 SIDES = (0.45, 9.55)
+BAYS_LEFT_OUT = (1, 3)  # bays whose braces the analyst left out
 BASE, MID, TOP = 3.25, 5.1, 7.5  # column feet, lower and upper girders
 AXIS_Y, RADIUS, VESSEL_X = 5.0, 2.2, (5.6, 7.4, 10.8, 14.2, 17.6, 19.4)
+DISH = 0.9  # m, height of the heads
 MOUNT_X = (7.4, 10.8, 14.2, 17.6)
 DECK_X, DECK_Y = (7.4, 17.6), (3.2, 6.8)
 SHAFT_Z = 8.6
@@ -103,9 +105,9 @@ class Spec:
 
     mesh: Mesh3 = field(default_factory=Mesh3)
     modulus: Mapping[str, float] = field(
-        default_factory=lambda: dict.fromkeys(CONCRETE, 15.5e9)
-        | dict.fromkeys(STEEL, 2.06e11)
-        | dict.fromkeys(JOINTED, 1.35e11)
+        default_factory=lambda: (
+            dict.fromkeys(CONCRETE, 15.0e9) | dict.fromkeys(STEEL, 2.06e11) | dict.fromkeys(JOINTED, 1.15e11)
+        )
     )
     density: Mapping[str, float] = field(
         default_factory=lambda: dict.fromkeys(CONCRETE, 2500.0) | dict.fromkeys(STEEL, 7850.0)
@@ -115,11 +117,11 @@ class Spec:
             "anchors front": (6.0e8, 6.0e8, 1.6e9, 2.0e8, 2.0e8, 1.0e8),
             "anchors middle": (6.0e8, 6.0e8, 1.6e9, 2.0e8, 2.0e8, 1.0e8),
             "anchors rear": (6.0e8, 6.0e8, 1.6e9, 2.0e8, 2.0e8, 1.0e8),
-            "vessel mounts front": (5.0e8, 6.0e8, 8.0e8, 0.0, 0.0, 0.0),
-            "vessel mounts rear": (5.0e8, 6.0e8, 8.0e8, 0.0, 0.0, 0.0),
-            "motor mounts": (1.2e9, 1.2e9, 2.0e9, 0.0, 0.0, 0.0),
-            "gearbox mounts": (7.0e8, 7.0e8, 1.2e9, 0.0, 0.0, 0.0),
-            "bearing mounts": (3.0e8, 1.2e9, 1.6e9, 0.0, 0.0, 0.0),
+            "vessel mounts front": (9.0e8, 1.1e9, 1.4e9, 0.0, 0.0, 0.0),
+            "vessel mounts rear": (9.0e8, 1.1e9, 1.4e9, 0.0, 0.0, 0.0),
+            "motor mounts": (3.0e9, 3.0e9, 5.0e9, 0.0, 0.0, 0.0),
+            "gearbox mounts": (2.0e9, 2.0e9, 3.5e9, 0.0, 0.0, 0.0),
+            "bearing mounts": (1.0e9, 4.0e9, 5.0e9, 0.0, 0.0, 0.0),
             "air springs": (8.8e5, 8.6e5, 2.6e6, 0.0, 0.0, 0.0),
         }
     )
@@ -137,15 +139,15 @@ class Spec:
         return np.random.default_rng([self.seed, 77])
 
 
-SHELL = {"vessel shell": 0.055, "vessel heads": 0.090, "drive deck": 0.080}
+SHELL = {"vessel shell": 0.060, "vessel heads": 0.090, "drive deck": 0.100}
 SECTIONS = {
     "columns": Section.box(1.10, 1.00, 0.036),
     "girders": Section.box(0.90, 0.60, 0.028),
-    "cross beams": Section.box(1.20, 0.80, 0.032),
-    "braces": Section.box(0.45, 0.45, 0.025),
+    "cross beams": Section.box(1.30, 0.90, 0.034),
+    "braces": Section.box(0.60, 0.60, 0.030),
     "brackets": Section.box(1.40, 0.90, 0.050),
-    "vessel rings": Section.box(0.50, 0.25, 0.040),
-    "deck beams": Section.box(0.90, 0.50, 0.032),
-    "pedestals": Section.box(1.20, 1.00, 0.050),
-    "shaft": Section(0.1257, 1.257e-3, 1.257e-3, 2.513e-3, 0.89, 0.89),
+    "vessel rings": Section.box(0.80, 0.30, 0.040),
+    "deck beams": Section.box(1.00, 0.50, 0.034),
+    "pedestals": Section.box(1.40, 1.20, 0.050),
+    "shaft": Section(0.1963, 3.07e-3, 3.07e-3, 6.14e-3, 0.89, 0.89),
 }

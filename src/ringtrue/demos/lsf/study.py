@@ -41,7 +41,7 @@ def braces(b: Builder) -> str:
     eid = 290_001
     lines = []
     for y in S.SIDES:
-        for i in (1, 3):
+        for i in S.BAYS_LEFT_OUT:
             ends = [at[(S.PORTALS[i], y, S.MID)], at[(S.PORTALS[i + 1], y, S.TOP)]]
             lines.append(format_card("CBAR", [eid, S.STEEL["braces"], *ends, 0.0, 1.0, 0.0, None, "56", "56"]))
             eid += 1

@@ -27,8 +27,8 @@ Place = tuple[int, int]  # file number, line from 1
 def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Path) -> list[Path]:
     """Copy a deck with all its includes, changing only the characters of the given fields.
 
-    A field keeps the format of its line (small, large, free); the value is written with the digits that fit. A blank
-    field is filled; a field behind the end of its card gets the continuation lines it needs.
+    A field keeps the format of its line (small, large, free); the value is written with the digits that fit. A
+    blank field is filled; a field behind the end of its card gets the continuation lines it needs.
 
     Returns
     -------
@@ -98,8 +98,8 @@ def unified_diff(old: Sequence[str | Path], new: Sequence[str | Path]) -> str:
     for a, b in zip(map(Path, old), map(Path, new), strict=True):
         before, after = a.read_bytes(), b.read_bytes()
         if before != after:
-            lines = (x.decode("latin-1").splitlines() for x in (before, after))
-            parts += difflib.unified_diff(*lines, fromfile=a.name, tofile=b.name, lineterm="")
+            old_lines, new_lines = (x.decode("latin-1").splitlines() for x in (before, after))
+            parts += difflib.unified_diff(old_lines, new_lines, a.name, b.name, lineterm="")
     return "\n".join(parts) + ("\n" if parts else "")
 
 
@@ -129,7 +129,7 @@ def _inserted(data: bytes, text: str) -> bytes:
 
 
 def _write(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list[Path]:
-    """Write the files in their layout; the main deck stands in `out_dir` unless an include lies outside its folder."""
+    """Write the files in their layout; the main deck stands in `out_dir` unless an include lies elsewhere."""
     root = Path(os.path.commonpath([f.parent for f in files]))
     targets = [out_dir / f.relative_to(root) for f in files]
     for target, content in zip(targets, data, strict=True):
@@ -171,9 +171,8 @@ def _by_card(model: Model, found: Cards, changes: Sequence[FieldChange]) -> list
     key = np.stack([file[order], line[order]], axis=1)
     groups: dict[int, list[FieldChange]] = {}
     for change in changes:
-        table = model[change.card] if change.card in model else None
         rows = resolve_target(model, change)
-        assert table is not None
+        table = model[change.card]
         if len(rows) > 1:
             raise InputError(f"{change.card} {change.id} stands {len(rows)} times in the deck: which one is meant?")
         at = (int(table.file[rows[0]]), int(table.line[rows[0]]))
@@ -288,7 +287,7 @@ def _set(lines: list[_Line], place: int, value: int | float | str) -> None:
 
 
 def _continuation(last: _Line) -> _Line:
-    """An empty line to continue the card, in the style of its last line (which gets a line ending if it has none)."""
+    """An empty line to continue the card, in the style of its last line (which gets a line ending if need be)."""
     ending = last.ending or b"\n"
     last.ending = ending
     if last.fields.style == "free":
@@ -322,4 +321,4 @@ def _set_fixed(line: _Line, k: int, value: int | float | str, width: int) -> byt
     reached = len(text[: fields.end].expandtabs(8))  # columns that the line has before a comment
     pad = b" " * max(8 + k * width - reached, 0)
     rest = text[b:]
-    return text[:a] + pad + (new if rest.strip() else new.rstrip() + rest)
+    return text[:a] + pad + (new + rest if rest else new.rstrip())

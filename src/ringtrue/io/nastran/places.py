@@ -30,17 +30,17 @@ _BEAM = (
 
 
 def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | None:
-    """Number (from 0) of a data field of a card whose data fields are `fields`; None if the card has no place for it.
+    """Number (from 0) of a data field of a card with the data fields `fields`; None where it has no place.
 
     Raises
     ------
     InputError
         If the field is no single field of that card.
     """
-    if name in CARDS:
-        return _by_schema(name, field)
     if name in _SEVERAL:
         return _of_several(name, fields, id, field)
+    if name in CARDS:
+        return _by_schema(name, field)
     if field in ("PID", "MID"):
         return ("PID", "MID").index(field)
     if name == "PBUSH":

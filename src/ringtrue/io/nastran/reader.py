@@ -130,7 +130,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     kept: dict[str, int] = {}
     skipped: dict[str, tuple[str, tuple[str, int]]] = {}
     for name, n in zip((x.decode() for x in names.tolist()), count.tolist(), strict=True):
-        if name in CARDS:
+        if name in CARDS and name not in EXPAND:
             tables[name] = make_table(found, name)
         elif name in EXPAND:
             try:

@@ -4,73 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.pairing import CorrelationRow, CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import Block, Cell, Diff, Plot, Section, Table, Text, fixed
-from ringtrue.report.sections.summary import figures_of
 from ringtrue.report.stages import Stages
 
 
-def pairs(table: CorrelationTable, data: Stages, caption: str, heads: tuple[str, str], updating: bool) -> Table:
-    """The table of pairs, with acceptance per mode and flags."""
-    rows = []
-    for i, r in enumerate(table.rows):
-        ok = data.acceptance.holds(r.deviation_percent, r.deviation_hz, r.mac_percent)
-        flags = (
-            [Cell("subspace", "chip", "MAC of the subspace: the mode is close to another")] if r.subspace else [""]
-        )
-        row: list[str | Cell] = [str(i + 1), str(r.test_mode + 1), str(r.fe_mode + 1)]
-        row += [fixed(r.frequency_test, 3), fixed(r.frequency_fe, 3)]
-        row += [fixed(r.deviation_percent, 2, sign=True), fixed(r.deviation_hz, 3, sign=True)]
-        row += [fixed(r.mac_percent, 1), Cell("accepted", "good") if ok else Cell("outside", "bad")]
-        row += [("used" if r.used else Cell("left out", "chip"))] if updating else []
-        rows.append([*row, *flags])
-    a, b = heads
-    names = ["#", f"{a} #", f"{b} #", f"f {a}, Hz", f"f {b}, Hz", "Δf, %", "Δf, Hz", "MAC, %", "|Acceptance"]
-    names += ["|Updating"] if updating else []
-    _, mean, _, mac = figures_of(table)
-    foot = ["", "", "", "", "mean, of |Δf|", fixed(mean, 2), "", fixed(mac, 1), ""]
-    text = f"{caption} Accepted: {data.acceptance.words()}."
-    return Table((*names, "|"), rows, text, [*foot, *([""] * (len(names) + 1 - len(foot)))])
+def pairs(table: CorrelationTable, data: Stages, caption: str, updating: bool) -> Table:
+    """The table of pairs, with acceptance per mode and flags; without `updating` the significance, not the use."""
+    a, b = table.names
+    heads = ["#", f"{a} #", f"{b} #", f"f {a}, Hz", f"f {b}, Hz", "Δf, %", "Δf, Hz", "MAC, %", "|Acceptance"]
+    heads += ["|Updating", "|"] if updating else ["Δf/σ", "|"]
+    rows = [_row(i + 1, r, data, updating) for i, r in enumerate(table.rows())]
+    mean = [fixed(table.mean_deviation(), 2), "", fixed(table.mean_mac(), 1)]
+    foot = ["", "", "", "", "mean, of |Δf|", *mean, "", "", ""]
+    return Table(heads, rows, f"{caption} Accepted: {data.acceptance.words()}.", foot if rows else ())
 
 
-def unpaired(table: CorrelationTable, names: tuple[str, str]) -> list[Block]:
+def _row(number: int, r: CorrelationRow, data: Stages, updating: bool) -> list[str | Cell]:
+    ok = data.acceptance.holds(r.deviation_percent, r.deviation_hz, r.mac_percent)
+    row: list[str | Cell] = [str(number), str(r.test), str(r.fe), fixed(r.test_hz, 3), fixed(r.fe_hz, 3)]
+    row += [fixed(r.deviation_percent, 2, sign=True), fixed(r.deviation_hz, 3, sign=True), fixed(r.mac_percent, 1)]
+    row.append(Cell("accepted", "good") if ok else Cell("outside", "bad"))
+    if updating:
+        row.append("used" if r.used else Cell("left out", "chip"))
+    else:
+        row.append(fixed(r.significance, 1))
+    return [*row, Cell("subspace", "chip", "MAC of the subspace of close modes") if r.subspace else ""]
+
+
+def unpaired(table: CorrelationTable) -> list[Block]:
     """The modes without a partner, with the reasons."""
+    p = table.pairing
+    sides = ((p.lone_a, p.why_a, table.all_test_hz), (p.lone_b, p.why_b, table.all_fe_hz))
     rows = [
-        (names[0] if u.side == "test" else names[1], str(u.mode + 1), fixed(u.frequency, 3), u.reason)
-        for u in table.unpaired
+        (name, str(k + 1), fixed(float(f[k]), 3), why)
+        for name, (lone, reasons, f) in zip(table.names, sides, strict=True)
+        for k, why in zip(lone.tolist(), reasons, strict=True)
     ]
     return [Table(("|Set", "#", "f, Hz", "|Reason"), rows, "Modes without a partner.")] if rows else []
 
 
-def blocks(
-    table: CorrelationTable,
-    a: ModeSet,
-    b: ModeSet,
-    data: Stages,
-    caption: str,
-    names: tuple[str, str],
-    updating: bool,
-) -> list[Block]:
+def blocks(table: CorrelationTable, data: Stages, caption: str, updating: bool) -> list[Block]:
     """Pairs, MAC matrix, unpaired."""
-    out: list[Block] = [pairs(table, data, caption, names, updating)]
+    a, b = table.names
+    out: list[Block] = [pairs(table, data, caption, updating)]
     if table.mac.size:
-        fig = plots.table_matrix(table, a.frequencies, b.frequencies, names)
-        out.append(Plot(fig, f"MAC between {names[0]} (rows) and {names[1]} (columns) modes; numbers from 10 %."))
-    return out + unpaired(table, names)
+        text = f"MAC between {a} (rows) and {b} (columns) modes; numbers from 10 %."
+        out.append(Plot(plots.table_matrix(table), text))
+    return out + unpaired(table)
 
 
 def tests(data: Stages) -> Section | None:
     """Ambient against hammer."""
-    if data.compare is None or data.identify is None or data.identify.hammer is None:
+    if data.compare is None:
         return None
-    caption = "Ambient and hammer tests, common channels."
-    names = ("ambient", "hammer")
-    ident = data.identify
-    assert ident.hammer is not None
-    body = blocks(data.compare.table, ident.ambient, ident.hammer, data, caption, names, updating=False)
-    return Section("tests", "Ambient against hammer", body)
+    caption = "The two tests at their common channels; σ: standard deviation of the frequency."
+    return Section("tests", "Ambient against hammer", blocks(data.compare.table, data, caption, updating=False))
 
 
 def initial(data: Stages) -> Section | None:
@@ -78,8 +68,7 @@ def initial(data: Stages) -> Section | None:
     c = data.correlate
     if c is None:
         return None
-    caption = "The model as delivered against the test."
-    body = blocks(c.initial, c.reference, c.fe_initial, data, caption, ("test", "FE"), updating=True)
+    body = blocks(c.initial, data, "The model as delivered against the test.", updating=True)
     return Section("initial", "Initial correlation", body)
 
 
@@ -90,19 +79,19 @@ def remodelled(data: Stages) -> Section | None:
         return None
     body: list[Block] = [Text(c.remodelling)] if c.remodelling else []
     body += [Diff(c.diff, "The remodelling as a change of the deck.")] if c.diff else []
-    caption = "The remodelled deck against the test."
-    body += blocks(c.remodelled, c.reference, c.fe_remodelled, data, caption, ("test", "FE"), updating=True)
+    body += blocks(c.remodelled, data, "The remodelled deck against the test.", updating=True)
     return Section("remodelled", "Remodelling", body)
 
 
 def final(data: Stages) -> Section | None:
     """The delivered deck, read back."""
-    f, reference = data.final, data.reference
-    if f is None or reference is None:
+    f = data.final
+    if f is None:
         return None
     body: list[Block] = [Text("Computed from the delivered deck, read back from its files after all changes.")]
-    caption = "The final model against the test."
-    body += blocks(f.table, reference, f.observed, data, caption, ("test", "FE"), updating=True)
+    body += blocks(f.table, data, "The final model against the test.", updating=True)
+    if len(f.rigid):
+        body.append(pairs(f.rigid, data, "Rigid-body modes of the final model.", updating=False))
     body += changes(f.files, f.changes)
     return Section("final", "Final correlation", body)
 

@@ -21,15 +21,11 @@ def signals(data: Stages) -> Section | None:
     return Section("signals", "Signals", list(tabs[0][1]) if len(tabs) == 1 else [Tabs(tabs)])
 
 
-def _unit(r: RecordSummary) -> str:
-    known = {"(a)": "m/s²", "(b)": "m/s", "(c)": "m/s²"}
-    return next((u for k, u in known.items() if k in r.test), "SI unit")
-
-
 def _record(r: RecordSummary) -> Block:
     notes = f" Notes: {'; '.join(r.notes)}." if r.notes else ""
     return Plot(
-        plots.record(r, _unit(r)), f"{r.name}, {r.excitation}: time preview and power spectral density.{notes}"
+        plots.record(r, r.unit.replace("^2", "²")),
+        f"{r.name}, {r.excitation}: time preview and power spectral density.{notes}",
     )
 
 

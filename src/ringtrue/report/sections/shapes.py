@@ -23,10 +23,10 @@ def section(data: Stages) -> Section | None:
 
 def _paired(stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, skin: ModeSet | None) -> list[Shown]:
     out = []
-    for r in table.rows:
-        t, k = int(r.test_mode), int(r.fe_mode)
-        label = f"test {t + 1} · FE {k + 1} · {fixed(r.frequency_test, 2)} Hz"
-        info = f"test {fixed(r.frequency_test, 3)} Hz, FE {fixed(r.frequency_fe, 3)} Hz, "
+    for r in table.rows():
+        t, k = r.test - 1, r.fe - 1
+        label = f"test {r.test} · FE {r.fe} · {fixed(r.test_hz, 2)} Hz"
+        info = f"test {fixed(r.test_hz, 3)} Hz, FE {fixed(r.fe_hz, 3)} Hz, "
         info += f"Δf {fixed(r.deviation_percent, 2, sign=True)} %, MAC {fixed(r.mac_percent, 1)} %"
         fe = (skin, k) if skin is not None and k < len(skin) else None
         out.append(Shown(stage, label, info, fe, (test, t), (seen, k)))

@@ -2,22 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import Block, Checks, Fact, Facts, Heading, Plot, Section, Table, fixed, number
 from ringtrue.report.stages import Stages
-
-
-def figures_of(table: CorrelationTable, used: bool | None = None) -> tuple[int, float, float, float]:
-    """Pairs, mean and largest |Δf| %, mean MAC %; of all pairs, of those used or of those left out."""
-    rows = [r for r in table.rows if used is None or r.used == used]
-    if not rows:
-        return 0, float("nan"), float("nan"), float("nan")
-    deviation = np.abs([r.deviation_percent for r in rows])
-    mac = float(np.mean([r.mac_percent for r in rows]))
-    return len(rows), float(deviation.mean()), float(deviation.max()), mac
 
 
 def section(data: Stages) -> Section | None:
@@ -47,17 +35,15 @@ def _inventory(data: Stages) -> list[Fact]:
 
 
 def _facts(now: CorrelationTable, before: CorrelationTable | None) -> Facts:
-    pairs, mean, peak, mac = figures_of(now)
-    old = figures_of(before) if before is not None else None
-    was = ["", "", "", ""] if old is None else [str(old[0]), fixed(old[1], 2), fixed(old[2], 1), fixed(old[3], 1)]
-    return Facts(
-        [
-            Fact("Mean |Δf|", fixed(mean, 2), "%", was[1]),
-            Fact("Largest |Δf|", fixed(peak, 1), "%", was[2]),
-            Fact("Mean MAC", fixed(mac, 1), "%", was[3]),
-            Fact("Paired modes", str(pairs), "", was[0]),
-        ]
-    )
+    old = _figures(before) if before is not None else ("", "", "", "")
+    labels = (("Mean |Δf|", "%"), ("Largest |Δf|", "%"), ("Mean MAC", "%"), ("Paired modes", ""))
+    both = zip(labels, _figures(now), old, strict=True)
+    return Facts([Fact(label, value, unit, was) for (label, unit), value, was in both])
+
+
+def _figures(table: CorrelationTable) -> tuple[str, str, str, str]:
+    mean, peak = fixed(table.mean_deviation(), 2), fixed(table.max_deviation(), 1)
+    return mean, peak, fixed(table.mean_mac(), 1), str(len(table))
 
 
 def _deviations(data: Stages) -> Plot:
@@ -95,15 +81,13 @@ def _stages_table(data: Stages) -> Table:
     if data.final is not None:
         tables.append(("Final", data.final.table))
     rows = []
-    used = {r.test_mode: r.used for r in data.final.table.rows} if data.final is not None else {}
     for name, table in tables:
-        for label, which in (("all", None), ("used in the updating", True), ("left out", False)):
-            some = [r for r in table.rows if which is None or used.get(r.test_mode, r.used) == which]
-            if not some:
+        for label, which in (("all", None), ("used in the updating", table.used), ("left out", ~table.used)):
+            count = len(table) if which is None else int(which.sum())
+            if not count:
                 continue
-            d = np.abs([r.deviation_percent for r in some])
-            mac = np.array([r.mac_percent for r in some])
-            text = [fixed(float(v), n) for v, n in ((d.mean(), 2), (d.max(), 2), (mac.mean(), 1), (mac.min(), 1))]
-            rows.append((name if label == "all" else "", label, str(len(some)), *text))
+            deviation = (fixed(table.mean_deviation(which), 2), fixed(table.max_deviation(which), 2))
+            mac = (fixed(table.mean_mac(which), 1), fixed(table.min_mac(which), 1))
+            rows.append((name if which is None else "", label, str(count), *deviation, *mac))
     heads = ("|Model", "|Modes", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Min MAC, %")
     return Table(heads, rows, "The stages of the model against the test; the modes left out judge the prediction.")

@@ -65,10 +65,9 @@ def suspension(data: Stages) -> Section | None:
     t = data.tune
     if t is None:
         return None
-    names = ("test", "FE")
     blocks: list[Block] = [
-        pairs(t.before, data, "Rigid-body modes before tuning.", names, updating=False),
-        pairs(t.after, data, "Rigid-body modes after tuning.", names, updating=False),
+        pairs(t.before, data, "Rigid-body modes before tuning.", updating=False),
+        pairs(t.after, data, "Rigid-body modes after tuning.", updating=False),
     ]
     rows = [(k, fixed(v, 3), number(100 * t.std[k] if k in t.std else None, 2)) for k, v in t.factors.items()]
     blocks.append(Table(("|Suspension parameter", "Factor", "σ, %"), rows, "Tuned stiffnesses of the suspension."))

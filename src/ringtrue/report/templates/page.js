@@ -80,16 +80,19 @@
   }, { passive: true });
   mark();
 
-  let timer;
+  let timer, folded = [];
   addEventListener("resize", () => {
     clearTimeout(timer);
     timer = setTimeout(() => fit(), 150);
   });
   addEventListener("beforeprint", () => {
+    folded = [...document.querySelectorAll("details:not([open])")];
+    folded.forEach((d) => { d.open = true; });
     fit(true);
     window.ringtrueStill(PAPER);
   });
   addEventListener("afterprint", () => {
+    folded.forEach((d) => { d.open = false; });
     fit(false);
     window.ringtrueStill(0);
   });

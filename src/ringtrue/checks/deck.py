@@ -1,0 +1,179 @@
+"""Checks of a deck before anything is computed with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from ringtrue.checks.findings import Finding, at_rows
+from ringtrue.checks.geometry import check_geometry
+from ringtrue.checks.units import check_units
+from ringtrue.core.arrays import Int
+from ringtrue.model.frames import positions
+from ringtrue.model.model import Model, Ragged
+from ringtrue.model.references import NODES, REFERENCES, missing
+
+NEAR = 1e-6  # of the model's size: closer nodes are coincident
+_NOT_ELEMENTS = frozenset(("GRID", "SPC", "SPC1"))
+_MEMBERS = {"RBE2": "GM", "RBE3": "G", "MPC": "G"}
+
+
+@dataclass(frozen=True, slots=True)
+class DeckReport:
+    """What a deck holds and what is wrong with it.
+
+    Attributes
+    ----------
+    cards : mapping of str to int
+        Cards that are used, by name.
+    kept : mapping of str to int
+        Cards that are kept in the deck but not used.
+    unsupported : tuple of str
+        Cards with stiffness, mass or constraint that are not read.
+    findings : tuple of Finding
+        Errors first, then warnings, then remarks.
+    """
+
+    cards: Mapping[str, int]
+    kept: Mapping[str, int]
+    unsupported: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """No error and nothing unsupported."""
+        return not self.unsupported and all(f.severity != "error" for f in self.findings)
+
+
+def check_deck(model: Model, units: str = "", *, unsupported: Sequence[str] = ()) -> DeckReport:
+    """Check connections, shapes, coincidence, leftovers and units of a model.
+
+    Parameters
+    ----------
+    units : str
+        The unit system that the deck is said to be in, "" if unknown; see `checks.units`.
+    unsupported : sequence of str
+        Cards that were not read, from `io.nastran.reader.survey`.
+
+    Raises
+    ------
+    InputError
+        If the unit system is not known.
+    """
+    lost = list(_missing(model))
+    checks = [*lost, *_unconnected(model)]
+    if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
+        checks += [*check_geometry(model), *_coincident(model), *check_units(model, units)]
+    checks += [*_unused(model), *_poisson(model)]
+    order = {"error": 0, "warning": 1, "info": 2}
+    found = tuple(sorted(checks, key=lambda f: order[f.severity]))
+    return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), tuple(unsupported), found)
+
+
+def _missing(model: Model) -> Iterator[Finding]:
+    for lost in missing(model):
+        ref = lost.reference
+        of = " or ".join(ref.of) if len(ref.of) < 3 else "frame"
+        yield at_rows(
+            model, ref.card, np.unique(lost.rows), "error", f"{ref.field} names {of} {lost.ids[0]}: not there"
+        )
+
+
+def _used_nodes(model: Model) -> Int:
+    """Ids of the nodes that an element, mass, rigid element, MPC or frame names, (n,) int64."""
+    used = [np.empty(0, dtype=np.int64)]
+    for ref in REFERENCES:
+        if ref.of == NODES and ref.card in model and ref.card not in _NOT_ELEMENTS:
+            column = model[ref.card].columns[ref.field]
+            used.append(column.values if isinstance(column, Ragged) else column)
+    return np.unique(np.concatenate(used))
+
+
+def _unconnected(model: Model) -> list[Finding]:
+    if "GRID" not in model:
+        return [Finding("error", "the deck has no GRID")]
+    rows = np.flatnonzero(~np.isin(model["GRID"].ids, _used_nodes(model)))
+    return [at_rows(model, "GRID", rows, "warning", "no element is connected to it")] if rows.size else []
+
+
+def _groups(model: Model) -> Iterator[tuple[Int, Int]]:
+    """Node ids with the number of the element or constraint that joins them, card by card."""
+    by_card: dict[str, list[str]] = {}
+    for ref in REFERENCES:
+        if ref.of == NODES and ref.card in model and ref.card not in _NOT_ELEMENTS and ref.field != "G0":
+            by_card.setdefault(ref.card, []).append(ref.field)
+    for card, names in by_card.items():
+        table, ids, owner = model[card], [], []
+        for name in names:
+            column = table.columns[name]
+            ragged = isinstance(column, Ragged)
+            ids.append(column.values if isinstance(column, Ragged) else column)
+            count = np.diff(column.offsets) if isinstance(column, Ragged) else 1
+            owner.append(np.repeat(np.arange(len(table)), count) if ragged else np.arange(len(table)))
+        yield np.concatenate(ids), np.concatenate(owner)
+
+
+def _coincident(model: Model) -> list[Finding]:
+    """Pairs of nodes at one place that no element or constraint joins."""
+    if "GRID" not in model or len(model["GRID"]) < 2:
+        return []
+    grid, xyz = model["GRID"], positions(model)
+    used = np.flatnonzero(np.isin(grid.ids, _used_nodes(model)))
+    size = float(np.linalg.norm(np.ptp(xyz, axis=0)))
+    pairs = KDTree(xyz[used]).query_pairs(NEAR * size, output_type="ndarray").astype(np.int64)
+    if not len(pairs):
+        return []
+    pairs = used[pairs]
+    free = pairs[~_joined(model, grid.ids[pairs])]
+    if not len(free):
+        return []
+    free = free[np.lexsort((free[:, 1], free[:, 0]))]
+    names = ", ".join(f"{a} and {b}" for a, b in grid.ids[free[:5]].tolist())
+    what = f"at one place with another node that nothing joins it to: {names}{', ...' if len(free) > 5 else ''}"
+    return [at_rows(model, "GRID", np.unique(free[:, 0]), "warning", what)]
+
+
+def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which pairs of node ids (n, 2) are nodes of one element or constraint, (n,)."""
+    out = np.zeros(len(pairs), dtype=bool)
+    wanted = np.unique(pairs)
+    for ids, owner in _groups(model):
+        keep = np.isin(ids, wanted)
+        key = {(o, i) for o, i in zip(owner[keep].tolist(), ids[keep].tolist(), strict=True)}
+        members: dict[int, set[int]] = {}
+        for o, i in key:
+            members.setdefault(i, set()).add(o)
+        for k, (a, b) in enumerate(pairs.tolist()):  # over the few coincident pairs
+            out[k] = out[k] or bool(members.get(a, set()) & members.get(b, set()))
+    return out
+
+
+def _unused(model: Model) -> list[Finding]:
+    found = []
+    targets: dict[str, list[Int]] = {}
+    for ref in REFERENCES:
+        for card in ref.of:
+            if card.startswith(("P", "MAT")) and card in model:
+                targets.setdefault(card, [])
+                if ref.card in model:
+                    targets[card].append(model[ref.card][ref.field])
+    for card, ids in sorted(targets.items()):
+        rows = np.flatnonzero(~np.isin(model[card].ids, np.concatenate([np.empty(0, dtype=np.int64), *ids])))
+        if rows.size:
+            found.append(at_rows(model, card, rows, "info", "nothing uses it"))
+    return found
+
+
+def _poisson(model: Model) -> list[Finding]:
+    """Poisson's ratio, given or from E and G, must lie between -1 and 0.5."""
+    if "MAT1" not in model:
+        return []
+    table = model["MAT1"]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a blank or zero G gives no ratio
+        implied = table["E"] / (2 * table["G"]) - 1
+    ratio = np.where(np.isnan(table["NU"]), implied, table["NU"])
+    rows = np.flatnonzero((ratio <= -1) | (ratio > 0.5))
+    return [at_rows(model, "MAT1", rows, "error", f"Poisson's ratio {ratio[rows[0]]:g}")] if rows.size else []

@@ -1,0 +1,133 @@
+"""One global assignment of modes over MAC and frequency, on arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.errors import ConfigError
+from ringtrue.shapes.mac import mac, paired_mac
+from ringtrue.shapes.subspace import close_groups, rotation
+
+SOFT = 0.02  # 1 − MAC below this brings no further gain: it is noise
+
+
+@dataclass(frozen=True, slots=True)
+class PairingSettings:
+    """Gates of the pairing.
+
+    Attributes
+    ----------
+    mac_gate : float
+        Least MAC of a pair.
+    frequency_gate : float
+        Largest |f_B − f_A|/f_A of a pair.
+    close : float
+        Relative distance below which neighbours of one set are one subspace.
+    distinct : float
+        Shapes that match one to one with a MAC from here on are not rotated, however close they are.
+    largest_group : int
+        Most modes in one subspace.
+    min_confidence : float
+        Modes of A with less are left unpaired.
+    min_visible : float
+        Modes of B with a smaller share of motion where sensors sit are left unpaired (if the shares are passed).
+    faint : float
+        Mass-normalised modes of B whose largest component at the sensors is below this share of the median
+        mode's are not observable.
+    """
+
+    mac_gate: float = 0.6
+    frequency_gate: float = 0.4
+    close: float = 0.02
+    distinct: float = 0.9
+    largest_group: int = 3
+    min_confidence: float = 0.5
+    min_visible: float = 0.01
+    faint: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.mac_gate < 1 and self.frequency_gate > 0 and self.close >= 0 and self.largest_group >= 1):
+            raise ConfigError(
+                f"pairing: mac_gate {self.mac_gate} (0..1), frequency_gate {self.frequency_gate} (> 0), "
+                f"close {self.close} (>= 0), largest_group {self.largest_group} (>= 1)"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores:
+    """All that the assignment rests on.
+
+    Attributes
+    ----------
+    mac : (ma, mb) float64
+        Of the single shapes.
+    merged : (ma, mb) float64
+        With shapes of a close group rotated towards A; equal to `mac` elsewhere.
+    error : (ma, mb) float64
+        (f_B − f_A)/f_A.
+    groups_b : tuple of tuple of int
+        Close groups of B.
+    """
+
+    mac: Float
+    merged: Float
+    error: Float
+    groups_b: tuple[tuple[int, ...], ...]
+
+
+def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) -> Scores:
+    """MAC and frequency errors of all combinations, with close groups of B rotated towards those of A.
+
+    Parameters
+    ----------
+    fa, fb : (ma,), (mb,) float64, Hz
+    a, b : (n, ma), (n, mb) float64 or complex128
+    """
+    single = mac(a, b)
+    scale = np.maximum(np.abs(fa), np.finfo(float).tiny)[:, None]
+    error = (fb[None, :] - fa[:, None]) / scale
+    groups_b = close_groups(fb, settings.close, settings.largest_group)
+    merged = single.copy()
+    for ga in close_groups(fa, settings.close, settings.largest_group):
+        for gb in (g for g in groups_b if 1 < len(g) >= len(ga)):
+            _merge(merged, single, error, np.array(ga), np.array(gb), a, b, settings)
+    return Scores(single, merged, error, groups_b)
+
+
+def _merge(
+    merged: Float, single: Float, error: Float, ga: Int, gb: Int, a: Any_, b: Any_, settings: PairingSettings
+) -> None:
+    """Raise `merged` in place for the group `gb` where a rotation explains the shapes `ga` and single shapes do not."""
+    block = np.ix_(ga, gb)
+    rows, cols = linear_sum_assignment(-single[block])
+    if np.abs(error[block]).min() > settings.frequency_gate or single[block][rows, cols].min() >= settings.distinct:
+        return
+    turned = paired_mac(a[:, ga], b[:, gb] @ rotation(a[:, ga], b[:, gb]))
+    gain = turned > single[block].max(axis=1) + SOFT
+    # the single MAC stays as a tie-break between the members of the group
+    value = turned[:, None] - 1e-3 * (1 - single[block])
+    merged[block] = np.where(gain[:, None], np.maximum(value, single[block]), single[block])
+
+
+def assign(score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: Bool) -> tuple[Int, Int]:
+    """The one-to-one assignment of greatest total worth among the pairs inside both gates.
+
+    The worth of a pair is log((1 − gate)/(1 − MAC)), lowered with the square of the frequency error: two poor pairs
+    never outvote a good one, which a sum of MACs allows.
+
+    Returns
+    -------
+    rows, columns : (k,) int64, ascending rows
+    """
+    value = np.log((1 - settings.mac_gate + SOFT) / (1 - score.merged + SOFT)) + SOFT
+    worth = value * (1 - 0.5 * (score.error / settings.frequency_gate) ** 2)
+    allowed = (score.merged >= settings.mac_gate) & (np.abs(score.error) <= settings.frequency_gate)
+    allowed &= usable_a[:, None] & usable_b[None, :]
+    worth = np.where(allowed, worth, 0.0)
+    rows, cols = linear_sum_assignment(-worth)
+    keep = allowed[rows, cols]
+    return rows[keep].astype(np.int64), cols[keep].astype(np.int64)

@@ -1,0 +1,119 @@
+"""From the DOFs of a model to the channels of a test: matching nodes, skewed sensors, arms."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import KDTree
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.observation import Observation
+from ringtrue.core.testmodel import TestModel
+from ringtrue.errors import ConfigError, DataError, did_you_mean
+
+Method = Literal["nearest", "rigid"]
+
+
+def observe(
+    test: TestModel,
+    node_ids: Int,
+    xyz: Float,
+    dofs: DofSet,
+    *,
+    tolerance: float,
+    unit: float = 1.0,
+    method: Method = "nearest",
+    neighbours: int = 4,
+) -> Observation:
+    """Match the channels of a test with a model.
+
+    Parameters
+    ----------
+    test : TestModel
+        In metres.
+    node_ids : (n,) int64
+        Nodes that a sensor may sit on.
+    xyz : (n, 3) float64, model unit, basic frame
+    dofs : DofSet
+        Rows of the model's shapes, basic frame.
+    tolerance : float, model unit
+        A sensor farther than this from every node is an error.
+    unit : float
+        Model length unit in metres (mm-t-s: 1e-3).
+    method : {"nearest", "rigid"}
+        "nearest" takes the translations of the nearest node. "rigid" fits a rigid motion to the translations of the
+        `neighbours` nearest nodes for sensors that are not on a node (exact for any rigid-body motion).
+    neighbours : int
+        Nodes of the rigid fit, 3 or more.
+
+    Raises
+    ------
+    DataError
+        If sensors are too far away (all are named with their distance) or a DOF they need is not in the model.
+    ConfigError
+        On an unknown method or too few neighbours.
+    """
+    if method not in ("nearest", "rigid"):
+        raise ConfigError(f"no observation method {method!r}{did_you_mean(method, ('nearest', 'rigid'))}")
+    if method == "rigid" and neighbours < 3:
+        raise ConfigError(f"{neighbours} neighbours cannot fix a rigid motion; allowed are 3 and more")
+    at = test.channel_xyz() / unit
+    k = min(neighbours, len(node_ids)) if method == "rigid" else 1
+    found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
+    distance, nearest = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
+    _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids)[nearest[:, 0]], unit)
+    weights = (
+        _rigid_weights(at, xyz[nearest], distance, test.directions()) if k > 1 else test.directions()[:, None, :]
+    )
+    matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
+    return Observation(matrix, test.channels, dofs, unit, distance[:, 0])
+
+
+def _refuse_far(test: TestModel, distance: Float, tolerance: float, node: Int, unit: float) -> None:
+    far = np.flatnonzero(~(distance <= tolerance))
+    if far.size:
+        shown = "; ".join(f"{test.channels[i]} is {distance[i]:.4g} from node {node[i]}" for i in far[:8].tolist())
+        raise DataError(
+            f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) from every node: "
+            f"{shown}. Check the unit factor ({unit:g} m) and the origin and axes of the test model, or raise the "
+            "tolerance"
+        )
+
+
+def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Float:
+    """Weights (channel, k, 3) on the nodes' translations: the rigid motion that fits them, read at the sensor.
+
+    The fit is weighted by 1/distance², so a sensor on a node reads that node alone.
+    """
+    reach = distance[:, -1:].clip(min=np.finfo(float).tiny)
+    arm = (nodes - at[:, None, :]) / reach[:, :, None]  # rotations scaled by the reach
+    x, y, z = arm[..., 0], arm[..., 1], arm[..., 2]
+    o = np.zeros_like(x)
+    skew = np.stack([np.stack([o, z, -y], -1), np.stack([-z, o, x], -1), np.stack([y, -x, o], -1)], -2)
+    motion = np.concatenate([np.broadcast_to(np.eye(3), skew.shape), skew], axis=-1)  # (channel, k, 3, 6)
+    w = 1.0 / np.maximum(distance / reach, 1e-6)  # square root of 1/distance²
+    n, k = distance.shape
+    fit = np.linalg.pinv((motion * w[:, :, None, None]).reshape(n, 3 * k, 6), rcond=1e-9)
+    read = np.einsum("ca,cak->ck", axes, fit[:, :3]).reshape(n, k, 3)
+    return np.asarray(read * w[:, :, None])
+
+
+def _matrix(weights: Float, nodes: Int, dofs: DofSet, channels: tuple[str, ...]) -> sparse.csr_array:
+    channel, _, axis = (np.asarray(i) for i in np.indices(weights.shape))
+    node = np.broadcast_to(nodes[:, :, None], weights.shape)
+    keep = np.abs(weights) > 1e-14
+    column = dofs.find(node[keep], axis[keep] + 1)
+    lost = np.flatnonzero(column < 0)
+    if lost.size:
+        i = int(lost[0])
+        name = f"{int(node[keep][i])}+{'XYZ'[int(axis[keep][i])]}"
+        raise DataError(
+            f"channel {channels[int(channel[keep][i])]} needs DOF {name}, "
+            f"which is not in the model's shapes ({lost.size} such DOFs)"
+        )
+    sign = np.where(dofs.direction[column] < 0, -1.0, 1.0)
+    entries = (weights[keep] * sign, (channel[keep], column))
+    return sparse.csr_array(sparse.coo_array(entries, shape=(len(channels), len(dofs))))

@@ -1,0 +1,283 @@
+"""Pairing of two mode sets, with a reason for each mode that stays alone, and the table of the correlation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.pairing import Pairing
+from ringtrue.correlate.assign import PairingSettings, Scores, assign, scores
+from ringtrue.errors import InputError
+
+__all__ = ["CorrelationRow", "CorrelationTable", "PairingSettings", "correlation_table", "pair_modes"]
+
+
+def pair_modes(
+    a: ModeSet,
+    b: ModeSet,
+    settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
+    *,
+    visible_b: Float | None = None,
+    names: tuple[str, str] = ("test", "FE"),
+) -> Pairing:
+    """Pair the modes of two sets by one global assignment over MAC and frequency.
+
+    Blind to the order of modes and channels and to the sign, phase and scale of shapes. Close modes
+    (`settings.close`) are treated as subspaces where a rotation inside the group of B explains A and single shapes do not.
+
+    Parameters
+    ----------
+    a, b : ModeSet
+        B must hold the channels of A.
+    settings : PairingSettings
+    visible_b : (mb,) float64, optional
+        Share of each mode's motion that takes place where sensors sit, 0..1.
+    names : tuple of str
+        What A and B are called in the reasons.
+
+    Raises
+    ------
+    InputError
+        If channels of A are not in B, or `visible_b` does not fit.
+    """
+    b = b if b.channels == a.channels else b.rows(a.channels)
+    if visible_b is not None and np.shape(visible_b) != (len(b),):
+        raise InputError(f"visible_b {np.shape(visible_b)} for {len(b)} modes: one share a mode is needed")
+    hidden = _hidden(b, settings, visible_b)
+    sure = a.confidence >= settings.min_confidence
+    s = scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings)
+    rows, cols = assign(s, settings, sure, np.array([not why for why in hidden], dtype=np.bool_))
+    lone_a = np.setdiff1d(np.arange(len(a)), rows)
+    lone_b = np.setdiff1d(np.arange(len(b)), cols)
+    why = _Reasons(s, settings, rows, cols, names)
+    return Pairing(
+        a=rows,
+        b=cols,
+        mac=s.merged[rows, cols],
+        frequency_error=s.error[rows, cols],
+        sign=_signs(a, b, rows, cols),
+        subspace=s.merged[rows, cols] > s.mac[rows, cols],
+        lone_a=lone_a,
+        why_a=tuple(
+            why.of_a(i) if sure[i] else f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}"
+            for i in lone_a.tolist()
+        ),
+        lone_b=lone_b,
+        why_b=tuple(hidden[j] or why.of_b(j, a, b) for j in lone_b.tolist()),
+    )
+
+
+def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
+    cross = (b.shapes[:, cols].conj() * a.shapes[:, rows]).sum(axis=0)
+    return np.where(cross.real < 0, -1.0, 1.0)
+
+
+def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> list[str]:
+    """For each mode of B why no sensor sees it, or an empty text."""
+    peak = np.abs(b.shapes).max(axis=0, initial=0.0)
+    typical = float(np.median(peak)) if peak.size else 0.0
+    share = peak / typical if typical > 0 else np.ones_like(peak)
+    out = []
+    for j in range(len(b)):
+        if visible is not None and visible[j] < settings.min_visible:
+            out.append(f"moves where no sensor is: {100 * visible[j]:.2g} % of its motion is at sensors")
+        elif b.norm is Norm.MASS and share[j] < settings.faint:
+            out.append(
+                f"not observable: |shape| at the sensors is only {100 * share[j]:.2g} % of the median mode's"
+            )
+        else:
+            out.append("")
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reasons:
+    score: Scores
+    settings: PairingSettings
+    rows: Int
+    cols: Int
+    names: tuple[str, str]
+
+    def of_a(self, i: int) -> str:
+        return self._of(
+            self.score.merged[i], self.score.error[i], self.names[1], self.cols, self.rows, self.names[0]
+        )
+
+    def of_b(self, j: int, a: ModeSet, b: ModeSet) -> str:
+        f = float(b.frequencies[j])
+        gate = self.settings.frequency_gate
+        if len(a) and not a.frequencies.min() * (1 - gate) <= f <= a.frequencies.max() * (1 + gate):
+            return f"outside of the {self.names[0]} band {a.frequencies.min():.4g} to {a.frequencies.max():.4g} Hz"
+        return self._of(
+            self.score.merged[:, j], self.score.error[:, j], self.names[0], self.rows, self.cols, self.names[1]
+        )
+
+    def _of(self, macs: Float, errors: Float, theirs: str, taken: Int, by: Int, mine: str) -> str:
+        gate, least = self.settings.frequency_gate, self.settings.mac_gate
+        near = np.flatnonzero(np.abs(errors) <= gate)
+        if not near.size:
+            return f"no {theirs} mode within {100 * gate:.3g} %"
+        best = int(near[np.argmax(macs[near])])
+        if macs[best] < least:
+            return (
+                f"no {theirs} mode within {100 * gate:.3g} % has MAC >= {100 * least:.3g} %: "
+                f"best {theirs} {best + 1} with {100 * macs[best]:.0f} %"
+            )
+        owner = np.flatnonzero(taken == best)
+        if owner.size:
+            return (
+                f"{theirs} {best + 1} (MAC {100 * macs[best]:.0f} %) is already taken by "
+                f"{mine} {int(by[owner[0]]) + 1}"
+            )
+        return f"{theirs} {best + 1} (MAC {100 * macs[best]:.0f} %) was set aside for another reason"
+
+
+@dataclass(frozen=True, slots=True)
+class CorrelationRow:
+    """One pair; mode numbers count from 1."""
+
+    test: int
+    fe: int
+    test_hz: float
+    fe_hz: float
+    deviation_percent: float
+    deviation_hz: float
+    mac_percent: float
+    used: bool
+    subspace: bool
+    significance: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrelationTable:
+    """Paired modes side by side.
+
+    Attributes
+    ----------
+    pairing : Pairing
+    test_hz, fe_hz : (k,) float64, Hz, of the pairs
+    std_hz : (k,) float64, Hz
+        Standard deviation of the test frequency; NaN where unknown.
+    used : (k,) bool
+        The pair takes part in updating (others are left out to check it).
+    mac : (test, fe) float64, 0..1
+        All combinations of single shapes.
+    all_test_hz, all_fe_hz : (test,), (fe,) float64, Hz
+    names : tuple of str
+        What the two sets are called.
+    """
+
+    pairing: Pairing
+    test_hz: Float
+    fe_hz: Float
+    std_hz: Float
+    used: Bool
+    mac: Float
+    all_test_hz: Float
+    all_fe_hz: Float
+    names: tuple[str, str] = ("test", "FE")
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, test_hz=f, fe_hz=f, std_hz=f, used=np.bool_, mac=f, all_test_hz=f, all_fe_hz=f)
+
+    def __len__(self) -> int:
+        return int(self.test_hz.size)
+
+    @property
+    def deviation_hz(self) -> Float:
+        """f_FE − f_test, (k,) Hz."""
+        return self.fe_hz - self.test_hz
+
+    @property
+    def deviation_percent(self) -> Float:
+        """(f_FE − f_test)/f_test, (k,) %."""
+        return 100 * self.deviation_hz / self.test_hz
+
+    @property
+    def mac_percent(self) -> Float:
+        """MAC of the pairs (of the subspace where rotated), (k,) %."""
+        return 100 * self.pairing.mac
+
+    @property
+    def significance(self) -> Float:
+        """|Δf| in standard deviations of the test frequency, (k,); NaN where that is unknown."""
+        return np.asarray(np.abs(self.deviation_hz) / self.std_hz)
+
+    def mean_deviation(self, which: Bool | None = None) -> float:
+        """Mean |Δf|, %, of the pairs `which` (all); NaN without a pair."""
+        return _over(np.mean, np.abs(self.deviation_percent), which)
+
+    def max_deviation(self, which: Bool | None = None) -> float:
+        """Largest |Δf|, %."""
+        return _over(np.max, np.abs(self.deviation_percent), which)
+
+    def mean_mac(self, which: Bool | None = None) -> float:
+        """Mean MAC, %."""
+        return _over(np.mean, self.mac_percent, which)
+
+    def min_mac(self, which: Bool | None = None) -> float:
+        """Smallest MAC, %."""
+        return _over(np.min, self.mac_percent, which)
+
+    def rows(self) -> tuple[CorrelationRow, ...]:
+        """The pairs in ascending test mode."""
+        columns = (
+            self.pairing.a + 1,
+            self.pairing.b + 1,
+            self.test_hz,
+            self.fe_hz,
+            self.deviation_percent,
+            self.deviation_hz,
+            self.mac_percent,
+            self.used,
+            self.pairing.subspace,
+            self.significance,
+        )
+        return tuple(CorrelationRow(*row) for row in zip(*(c.tolist() for c in columns), strict=True))
+
+
+def _over(reduce: object, values: Float, which: Bool | None) -> float:
+    chosen = values if which is None else values[which]
+    return float(reduce(chosen)) if chosen.size and callable(reduce) else float("nan")
+
+
+def correlation_table(
+    a: ModeSet,
+    b: ModeSet,
+    pairing: Pairing,
+    *,
+    std_hz: Float | None = None,
+    left_out: Sequence[int] | Int = (),
+    names: tuple[str, str] = ("test", "FE"),
+) -> CorrelationTable:
+    """The table of a pairing.
+
+    Parameters
+    ----------
+    a, b : ModeSet
+        As they were paired.
+    pairing : Pairing
+    std_hz : (ma,) float64, Hz, optional
+        Standard deviations of the frequencies of A.
+    left_out : sequence of int
+        Positions in A that take no part in updating.
+    """
+    b = b if b.channels == a.channels else b.rows(a.channels)
+    std = np.full(len(a), np.nan) if std_hz is None else np.asarray(std_hz, dtype=np.float64)
+    everything = scores(a.frequencies, a.shapes, b.frequencies, b.shapes, PairingSettings(largest_group=1)).mac
+    return CorrelationTable(
+        pairing,
+        a.frequencies[pairing.a],
+        b.frequencies[pairing.b],
+        std[pairing.a],
+        ~np.isin(pairing.a, np.asarray(left_out, dtype=np.int64)),
+        everything,
+        a.frequencies,
+        b.frequencies,
+        names,
+    )

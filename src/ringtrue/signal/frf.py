@@ -1,0 +1,278 @@
+"""Frequency response functions from hammer records: H1, H2 or Hv with coherence, and the joining of setups."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.signals import Channel, FrfKind, FrfSet, TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.signal.hits import (
+    Estimator,
+    HammerSettings,
+    HitReport,
+    block_length,
+    check_hits,
+    find_hits,
+    force_channel,
+    input_id,
+)
+
+log = logging.getLogger(__name__)
+Progress = Callable[[float, str], None]
+
+_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
+_ENDS_AT = 0.01  # of its start, a response under an automatic exponential window
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cut:
+    """Where the hits of one record are."""
+
+    record: TimeHistory
+    force: int
+    hits: Int
+    length: int
+
+
+def estimate_frf(
+    records: TimeHistory | Sequence[TimeHistory],
+    settings: HammerSettings | None = None,
+    *,
+    full_scale: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> tuple[FrfSet, tuple[HitReport, ...]]:
+    """FRFs from one or several hammer records.
+
+    Each record has one force channel, whose id names the point and direction hit (a leading `F:` is dropped).
+    Records of the same input and responses are averaged together; different ones become columns (roving hammer)
+    or rows (roving responses) of one set.
+
+    Parameters
+    ----------
+    records : TimeHistory or sequence of TimeHistory, SI, equal rates
+    settings : HammerSettings, optional
+    full_scale : mapping of str to float, optional
+        Range of each channel by id, in its unit; for the detection of overloads.
+    progress : callable, optional
+
+    Returns
+    -------
+    FrfSet
+        With the exponential window still in the data, its rate in `window_decay`.
+    tuple of HitReport
+        All hits, those left out with their reasons.
+
+    Raises
+    ------
+    DataError
+        If a record has no hits or none can be used, rates differ, or a pair of response and input is absent.
+    """
+    settings = settings or HammerSettings()
+    records = [records] if isinstance(records, TimeHistory) else list(records)
+    cuts = [_cut(r, settings) for r in records]
+    settings = _with_room(cuts, settings)
+    length = min(c.length for c in cuts)
+    if len({c.record.rate for c in cuts}) > 1:
+        raise DataError(
+            f"records of different rates: {sorted({c.record.rate for c in cuts})} Hz; resample them first"
+        )
+    if length < 16:
+        raise DataError(f"{records[0].source}: {length} samples between the hits; give HammerSettings.block")
+    reports = [check_hits(c.record, c.force, c.hits, length, settings, full_scale) for c in cuts]
+    good = [c.hits[[r.accepted for r in rep]] for c, rep in zip(cuts, reports, strict=True)]
+    _check_used(cuts, reports)
+    decay = max(_decay(c, g, length, settings) for c, g in zip(cuts, good, strict=True))
+    sums: dict[tuple[str, ...], _Sums] = {}
+    for i, (cut, hits) in enumerate(zip(cuts, good, strict=True)):
+        if progress:
+            progress(i / len(cuts), f"FRFs of {cut.record.source or f'record {i + 1}'}")
+        new = _spectra(cut, hits, length, decay, settings)
+        key = (new.input, *(c.id for c in new.outputs))
+        sums[key] = sums[key].plus(new) if key in sums else new
+    source = ", ".join(dict.fromkeys(r.source for r in records if r.source))
+    columns = [_column(s, decay, settings, source) for s in sums.values()]
+    return join_frfs(columns), tuple(r for rep in reports for r in rep)
+
+
+def _with_room(cuts: Sequence[_Cut], settings: HammerSettings) -> HammerSettings:
+    """A triggered record of one hit may have less before it than asked for: then that is the pretrigger."""
+    room = min([float(c.hits[0]) / c.record.rate for c in cuts if c.hits.size == 1] or [np.inf])
+    return replace(settings, pretrigger=min(settings.pretrigger, room))
+
+
+def _check_used(cuts: Sequence[_Cut], reports: Sequence[Sequence[HitReport]]) -> None:
+    for cut, rep in zip(cuts, reports, strict=True):
+        if not any(r.accepted for r in rep):
+            told = "; ".join(f"{r.time:.2f} s: {', '.join(r.reasons)}" for r in rep[:5])
+            raise DataError(f"{cut.record.source}: none of {len(rep)} hits can be used: {told}")
+
+
+def _cut(record: TimeHistory, settings: HammerSettings) -> _Cut:
+    at = force_channel(record, settings)
+    force = np.asarray(record.data[at], dtype=np.float64)
+    hits = find_hits(force - np.median(force), record.rate, settings)
+    if not hits.size:
+        raise DataError(f"{record.source}: no hit in channel {record.channels[at].id}")
+    return _Cut(record, at, hits, block_length(hits, record.data.shape[1], record.rate, settings))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sums:
+    """Summed spectra of one input."""
+
+    input: str
+    outputs: tuple[Channel, ...]
+    rate: float
+    length: int
+    count: int
+    ff: Float  # (freq,)
+    xf: Complex  # (freq, out)
+    xx: Float  # (freq, out)
+
+    def plus(self, other: _Sums) -> _Sums:
+        return replace(
+            self,
+            count=self.count + other.count,
+            ff=self.ff + other.ff,
+            xf=self.xf + other.xf,
+            xx=self.xx + other.xx,
+        )
+
+
+def _block(data: Any_, start: int, length: int, pre: int) -> Float:
+    """(channel, length) float64 without the offset in the first half of the pretrigger."""
+    block = np.asarray(data[:, start : start + length], dtype=np.float64)
+    return block - (block[:, : pre // 2].mean(axis=1, keepdims=True) if pre > 8 else 0.0)
+
+
+def _decay(cut: _Cut, hits: Int, length: int, settings: HammerSettings) -> float:
+    """Decay rate of the exponential window, 1/s."""
+    duration = length / cut.record.rate
+    if settings.exp_end is not None:
+        return float(-np.log(settings.exp_end) / duration)
+    pre = round(settings.pretrigger * cut.record.rate)
+    block = _block(np.delete(cut.record.data, cut.force, axis=0), int(hits[0]) - pre, length, pre)
+    part = max(length // 20, 2)
+    first = np.sqrt(np.mean(block[:, pre : pre + part] ** 2))
+    last = np.sqrt(np.mean(block[:, -part:] ** 2))
+    return float(np.log(max(last / max(first, 1e-300) / _ENDS_AT, 1.0)) / duration)
+
+
+def _force_window(force: Float, pre: int, rate: float, settings: HammerSettings) -> Float:
+    """1 over the pulse, then a half cosine of the same length down to 0."""
+    half = np.flatnonzero(np.abs(force[pre:]) < 0.5 * abs(force[pre]))
+    width = 2 * (int(half[0]) if half.size else 1)
+    keep = round(settings.force_window * rate) if settings.force_window else max(4 * width, round(0.001 * rate))
+    t = np.arange(force.size) - pre
+    down = 0.5 + 0.5 * np.cos(np.pi * np.clip((t - keep) / max(keep, 1), 0, 1))
+    up = np.clip((t + max(keep, 1) + 1) / max(keep / 2, 1), 0, 1)
+    return np.asarray(down * up)
+
+
+def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSettings) -> _Sums:
+    rate, at = cut.record.rate, cut.force
+    pre = round(settings.pretrigger * rate)
+    fade = np.exp(-decay * np.arange(length) / rate)
+    lines = length // 2 + 1
+    outputs = tuple(c for i, c in enumerate(cut.record.channels) if i != at)
+    ff = np.zeros(lines)
+    xf, xx = np.zeros((lines, len(outputs)), dtype=np.complex128), np.zeros((lines, len(outputs)))
+    for hit in hits.tolist():  # a few dozen hits; all at once would hold the record twice
+        block = _block(cut.record.data, hit - pre, length, pre)
+        f = np.fft.rfft(block[at] * fade * _force_window(block[at], pre, rate, settings))
+        x = np.fft.rfft(np.delete(block, at, axis=0) * fade, axis=1).T
+        ff += np.abs(f) ** 2
+        xf += x * f.conj()[:, None]
+        xx += np.abs(x) ** 2
+    return _Sums(input_id(cut.record.channels[at].id), outputs, rate, length, int(hits.size), ff, xf, xx)
+
+
+def estimators(ff: Float, xf: Complex, xx: Float, which: Estimator) -> tuple[Complex, Float]:
+    """FRF and coherence, each (freq, out), from spectra of force (freq,), cross and response (freq, out).
+
+    H1 = G_xf/G_ff (noise on the response), H2 = G_xx/G_fx (noise on the force), Hv their geometric mean.
+    """
+    tiny = np.finfo(np.float64).tiny
+    coherence = np.abs(xf) ** 2 / np.maximum(ff[:, None] * xx, tiny)
+    h1 = xf / np.maximum(ff, tiny)[:, None]
+    power = {"H1": 0.0, "Hv": 0.5, "H2": 1.0}[which]
+    return h1 / np.maximum(coherence, 1e-12) ** power, np.clip(coherence, 0.0, 1.0)
+
+
+def frf_variance(frfs: FrfSet) -> Float:
+    """(freq, out, in) variance of the real and the imaginary part, |H|²(1 − γ²)/(2 n γ²) (Bendat, Piersol 2010)."""
+    g = np.clip(frfs.coherence, 1e-12, 1.0)
+    return np.asarray(np.abs(frfs.data) ** 2 * (1 - g) / (2 * frfs.averages * g))
+
+
+def _column(s: _Sums, decay: float, settings: HammerSettings, source: str) -> FrfSet:
+    kinds = {c.quantity for c in s.outputs}
+    if len(kinds) != 1 or not kinds <= set(_KIND):
+        raise DataError(f"{source}: responses measure {', '.join(sorted(kinds))}; all must be one kind of motion")
+    h, coherence = estimators(s.ff, s.xf, s.xx, settings.estimator)
+    if s.count < 2:
+        coherence = np.full(coherence.shape, np.nan)  # one hit has coherence 1 whatever its noise
+    freqs = np.fft.rfftfreq(s.length, 1 / s.rate)
+    keep = freqs <= (settings.fmax or np.inf)
+    return FrfSet(
+        h[keep, :, None],
+        np.asarray(freqs[keep], dtype=np.float64),
+        s.outputs,
+        (Channel(s.input, "force", "N"),),
+        coherence[keep, :, None],
+        np.array([float(s.count)]),
+        _KIND[kinds.pop()],
+        decay,
+        source,
+    )
+
+
+def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
+    """One set from several: roving responses (setups) and roving hammers.
+
+    A pair of response and input that was measured several times is averaged, weighted by the number of hits.
+
+    Raises
+    ------
+    DataError
+        If lines, kinds or windows differ, or a pair of response and input was never measured.
+    """
+    if not parts:
+        raise DataError("no FRFs to join")
+    first = parts[0]
+    for p in parts[1:]:
+        if p.freqs.shape != first.freqs.shape or np.abs(p.freqs - first.freqs).max() > 1e-6 * first.freqs[-1]:
+            raise DataError(f"{p.source}: other frequency lines than {first.source}")
+        if p.kind != first.kind or abs(p.window_decay - first.window_decay) > 1e-9:
+            raise DataError(f"{p.source}: {p.kind}, window {p.window_decay:g} 1/s; {first.source} differs")
+    outputs = {c.id: c for p in parts for c in p.outputs}
+    inputs = {c.id: c for p in parts for c in p.inputs}
+    row, column = {k: i for i, k in enumerate(outputs)}, {k: i for i, k in enumerate(inputs)}
+    shape = (first.freqs.size, len(outputs), len(inputs))
+    data, weight, coherence = np.zeros(shape, dtype=np.complex128), np.zeros(shape[1:]), np.zeros(shape)
+    for p in parts:  # a few setups
+        at = np.array([row[c.id] for c in p.outputs])[:, None], np.array([column[c.id] for c in p.inputs])
+        n = np.broadcast_to(np.where(np.isfinite(p.averages), p.averages, 1.0), (len(p.outputs), len(p.inputs)))
+        data[:, at[0], at[1]] += p.data * n
+        coherence[:, at[0], at[1]] += p.coherence * n
+        weight[at] += n
+    if (weight == 0).any():
+        o, i = np.argwhere(weight == 0)[0]
+        raise DataError(
+            f"no FRF from {list(inputs)[i]} to {list(outputs)[o]}: "
+            f"{int((weight == 0).sum())} pairs were not measured"
+        )
+    return replace(
+        first,
+        data=data / weight,
+        outputs=tuple(outputs.values()),
+        inputs=tuple(inputs.values()),
+        coherence=coherence / weight,
+        averages=np.median(weight, axis=0),
+        source=", ".join(dict.fromkeys(p.source for p in parts if p.source)),
+    )

@@ -1,0 +1,274 @@
+"""Hammer hits in a record: where they are and which of them can be used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import ConfigError, DataError, did_you_mean
+
+Estimator = Literal["H1", "H2", "Hv"]
+_NEAR_FULL = 0.985  # of the range counts as an overload
+_FLAT = 4  # equal extreme samples in a row that give clipping away where no range is known
+_BAD_RINGING = 0.2  # rms before the hit to rms after it
+
+
+@dataclass(frozen=True, slots=True)
+class HammerSettings:
+    """How hits are found and FRFs are estimated.
+
+    Attributes
+    ----------
+    force : str
+        Id of the force channel; by default the only channel whose quantity is force.
+    block : float, s, optional
+        Length of a block; by default what fits between the hits.
+    pretrigger : float, s
+        Part of the block before the hit.
+    trigger : float
+        Level of a hit, as a share of the largest force of the record.
+    double : float
+        A second pulse above this share of the first makes a double hit.
+    weak : float
+        A hit below this share of the median hit is left out.
+    force_window : float, s, optional
+        Length after the hit that the force is kept; by default four pulse widths, 1 ms at least.
+    exp_end : float, optional
+        Value of the exponential window at the end of the block, 1 for none; by default what lets the responses end
+        at 1 % of their start.
+    estimator : {"H1", "H2", "Hv"}
+    fmax : float, Hz, optional
+        Highest line kept.
+    """
+
+    force: str = ""
+    block: float | None = None
+    pretrigger: float = 0.02
+    trigger: float = 0.1
+    double: float = 0.05
+    weak: float = 0.1
+    force_window: float | None = None
+    exp_end: float | None = None
+    estimator: Estimator = "H1"
+    fmax: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.estimator not in ("H1", "H2", "Hv"):
+            raise ConfigError(f"estimator {self.estimator!r}{did_you_mean(self.estimator, ('H1', 'H2', 'Hv'))}")
+        if not 0 < self.trigger < 1 or not 0 < self.double < 1:
+            raise ConfigError(f"trigger {self.trigger} and double {self.double} are shares between 0 and 1")
+        if self.exp_end is not None and not 0 < self.exp_end <= 1:
+            raise ConfigError(f"exp_end {self.exp_end} must be in (0, 1]")
+        if self.block is not None and not self.block > self.pretrigger >= 0:
+            raise ConfigError(f"block {self.block} s must be longer than pretrigger {self.pretrigger} s >= 0")
+
+
+@dataclass(frozen=True, slots=True)
+class HitReport:
+    """One hit.
+
+    Attributes
+    ----------
+    source : str
+        The record.
+    input : str
+        Id of the point and direction that was hit.
+    time : float, s
+        In the record.
+    peak : float, N
+        Largest force, with its sign.
+    width : float, s
+        Of the pulse at half its peak.
+    accepted : bool
+    reasons : tuple of str
+        Why it was left out; empty if it was used.
+    """
+
+    source: str
+    input: str
+    time: float
+    peak: float
+    width: float
+    accepted: bool
+    reasons: tuple[str, ...]
+
+
+def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
+    """Position of the force channel.
+
+    Raises
+    ------
+    DataError
+        If there is none, or several and none is named.
+    """
+    ids = [c.id for c in record.channels]
+    if settings.force:
+        if settings.force not in ids:
+            raise DataError(f"{record.source}: no channel {settings.force!r}{did_you_mean(settings.force, ids)}")
+        return ids.index(settings.force)
+    at = [i for i, c in enumerate(record.channels) if c.quantity == "force"]
+    if len(at) != 1:
+        raise DataError(
+            f"{record.source}: {len(at)} force channels ({' '.join(ids[i] for i in at) or 'none'}); "
+            "there must be one, or name it in HammerSettings.force"
+        )
+    return at[0]
+
+
+def input_id(channel: str) -> str:
+    """The point and direction of a force channel: its id without a leading `F:` or `force:`."""
+    head, _, tail = channel.partition(":")
+    return tail.strip() if tail and head.strip().lower() in ("f", "force") else channel
+
+
+def pulses(force: Float, rate: float, level: float) -> tuple[Int, Int]:
+    """First and peak sample of every pulse of |force| above a level; gaps under 0.5 ms do not divide a pulse."""
+    above = np.flatnonzero(np.abs(force) > level)
+    if not above.size:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    cut = np.flatnonzero(np.diff(above) > max(1, round(0.0005 * rate))) + 1
+    runs = np.split(above, cut)
+    first = np.array([r[0] for r in runs], dtype=np.int64)
+    return first, np.array([r[np.abs(force[r]).argmax()] for r in runs], dtype=np.int64)
+
+
+def find_hits(force: Float, rate: float, settings: HammerSettings) -> Int:
+    """Samples of the peaks of the hits, (h,), ascending; rebounds within 0.25 s or half a block are not hits.
+
+    Parameters
+    ----------
+    force : (sample,) float64, N, without offset
+    rate : float, Hz
+    settings : HammerSettings
+    """
+    level = max(settings.trigger * np.abs(force).max(), 8 * _noise(force))
+    _, peak = pulses(force, rate, level)
+    hold = round(rate * min(0.25, 0.5 * (settings.block or 1.0)))
+    hits: list[int] = []
+    for p in peak.tolist():  # a few dozen pulses
+        if not hits or p - hits[-1] > hold:
+            hits.append(p)
+    return np.array(hits, dtype=np.int64)
+
+
+def _noise(x: Float) -> float:
+    """Robust standard deviation."""
+    return float(1.4826 * np.median(np.abs(x - np.median(x))))
+
+
+def block_length(hits: Int, samples: int, rate: float, settings: HammerSettings) -> int:
+    """Samples of a block: as set, else what fits between nine of ten hits, even."""
+    if settings.block is not None:
+        return 2 * round(settings.block * rate / 2)
+    ends = np.append(hits, samples)
+    room = np.quantile(np.diff(ends), 0.1, method="lower") if hits.size else 0
+    return 2 * int(0.98 * room / 2)
+
+
+def check_hits(
+    record: TimeHistory,
+    at: int,
+    hits: Int,
+    length: int,
+    settings: HammerSettings,
+    full_scale: Mapping[str, float] | None = None,
+) -> tuple[HitReport, ...]:
+    """The verdict on every hit.
+
+    Parameters
+    ----------
+    record : TimeHistory
+    at : int
+        Force channel.
+    hits : (h,) int64, samples of the peaks
+    length : int
+        Samples of a block.
+    settings : HammerSettings
+    full_scale : mapping of str to float, optional
+        Range of each channel by id, in its unit; without it clipping is told by equal extreme samples.
+    """
+    force = np.asarray(record.data[at], dtype=np.float64)
+    force = force - np.median(force)
+    typical = float(np.median(np.abs(force[hits]))) if hits.size else 0.0
+    pre = round(settings.pretrigger * record.rate)
+    reports = []
+    for k, hit in enumerate(hits.tolist()):  # a few dozen hits
+        start, stop = hit - pre, hit - pre + length
+        why = _place(start, stop, record.data.shape[1], hits[k + 1 :], record.rate)
+        if abs(force[hit]) < settings.weak * typical:
+            why.append(f"weak: {abs(force[hit]):.3g} N, the median is {typical:.3g} N")
+        if start >= 0:
+            block = record.data[:, start : min(stop, record.data.shape[1])]
+            why += _double(force, hit, stop, record.rate, settings)
+            why += _overloads(record, block, full_scale or {})
+            why += _ringing(np.delete(block, at, axis=0), pre)
+        name = input_id(record.channels[at].id)
+        width = _width(force, hit) / record.rate
+        reports.append(
+            HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, tuple(why))
+        )
+    return tuple(reports)
+
+
+def _place(start: int, stop: int, samples: int, later: Int, rate: float) -> list[str]:
+    why = []
+    if start < 0:
+        why.append("no room for the pretrigger at the start of the record")
+    if stop > samples:
+        why.append("the record ends before the block")
+    if later.size and later[0] < stop:
+        why.append(f"the next hit comes {(stop - later[0]) / rate:.3g} s before the end of the block")
+    return why
+
+
+def _width(force: Float, hit: int) -> int:
+    """Samples around the peak above half of it."""
+    half = np.abs(force) >= 0.5 * abs(force[hit])
+    left = hit - int(np.argmin(half[hit::-1])) if not half[: hit + 1].all() else 0
+    right = hit + int(np.argmin(half[hit:])) if not half[hit:].all() else force.size
+    return right - left - 1
+
+
+def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSettings) -> list[str]:
+    """A second pulse of the same sign, once the first has come down."""
+    sign = np.sign(force[hit])
+    width = _width(force, hit)
+    tail = sign * force[hit + 2 * width + 2 : min(stop, hit + round(0.5 * rate))]
+    level = max(settings.double * abs(force[hit]), 8 * _noise(force))
+    down = np.flatnonzero(tail < 0.5 * level)
+    if not down.size or not (tail[down[0] :] > level).any():
+        return []
+    second = int(tail[down[0] :].argmax()) + int(down[0]) + 2 * width + 2
+    share = sign * force[hit + second] / abs(force[hit])
+    return [f"double hit: {100 * share:.0f} % of the first pulse {1000 * second / rate:.3g} ms after it"]
+
+
+def _overloads(record: TimeHistory, block: Any_, full_scale: Mapping[str, float]) -> list[str]:
+    peak = np.abs(block).max(axis=1)
+    limit = np.array([full_scale.get(c.id, np.inf) for c in record.channels])
+    over = peak >= _NEAR_FULL * limit
+    unknown = np.isinf(limit)
+    if unknown.any():
+        flat = np.abs(block[unknown]) >= (1 - 1e-6) * peak[unknown, None]
+        runs = np.ones((int(unknown.sum()), block.shape[1] - _FLAT + 1), dtype=bool)
+        for i in range(_FLAT):
+            runs &= flat[:, i : runs.shape[1] + i]
+        over[unknown] = runs.any(axis=1) & (peak[unknown] > 0)
+    names = [c.id for c, o in zip(record.channels, over, strict=True) if o]
+    return [f"overload of {' '.join(names[:8])}"] if names else []
+
+
+def _ringing(responses: Any_, pre: int) -> list[str]:
+    """The structure still rings from the hit before."""
+    if pre < 4 or not responses.shape[0]:
+        return []
+    centred = responses - np.median(responses, axis=1, keepdims=True)
+    before = np.sqrt(np.mean(np.square(centred[:, : pre // 2], dtype=np.float64), axis=1))
+    after = np.sqrt(np.mean(np.square(centred[:, pre : pre + responses.shape[1] // 4], dtype=np.float64), axis=1))
+    share = float(np.median(before / np.maximum(after, 1e-300)))
+    return [f"still ringing before the hit: {100 * share:.0f} % of the response"] if share > _BAD_RINGING else []

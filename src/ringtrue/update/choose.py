@@ -1,0 +1,176 @@
+"""Which parameters to update: subset selection on the objective itself, and simpler rules to compare it with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import lsq_linear
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.errors import InputError
+from ringtrue.model.ports import Linearisation
+from ringtrue.update.gauss_newton import update
+from ringtrue.update.objective import Residual, Target, objective, residual
+
+ALIKE = 0.95  # |cosine| of two weighted sensitivity columns from which on the data cannot tell them apart
+GAIN = 0.01  # relative gain in J that an exchange must promise and keep
+TRIALS = 3  # promising exchanges tried in one round
+TURNS = 6  # Gauss-Newton steps after each change of the set
+
+RULES = {
+    "best subset": "forward selection on J with re-linearisation after each choice, then exchange of members while "
+    "J falls; each trial is a bounded Gauss-Newton prediction, confirmed by a short updating",
+    "orthogonal sensitivities": "QR with column pivoting of the weighted sensitivities scaled by the prior: the "
+    "parameters that span most, whatever the residual",
+    "largest sensitivities": "the largest weighted sensitivities scaled by the prior, overlap ignored",
+}
+
+
+class Candidates(Protocol):
+    """An `ObservedModel` over all candidates that can be held to some of them."""
+
+    parameters: ParameterSet
+
+    def linearise(self, x: Float) -> Linearisation: ...
+    def modes(self, x: Float) -> Linearisation: ...
+    def with_parameters(self, active: Sequence[int], base: Float | None = None) -> Self: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """A subset, and where a short updating took it.
+
+    Attributes
+    ----------
+    members : (k,) int64
+        Positions among the candidates, in the order of choice.
+    x : (p,) float64
+        All candidates; zero for those not chosen.
+    value : float
+        J.
+    """
+
+    members: Int
+    x: Float
+    value: float
+
+
+def _predicted(g: Float, r: Float, x: Float, w: Float, low: Float, high: Float) -> float:
+    """J at the bounded minimum of its linearisation in the columns given."""
+    a = np.concatenate([g, np.diag(np.sqrt(w))])
+    b = np.concatenate([r + g @ x, np.zeros(x.size)])
+    return float(2 * lsq_linear(a, b, (low, high), method="bvls").cost)
+
+
+def _short(model: Candidates, target: Target, members: Sequence[int], x: Float) -> Choice:
+    """A short updating of some members from x."""
+    at = list(members)
+    result = update(model.with_parameters(at, np.zeros(x.size)), target, iterations=TURNS, start=x[at])
+    out = np.zeros(x.size)
+    out[at] = result.x
+    return Choice(np.array(at, dtype=np.int64), out, result.history[-1].value)
+
+
+def _point(model: Candidates, target: Target, x: Float) -> Residual:
+    return residual(target, model.linearise(x))
+
+
+def best_subset(
+    model: Candidates, target: Target, count: int, progress: Callable[[float, str], None] | None = None
+) -> Choice:
+    """Forward selection and exchange of `count` candidates on J.
+
+    Raises
+    ------
+    InputError
+        If there are fewer candidates.
+    """
+    p = len(model.parameters)
+    if not 0 < count <= p:
+        raise InputError(f"choose {count} of {p} candidates: allowed are 1 to {p}")
+    low, high = model.parameters.bounds()
+    w = 1 / model.parameters.std() ** 2
+    now = Choice(np.zeros(0, dtype=np.int64), np.zeros(p), np.inf)
+    for k in range(count):
+        r = _point(model, target, now.x)
+        rest = np.setdiff1d(np.arange(p), now.members)
+        trial = []
+        for c in rest.tolist():
+            at = [*now.members.tolist(), c]
+            trial.append(_predicted(r.slope[:, at], r.value, now.x[at], w[at], low[at], high[at]))
+        best = int(rest[int(np.argmin(trial))])
+        now = _short(model, target, [*now.members.tolist(), best], now.x)
+        if progress is not None:
+            progress((k + 1) / (count + 2), f"parameter {k + 1}: {model.parameters.names[best]}")
+    return _exchange(model, target, now)
+
+
+def _exchange(model: Candidates, target: Target, now: Choice) -> Choice:
+    """Exchange one member at a time while J falls."""
+    p = len(model.parameters)
+    low, high = model.parameters.bounds()
+    w = 1 / model.parameters.std() ** 2
+    for _ in range(2 * now.members.size):
+        r = _point(model, target, now.x)
+        options = []
+        for out in now.members.tolist():
+            stay = [m for m in now.members.tolist() if m != out]
+            for c in np.setdiff1d(np.arange(p), now.members).tolist():
+                at = [*stay, c]
+                # taking `out` away means going back to x = 0 there
+                value = r.value + r.slope[:, out] * now.x[out]
+                options.append((_predicted(r.slope[:, at], value, now.x[at], w[at], low[at], high[at]), at))
+        options.sort(key=lambda o: o[0])
+        better = None
+        for _, at in options[:TRIALS]:
+            trial = _short(model, target, at, np.where(np.isin(np.arange(p), at), now.x, 0.0))
+            if trial.value < (1 - GAIN) * now.value and (better is None or trial.value < better.value):
+                better = trial
+        if better is None:
+            return now
+        now = better
+    return now
+
+
+def weighted_sensitivities(model: Candidates, target: Target) -> Float:
+    """√W ∂z/∂x scaled by the prior standard deviation of x, at x = 0, (r, p)."""
+    return np.asarray(
+        _point(model, target, np.zeros(len(model.parameters))).slope * model.parameters.std(), dtype=np.float64
+    )
+
+
+def orthogonal(sensitivities: Float, count: int) -> Int:
+    """The first pivots of a QR with column pivoting, (count,)."""
+    _, _, pivot = linalg.qr(sensitivities, mode="economic", pivoting=True)
+    return np.asarray(pivot[:count], dtype=np.int64)
+
+
+def largest(sensitivities: Float, count: int) -> Int:
+    """The columns of largest norm, (count,)."""
+    return np.argsort(-np.linalg.norm(sensitivities, axis=0), kind="stable")[:count].astype(np.int64)
+
+
+def alike(sensitivities: Float, names: Sequence[str]) -> tuple[str, ...]:
+    """Pairs of candidates whose effects the data cannot tell apart, in words."""
+    unit = sensitivities / np.maximum(np.linalg.norm(sensitivities, axis=0), 1e-300)
+    cosine = np.abs(unit.T @ unit)
+    a, b = np.nonzero(np.triu(cosine, 1) > ALIKE)
+    return tuple(
+        f"{names[i]} and {names[j]} act alike on the measured modes (cosine {cosine[i, j]:.3f})"
+        for i, j in zip(a.tolist(), b.tolist(), strict=True)
+    )
+
+
+def criterion(r: Residual, x: Float, prior: Float, target: Target) -> float:
+    """AICc of a set: the larger of n ln(J/n) with a penalty on the number of parameters.
+
+    n counts a frequency and a shape residual a used pair. Burnham and Anderson (2002), eq. 7.
+    """
+    n = 2 * max(int(r.used.sum()), 1)
+    k = x.size + 1
+    return float(n * np.log(objective(target, r, x, prior) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))

@@ -1,0 +1,94 @@
+"""Read after write is the identity, for numbers, cards and edits."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ringtrue.io.nastran.edit import edit_fields
+from ringtrue.io.nastran.lexer import integers, real
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.nastran.writer import format_card, format_field, format_real
+from ringtrue.model.cards import columns
+from ringtrue.model.edit import FieldChange
+
+# the characters left for digits when sign, point and a two-digit exponent are written: -1.23-45, three and eleven
+EIGHT, WIDE = 5e-3, 5e-11
+finite = st.floats(min_value=-1e99, max_value=1e99, allow_nan=False).map(lambda x: x if abs(x) > 1e-90 else 0.0)
+plain = st.floats(min_value=-1e9, max_value=1e9, allow_nan=False).map(lambda x: x if abs(x) > 1e-9 else 0.0)
+ids = st.integers(min_value=1, max_value=99_999_999)
+
+
+@given(finite)
+def test_sixteen_characters_hold_eleven_digits(x: float) -> None:
+    text = format_real(x, 16)
+    assert len(text) <= 16
+    assert real(text) == pytest.approx(x, rel=WIDE)
+
+
+@given(finite)
+def test_eight_characters_are_the_nearest_of_their_form(x: float) -> None:
+    text = format_real(x, 8)
+    assert len(text) <= 8
+    assert real(text) == pytest.approx(x, rel=EIGHT)
+    assert format_real(real(text), 8) == text
+
+
+@given(st.integers(-(10**7) + 1, 10**8 - 1))
+def test_integers_are_exact(i: int) -> None:
+    value, good = integers(np.array([format_field(i).encode()]))
+    assert good[0]
+    assert value[0] == i
+
+
+@given(st.decimals(allow_nan=False, allow_infinity=False, places=5, min_value=-9999, max_value=9999))
+def test_short_decimals_are_exact(x: object) -> None:
+    assert real(format_real(float(str(x)), 16)) == float(str(x))
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.tuples(ids, plain, plain, plain), min_size=1, max_size=20, unique_by=lambda r: r[0]), st.booleans()
+)
+def test_cards_read_back_as_written(rows: list[tuple[int, float, float, float]], large: bool) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.bdf"
+        path.write_text("".join(format_card("GRID", [i, None, x, y, z], large=large) for i, x, y, z in rows))
+        grid = read_deck(path)["GRID"]
+    np.testing.assert_array_equal(grid.ids, [r[0] for r in rows])
+    width = 16 if large else 8
+    want = [[real(format_real(v, width)) for v in r[1:]] for r in rows]
+    np.testing.assert_array_equal(grid.stack("X1", "X2", "X3"), want)
+
+
+FIELDS = [s.name for s in columns("PBAR") if s.kind == "f"]
+CARD = {
+    "small": format_card("PBAR", [1, 1, *[None] * 14, 0.5, 0.5]),
+    "large": format_card("PBAR", [1, 1, *[None] * 14, 0.5, 0.5], large=True),
+    "free": "PBAR,1,1\n,\n,.5,.5\n",
+    "short": "PBAR,1,1\n",
+    "tabs": "PBAR\t1\t1\t\t\t1.\n\t\t2.\n",
+}
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(sorted(CARD)), st.dictionaries(st.sampled_from(FIELDS), plain, min_size=1, max_size=6))
+def test_edits_read_back_and_leave_the_rest(style: str, values: dict[str, float]) -> None:
+    before, after = "$ head, $ $\nMAT1,1,2.+11,,.3\n", "$ tail\nFORCE,1,1,,1.,1.\n"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.bdf"
+        path.write_text(before + CARD[style] + after)
+        old = read_deck(path)
+        written = edit_fields(old, [FieldChange("PBAR", 1, f, v) for f, v in values.items()], Path(folder) / "new")
+        text, new = written[0].read_text(), read_deck(written[0])
+    assert text.startswith(before)
+    assert text.endswith(after)
+    width = 16 if style == "large" else 8
+    for name in FIELDS:
+        want = real(format_real(values[name], width)) if name in values else old["PBAR"][name][0]
+        np.testing.assert_array_equal(new["PBAR"][name][0], want, err_msg=f"{name} in {text}")

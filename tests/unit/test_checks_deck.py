@@ -1,0 +1,153 @@
+"""Checks of a deck: each fault alone in an otherwise sound model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringtrue.checks.deck import DeckReport, check_deck
+from ringtrue.checks.mass import from_rigid_body_mass, mass_properties, whole_mass
+from ringtrue.errors import InputError, NumericalError
+from ringtrue.fem.assembly import assemble
+from ringtrue.io.nastran.reader import read_deck, survey
+
+DATA = Path(__file__).parents[2].parent / "shared/data/fe"
+SQUARE = "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nGRID,3,,1.,1.,0.\nGRID,4,,0.,1.,0.\n"
+SOUND = SQUARE + "CQUAD4,1,1,1,2,3,4\nPSHELL,1,1,.01,1\nMAT1,1,2.1+11,,.3,7850.\n"
+CUBE = (
+    SQUARE
+    + "GRID,5,,0.,0.,1.\nGRID,6,,1.,0.,1.\nGRID,7,,1.,1.,1.\nGRID,8,,0.,1.,1.\nMAT1,1,2.1+11,,.3,7850.\nPSOLID,1,1\n"
+)
+
+
+def report(folder: Path, text: str, units: str = "SI") -> DeckReport:
+    path = folder / "a.bdf"
+    path.write_text(text)
+    return check_deck(survey(path).model, units)
+
+
+def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
+    got = report(tmp_path, SOUND)
+    assert got.ok
+    assert not got.findings
+    assert got.cards == {"CQUAD4": 1, "GRID": 4, "MAT1": 1, "PSHELL": 1}
+
+
+@pytest.mark.parametrize(
+    ("extra", "severity", "line", "text"),
+    [
+        ("GRID,9,,5.,5.,0.\n", "warning", 8, "GRID 9: no element is connected to it"),
+        ("CROD,2,7,1,2\n", "error", 8, "CROD 2: PID names PROD 7: not there"),
+        ("PROD,7,1,1.\n", "info", 8, "PROD 7: nothing uses it"),
+        ("MAT1,2,7.+10,,.3\n", "info", 8, "MAT1 2: nothing uses it"),
+        ("CTRIA3,2,1,1,2,2\n", "error", 8, "CTRIA3 2: is collapsed"),
+        ("CQUAD4,2,1,1,3,2,4\n", "error", 8, "CQUAD4 2: is collapsed"),
+        ("GRID,9,,.9,.9,.5\nCQUAD4,2,1,1,2,9,4\n", "warning", 9, "CQUAD4 2: is warped"),
+        ("GRID,9,,.2,.2,0.\nCQUAD4,2,1,1,2,9,4\n", "error", 9, "CQUAD4 2: has a corner of 180"),
+        ("GRID,9,,.5,.001,0.\nCTRIA3,2,1,1,2,9\nGRID,8,,.5,-9.,0.\nCTRIA3,3,1,1,8,9\nGRID,7,,.501,-9.,0.\nCTRIA3,4,1,1,8,7\n",
+         "warning", 13, "CTRIA3 4: has an aspect ratio over 20"),
+        ("GRID,9,,1.,1.,0.\nCELAS2,2,1.,9,1\n", "warning", 3, "GRID 3: at one place with another node that nothing joins it to: 3 and 9"),
+        ("PROD,7,1,1.\nGRID,9,,1.,1.,0.\nCROD,2,7,3,9\n", "error", 10, "CROD 2: has no length"),
+        ("CELAS2,2,1.,1,1\nMAT1,2,1.,,.6\n", "error", 9, "MAT1 2: Poisson's ratio 0.6"),
+    ],
+)  # fmt: skip
+def test_each_fault_is_found(tmp_path: Path, extra: str, severity: str, line: int, text: str) -> None:
+    found = report(tmp_path, SOUND + extra, "").findings
+    hits = [f for f in found if f.text.startswith(text)]
+    assert len(hits) == 1, found
+    assert (hits[0].severity, hits[0].line, hits[0].file) == (severity, line, str(tmp_path / "a.bdf"))
+
+
+def test_coincident_nodes_that_are_joined_are_meant(tmp_path: Path) -> None:
+    text = SOUND + "GRID,9,,1.,1.,0.\nCBUSH,2,2,3,9,,,,0\nPBUSH,2,K,1.\nCELAS2,3,1.,9,1\n"
+    assert not report(tmp_path, text).findings
+
+
+@pytest.mark.parametrize(
+    ("card", "nodes", "turned"),
+    [
+        ("CHEXA", [1, 2, 3, 4, 5, 6, 7, 8], [5, 6, 7, 8, 1, 2, 3, 4]),
+        ("CPENTA", [1, 2, 3, 5, 6, 7], [5, 6, 7, 1, 2, 3]),
+        ("CTETRA", [1, 2, 3, 5], [2, 1, 3, 5]),
+    ],
+)
+def test_solids_inside_out(tmp_path: Path, card: str, nodes: list[int], turned: list[int]) -> None:
+    def text(n: list[int]) -> str:
+        fields = [str(x) for x in n]
+        return CUBE + f"{card},1,1,{','.join(fields[:6])}\n" + (f",{','.join(fields[6:])}\n" if fields[6:] else "")
+
+    assert not [f for f in report(tmp_path, text(nodes)).findings if f.severity == "error"]
+    errors = [f.text for f in report(tmp_path, text(turned)).findings if f.severity == "error"]
+    assert errors == [f"{card} 1: is inside out: negative volume"]
+
+
+@pytest.mark.parametrize(
+    ("modulus", "density", "units", "hint"),
+    [
+        ("2.1+11", "7.85-9", "", "they are so in no unit system"),
+        ("2.1+11", "7.85-9", "SI", "they are so in no unit system"),
+        ("2.1+11", "7850.", "mm-t-s", "they would be in SI"),
+        ("2.1+5", "7.85-9", "SI", "they would be in mm-t-s"),
+    ],
+)
+def test_units_that_cannot_be(tmp_path: Path, modulus: str, density: str, units: str, hint: str) -> None:
+    text = SOUND.replace("2.1+11", modulus).replace("7850.", density)
+    assert any(hint in f.text and f.severity == "warning" for f in report(tmp_path, text, units).findings)
+
+
+def test_wtmass_counts_and_sizes_are_judged(tmp_path: Path) -> None:
+    inches = SOUND.replace("2.1+11", "3.+7").replace("7850.", ".283") + "PARAM,WTMASS,.00259\n"
+    assert not report(tmp_path, inches, "in-lbf-s").findings
+    millimetres = SOUND.replace("2.1+11", "2.1+5").replace("7850.", "7.85-9").replace("1.,", "9999.,")
+    assert not report(tmp_path, millimetres, "mm-t-s").findings
+    assert any("long in SI" in f.text for f in report(tmp_path, SOUND.replace("1.,", "9999.,"), "SI").findings)
+    with pytest.raises(InputError, match="did you mean 'mm-t-s'"):
+        report(tmp_path, SOUND, "mm-t")
+
+
+def test_mass_of_a_block_of_point_masses() -> None:
+    """Closed form: points m_i at x_i with R = [I, -[x]]."""
+    rng = np.random.default_rng(3)
+    x, m = rng.normal(size=(7, 3)), rng.uniform(1, 2, 7)
+    rigid = np.zeros((6, 6))
+    for xi, mi in zip(x, m, strict=True):
+        cross = np.array([[0, xi[2], -xi[1]], [-xi[2], 0, xi[0]], [xi[1], -xi[0], 0]])
+        R = np.hstack([np.eye(3), cross])
+        rigid += mi * R.T @ R
+    got = from_rigid_body_mass(rigid)
+    cg = m @ x / m.sum()
+    d = x - cg
+    inertia = (
+        m[:, None, None] * ((d**2).sum(axis=1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :])
+    ).sum(axis=0)
+    assert got.mass == pytest.approx(m.sum(), rel=1e-14)
+    assert got.even
+    np.testing.assert_allclose(got.cg, cg, atol=1e-14)
+    np.testing.assert_allclose(got.inertia, inertia, atol=1e-12)
+    with pytest.raises(NumericalError, match="no mass"):
+        from_rigid_body_mass(np.zeros((6, 6)))
+
+
+def test_mass_of_a_plate_held_and_whole(tmp_path: Path) -> None:
+    (tmp_path / "a.bdf").write_text("CEND\nSPC=1\nBEGIN BULK\n" + SOUND + "SPC1,1,123456,1,2\nPARAM,WTMASS,.5\n")
+    model = read_deck(tmp_path / "a.bdf")
+    whole = whole_mass(model)
+    assert whole.mass == pytest.approx(7850 * 0.01 * 0.5, rel=1e-12)
+    np.testing.assert_allclose(whole.cg, [0.5, 0.5, 0.0], atol=1e-12)
+    assert mass_properties(assemble(model)).mass == pytest.approx(
+        whole.mass / 2, rel=1e-12
+    )  # lumped: two nodes are held
+
+
+@pytest.mark.data
+def test_mass_against_the_recorded_grid_point_weight_generator() -> None:
+    """MSC Nastran 2020, GRDPNT 0 of noreduction-000.f06: mass, centre of gravity and I(S), seven digits printed."""
+    path = DATA / "msc2019/superelements/three_element_types/no_super/noReduction-000.dat"
+    if not path.exists():
+        pytest.skip(f"needs {path}")
+    got = whole_mass(read_deck(path))
+    assert got.mass == pytest.approx(6.635254e3, rel=1e-6)
+    np.testing.assert_allclose(got.cg, [1.860574e3, -180.0, 0.0], rtol=1e-6, atol=1e-9)
+    assert got.inertia[0, 0] == pytest.approx(2.151230e8, rel=1e-6)

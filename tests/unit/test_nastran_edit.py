@@ -1,0 +1,191 @@
+"""Decks edited in place: the wanted characters change, all other bytes stay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.errors import DeckError, InputError
+from ringtrue.io.nastran.edit import add_cards, append_include, edit_fields, unified_diff
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.edit import FieldChange, apply_factors, field_changes, resolve_target
+
+MAIN = (
+    b"$ \xe4\xff bytes of no encoding\r\nBEGIN BULK\r\nINCLUDE 'props/p.bdf'\r\n"
+    b"GRID           1              0.      0.      0.\r\nGRID,2,,1.,0.,0. $ two\r\nENDDATA tail\r\n"
+)
+PROPS = (
+    b"PBAR           1       1     0.1    0.01    0.02   0.001      5.        comment?\n"
+    b"              .1      .1\n"
+    b"PBAR*   2               1               0.1             0.01            *\n"
+    b"*       0.02            0.001\n"
+    b"pbar,3,1,  .1 ,.01,,.001$ free\n"
+    b"PBAR\t4\t1\t0.1\t0.01\t\t.001\t$ tabs\n"
+    b"MAT1           1  2.1+11              .3   7850.$ no blank before\n"
+    b"MAT1    2       2.1+11          .3      7850.   \n"
+    b"PBUSH          5       K    1.+61.234567      3.\n"
+    b"PBUSH          6       B     .12"
+)
+
+
+@pytest.fixture
+def main(tmp_path: Path) -> Path:
+    (tmp_path / "deck/props").mkdir(parents=True)
+    (tmp_path / "deck/props/p.bdf").write_bytes(PROPS)
+    path = tmp_path / "deck/main.bdf"
+    path.write_bytes(MAIN)
+    return path
+
+
+def edited(main: Path, *changes: FieldChange) -> tuple[bytes, bytes]:
+    """Bytes of main and of the include after the changes; and the values are read back."""
+    written = edit_fields(read_deck(main), changes, main.parents[1] / "new")
+    again = read_deck(written[0])
+    for c in changes:
+        got = again[c.card][c.field][resolve_target(again, c)[0]]
+        np.testing.assert_allclose(got, c.value, rtol=5e-4)  # eight characters hold four digits of such numbers
+    return written[0].read_bytes(), written[1].read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "old", "new"),
+    [
+        (FieldChange("PBAR", 1, "A", 0.123456789), b"       1     0.1    0.01", b"       1.1234568    0.01"),
+        (FieldChange("PBAR", 1, "C2", -1.23456789e-5), b".1      .1\n", b".1-1.235-5\n"),
+        (FieldChange("PBAR", 1, "D1", 2.5), b".1      .1\n", b".1      .1     2.5\n"),
+        (FieldChange("PBAR", 1, "K1", 0.5), b".1      .1\n", b".1      .1\n+            0.5\n"),
+        (FieldChange("PBAR", 2, "I1", 0.0123456789012), b" 0.01            *", b" 0.0123456789012 *"),
+        (FieldChange("PBAR", 2, "NSM", 3.0), b"0.001\npbar", b"0.001" + 24 * b" " + b"3.0\npbar"),
+        (FieldChange("PBAR", 3, "A", 7.5), b"  .1 ,.01", b"  7.5 ,.01"),
+        (FieldChange("PBAR", 3, "I2", 1 / 3), b".01,,.001", b".01,.3333333,.001"),
+        (FieldChange("PBAR", 3, "NSM", 4.0), b".001$ free", b".001,4.0$ free"),
+        (FieldChange("PBAR", 3, "C1", 4.0), b".001$ free\n", b".001$ free\n+,4.0\n"),
+        (FieldChange("PBAR", 4, "A", 12345.678), b"\t0.1\t0.01", b"\t12345.680.01"),
+        (FieldChange("PBAR", 4, "I2", 0.25), b"0.01\t\t.001", b"0.01\t    0.25.001"),
+        (FieldChange("MAT1", 1, "E", 2.0654321e11), b"1  2.1+11", b"1206.54+9"),
+        (FieldChange("MAT1", 1, "A", 1.2e-5), b"7850.$ no", b"7850.0.000012$ no"),
+        (FieldChange("MAT1", 2, "E", 7e10), b"2       2.1+11  ", b"2       7.+10   "),
+        (FieldChange("MAT1", 2, "G", 8e10), b"2.1+11          .3", b"2.1+11     8.+10.3"),
+        (FieldChange("PBUSH", 5, "K2", 8.0), b"1.234567      3.", b"     8.0      3."),
+        (FieldChange("PBUSH", 6, "B2", 8.0), b"     .12", b"     .12     8.0"),
+    ],
+    ids=lambda v: f"{v.card}{v.id}.{v.field}" if isinstance(v, FieldChange) else "",
+)
+def test_one_field_changes_and_nothing_else(main: Path, change: FieldChange, old: bytes, new: bytes) -> None:
+    assert PROPS.count(old) == 1
+    assert edited(main, change) == (MAIN, PROPS.replace(old, new))
+
+
+def test_no_change_is_a_copy(main: Path) -> None:
+    assert edited(main) == (MAIN, PROPS)
+
+
+def test_several_changes_of_a_card_and_its_new_line(main: Path) -> None:
+    _, props = edited(main, *(FieldChange("MAT1", 2, f, 2.5) for f in ("E", "GE", "SS", "ST")))
+    assert props.startswith(PROPS[: PROPS.index(b"MAT1    2")])
+    assert props.count(b"\n") == PROPS.count(b"\n") + 1
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (FieldChange("MAT1", 9, "E", 1.0), InputError, "MAT1 9 is not in the model; the nearest ids are"),
+        (FieldChange("MAT1", 1, "RO", 1.0), InputError, "did you mean 'RHO'"),
+        (FieldChange("PBUSH", 6, "K1", 1.0), DeckError, r"p\.bdf:10: PBUSH 6 field K1: the card has no place"),
+        (FieldChange("PBAR", 1, "A", float("nan")), InputError, "nan cannot stand"),
+        (FieldChange("PBAR", 1, "MID", 1.5), InputError, "must be an integer"),
+        (FieldChange("GRID", 1, "CP", 123456789), InputError, "does not fit"),
+    ],
+)
+def test_changes_that_cannot_be_made_write_nothing(
+    main: Path, change: FieldChange, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        edit_fields(read_deck(main), [FieldChange("MAT1", 2, "E", 1.0), change], main.parents[1] / "new")
+    assert not (main.parents[1] / "new").exists()
+
+
+def test_a_section_card_is_not_edited_as_the_property_it_makes(tmp_path: Path) -> None:
+    (tmp_path / "a.bdf").write_text("MAT1,1,1.,,.3\nPBARL,1,1,,ROD\n,2.\n")
+    with pytest.raises(DeckError, match="it was made from a PBARL"):
+        edit_fields(read_deck(tmp_path / "a.bdf"), [FieldChange("PBAR", 1, "A", 1.0)], tmp_path / "new")
+
+
+def test_a_uniform_beam_stays_uniform(tmp_path: Path) -> None:
+    text = "MAT1,1,1.,,.3\nPBEAM,1,1,4.,1.,2.\nPBEAM,2,1,4.,1.,2.\n,\n,NO,1.,4.\nPBEAM,3,1,4.,1.,2.\n,\n,NO,1.,3.\n"
+    (tmp_path / "a.bdf").write_text(text)
+    model = read_deck(tmp_path / "a.bdf")
+    parameters = ParameterSet((Parameter("area", tuple(Target("PBEAM", i, "A") for i in (1, 2, 3))),))
+    changed = apply_factors(model, parameters, np.array([1.5]))
+    assert changed["PBEAM"]["AB"].tolist() == [6.0, 6.0, 3.0]
+    written = edit_fields(model, field_changes(model, parameters, np.array([1.5])), tmp_path / "new")
+    again = read_deck(written[0])
+    for name in ("A", "AB"):
+        np.testing.assert_array_equal(again["PBEAM"][name], changed["PBEAM"][name])
+
+
+def test_the_edited_deck_is_the_model_with_the_factors(main: Path) -> None:
+    model = read_deck(main)
+    stiffness = Parameter("stiffness", (Target("MAT1", 1, "E"), Target("PBUSH", 5, "K1")))
+    area = Parameter("area", (Target("PBAR", 1, "A"), Target("MAT1", 1, "E")), scale="linear")
+    parameters, factors = ParameterSet((stiffness, area)), np.array([1.1, 0.9])
+    changed = apply_factors(model, parameters, factors)
+    assert changed["MAT1"]["E"][0] == pytest.approx(2.1e11 * 0.99, rel=1e-15)
+    written = edit_fields(model, field_changes(model, parameters, factors), main.parents[1] / "new")
+    again = read_deck(written[0])
+    for card, name in (("MAT1", "E"), ("PBUSH", "K1"), ("PBAR", "A")):
+        np.testing.assert_allclose(again[card][name], changed[card][name], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("field", "message"), [("I12T3X", "no field"), ("G", "is blank"), ("MCSID", "no real quantity")]
+)
+def test_targets_that_hold_no_number(main: Path, field: str, message: str) -> None:
+    parameters = ParameterSet((Parameter("p", (Target("MAT1", 1, field),)),))
+    with pytest.raises(InputError, match=message):
+        apply_factors(read_deck(main), parameters, np.array([1.1]))
+
+
+def test_cards_are_added_before_enddata_with_the_files_line_ends(main: Path) -> None:
+    new = main.parents[1] / "new"
+    written = add_cards(read_deck(main), "main.bdf", "GRID,7,,7.,0.,0.\nGRID,8,,8.,0.,0.\n", new)
+    assert written[0].read_bytes() == MAIN.replace(b"ENDDATA", b"GRID,7,,7.,0.,0.\r\nGRID,8,,8.,0.,0.\r\nENDDATA")
+    assert written[1].read_bytes() == PROPS
+    assert read_deck(new / "main.bdf")["GRID"].ids.tolist() == [1, 2, 7, 8]
+    written = add_cards(read_deck(main), main.parent / "props/p.bdf", "MAT1,7,1.,,.3", new)
+    assert written[1].read_bytes() == PROPS + b"\nMAT1,7,1.,,.3\n"
+    with pytest.raises(InputError, match="is not a file of the deck"):
+        add_cards(read_deck(main), "other.bdf", "", new)
+
+
+def test_an_include_is_appended_and_the_difference_shown(main: Path) -> None:
+    model = read_deck(main)
+    written = append_include(model, main, "braces.bdf", "GRID,7,,7.,0.,0.\n", main.parents[1] / "new")
+    assert read_deck(written[0])["GRID"].ids.tolist() == [1, 2, 7]
+    shown = unified_diff(model.files, written[:2])
+    assert [x for x in shown.splitlines() if x[:1] in "+-"] == [
+        "--- main.bdf",
+        "+++ main.bdf",
+        "+INCLUDE 'braces.bdf'",
+    ]
+    assert unified_diff(model.files, model.files) == ""
+
+
+def test_includes_above_the_main_folder_keep_their_layout(tmp_path: Path) -> None:
+    (tmp_path / "a/runs").mkdir(parents=True)
+    (tmp_path / "a/common.bdf").write_text("MAT1,1,1.,,.3\n")
+    (tmp_path / "a/runs/main.bdf").write_text("INCLUDE '../common.bdf'\n")
+    model = read_deck(tmp_path / "a/runs/main.bdf")
+    written = edit_fields(model, [FieldChange("MAT1", 1, "E", 2.0)], tmp_path / "new")
+    assert written == [tmp_path / "new/runs/main.bdf", tmp_path / "new/common.bdf"]
+    assert read_deck(written[0])["MAT1"]["E"][0] == 2.0
+
+
+def test_an_absolute_include_would_miss_the_change(tmp_path: Path) -> None:
+    (tmp_path / "common.bdf").write_text("MAT1,1,1.,,.3\n")
+    (tmp_path / "main.bdf").write_text(f"INCLUDE '{tmp_path}/common.bdf'\n")
+    with pytest.raises(DeckError, match="make the path of that INCLUDE relative"):
+        edit_fields(read_deck(tmp_path / "main.bdf"), [FieldChange("MAT1", 1, "E", 2.0)], tmp_path / "new")
