@@ -18,7 +18,8 @@ SQUARE = "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nGRID,3,,1.,1.,0.\nGRID,4,,0.,1.,0.
 SOUND = SQUARE + "CQUAD4,1,1,1,2,3,4\nPSHELL,1,1,.01,1\nMAT1,1,2.1+11,,.3,7850.\n"
 CUBE = (
     SQUARE
-    + "GRID,5,,0.,0.,1.\nGRID,6,,1.,0.,1.\nGRID,7,,1.,1.,1.\nGRID,8,,0.,1.,1.\nMAT1,1,2.1+11,,.3,7850.\nPSOLID,1,1\n"
+    + "GRID,5,,0.,0.,1.\nGRID,6,,1.,0.,1.\nGRID,7,,1.,1.,1.\nGRID,8,,0.,1.,1.\n"
+    + "MAT1,1,2.1+11,,.3,7850.\nPSOLID,1,1\n"
 )
 
 
@@ -48,7 +49,7 @@ def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
         ("GRID,9,,.2,.2,0.\nCQUAD4,2,1,1,2,9,4\n", "error", 9, "CQUAD4 2: has a corner of 180"),
         ("GRID,9,,.5,.001,0.\nCTRIA3,2,1,1,2,9\nGRID,8,,.5,-9.,0.\nCTRIA3,3,1,1,8,9\nGRID,7,,.501,-9.,0.\nCTRIA3,4,1,1,8,7\n",
          "warning", 13, "CTRIA3 4: has an aspect ratio over 20"),
-        ("GRID,9,,1.,1.,0.\nCELAS2,2,1.,9,1\n", "warning", 3, "GRID 3: at one place with another node that nothing joins it to: 3 and 9"),
+        ("GRID,9,,1.,1.,0.\nCELAS2,2,1.,9,1\n", "warning", 3, "GRID 3: at one place with another node"),
         ("PROD,7,1,1.\nGRID,9,,1.,1.,0.\nCROD,2,7,3,9\n", "error", 10, "CROD 2: has no length"),
         ("CELAS2,2,1.,1,1\nMAT1,2,1.,,.6\n", "error", 9, "MAT1 2: Poisson's ratio 0.6"),
     ],

@@ -36,9 +36,7 @@ def check_geometry(model: Model) -> list[Finding]:
     for card, count in _CORNERS.items():
         if card in model:
             x, rows = _points(model, xyz, card, tuple(f"G{i + 1}" for i in range(count)))
-            found += (
-                _surface(model, card, x, rows) if count < 5 and card != "CTETRA" else _solid(model, card, x, rows)
-            )
+            found += _surface(model, card, x, rows) if count < 5 and card != "CTETRA" else _solid(model, card, x, rows)
     return found
 
 

@@ -71,9 +71,7 @@ def from_rigid_body_mass(rigid: Float) -> MassProperties:
     if not mass > 0:
         raise NumericalError(f"the model has no mass: {mass:g}; is RHO, NSM or a CONM2 missing?")
     moment = rigid[:3, 3:]
-    cg = np.array([moment[1, 2] - moment[2, 1], moment[2, 0] - moment[0, 2], moment[0, 1] - moment[1, 0]]) / (
-        2 * mass
-    )
+    cg = np.array([moment[1, 2] - moment[2, 1], moment[2, 0] - moment[0, 2], moment[0, 1] - moment[1, 0]]) / (2 * mass)
     inertia = rigid[3:, 3:] - mass * (cg @ cg * np.eye(3) - np.outer(cg, cg))
     return MassProperties(mass, directional, cg, (inertia + inertia.T) / 2)
 

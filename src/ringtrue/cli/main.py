@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from typing import NoReturn
 
-import click
 import typer
+from typer.exceptions import TyperException
 from typer.main import get_command
 
 from ringtrue import __version__
@@ -45,12 +45,12 @@ def run(arguments: list[str] | None = None) -> int:
     try:
         status = get_command(app).main(args=arguments, standalone_mode=False, prog_name="ringtrue")
         return int(status or 0)
-    except click.exceptions.Exit as e:
+    except typer.Exit as e:
         return int(e.exit_code)
-    except click.ClickException as e:
+    except TyperException as e:
         e.show()
         return 2
-    except click.Abort:
+    except typer.Abort:
         err.print("stopped; what was stored is kept, the same command resumes", markup=False)
         return 1
     except (InputError, UnsupportedError) as e:

@@ -11,13 +11,14 @@ import typer
 from ringtrue.cli.show import out, progress, rows, write_json
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.pairing import PairingSettings, correlate_modes
-from ringtrue.errors import ConfigError
+from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes
+from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.modes_json import modes_to_json, read_modes
 from ringtrue.io.records import read_record
+from ringtrue.study.summary import correlation_json
 
 Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")]
 Fmin = Annotated[float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")]
@@ -43,7 +44,9 @@ def _check_band(fmin: float | None, fmax: float | None) -> None:
 
 def oma(
     record: Annotated[Path, typer.Argument(help=".h5, .npy (sample, channel), .csv, .mat or .uff")],
-    rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file has none.")] = None,
+    rate: Annotated[
+        float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file has none.")
+    ] = None,
     fmin: Fmin = None,
     fmax: Fmax = None,
     json: Json = None,
@@ -70,7 +73,8 @@ def ema(
     fmin: Fmin = None,
     fmax: Fmax = None,
     window_decay: Annotated[
-        float | None, typer.Option(metavar="1/S", help="Decay rate of the exponential window; taken out of the damping.")
+        float | None,
+        typer.Option(metavar="1/S", help="Decay rate of the exponential window; taken out of the damping."),
     ] = None,
     json: Json = None,
 ) -> int:
@@ -91,6 +95,15 @@ def ema(
     return 0 if len(found.modes) else 1
 
 
+def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, ModeSet]:
+    """Both sets on the channels that they share."""
+    here = set(two.channels)
+    common = [c for c in one.channels if c in here]
+    if not common:
+        raise DataError(f"{a} and {b} have no channel in common: {one.channels[:5]} against {two.channels[:5]}")
+    return one.rows(common), two.rows(common)
+
+
 def correlate(
     a: Annotated[Path, typer.Argument(help="Reference modes (test): .json, .h5 or .uff")],
     b: Annotated[Path, typer.Argument(help="Modes to judge: .json, .h5 or .uff")],
@@ -100,8 +113,10 @@ def correlate(
 
     Example: ringtrue correlate test.json fe.json --json -
     """
-    table = correlate_modes(read_modes(a), read_modes(b), PairingSettings())
-    value: dict[str, Any] = table.to_json()
+    one, two = _common(read_modes(a), read_modes(b), a, b)
+    names = ("A", "B")
+    table = correlation_table(one, two, pair_modes(one, two, PairingSettings(), names=names), names=names)
+    value: dict[str, Any] = correlation_json(table)
     if json:
         write_json(value, json)
     if json != "-":

@@ -63,11 +63,7 @@ class ModeSet:
             object.__setattr__(self, "labels", tuple(self.labels))
             if len(set(self.labels)) != len(self.labels):
                 raise InputError("a channel occurs twice in a mode set")
-        if (
-            self.shapes.shape != (len(self.labels), m)
-            or self.damping.shape != (m,)
-            or self.confidence.shape != (m,)
-        ):
+        if self.shapes.shape != (len(self.labels), m) or self.damping.shape != (m,) or self.confidence.shape != (m,):
             raise InputError(
                 f"{m} frequencies, damping {self.damping.shape}, shapes {self.shapes.shape}, "
                 f"{len(self.labels)} labels: shapes must be (labels, modes)"

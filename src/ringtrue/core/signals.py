@@ -71,9 +71,7 @@ class TimeHistory:
         here = {c.id: i for i, c in enumerate(self.channels)}
         lost = [i for i in ids if i not in here]
         if lost:
-            raise DataError(
-                f"{self.source}: no channel {' '.join(lost[:8])}; there are {' '.join(list(here)[:40])}"
-            )
+            raise DataError(f"{self.source}: no channel {' '.join(lost[:8])}; there are {' '.join(list(here)[:40])}")
         at = [here[i] for i in ids]
         return replace(self, data=self.data[at], channels=tuple(self.channels[i] for i in at))
 

@@ -79,9 +79,7 @@ def suspect_channels(a: ModeSet, b: ModeSet, pairing: Pairing, *, least_pairs: i
         turned[i] *= -1
         gain = float(paired_mac(turned, right).mean()) - start
         if gain > 0:
-            text = (
-                f"correlation {own[i]:.2f} over {len(pairing)} modes; turning it raises the mean MAC by {gain:.2g}"
-            )
+            text = f"correlation {own[i]:.2f} over {len(pairing)} modes; turning it raises the mean MAC by {gain:.2g}"
             out.append(Suspect(a.channels[i], "reversed", text))
     poor = np.flatnonzero((own < 0.5) & live & ~dead)
     both = np.minimum(np.abs(cross), np.abs(cross.T))

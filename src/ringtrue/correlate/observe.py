@@ -65,9 +65,7 @@ def observe(
     found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
     distance, nearest = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
     _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids)[nearest[:, 0]], unit)
-    weights = (
-        _rigid_weights(at, xyz[nearest], distance, test.directions()) if k > 1 else test.directions()[:, None, :]
-    )
+    weights = _rigid_weights(at, xyz[nearest], distance, test.directions()) if k > 1 else test.directions()[:, None, :]
     matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
     return Observation(matrix, test.channels, dofs, unit, distance[:, 0])
 

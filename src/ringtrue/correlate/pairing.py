@@ -86,9 +86,7 @@ def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> lis
         if visible is not None and visible[j] < settings.min_visible:
             out.append(f"moves where no sensor is: {100 * visible[j]:.2g} % of its motion is at sensors")
         elif b.norm is Norm.MASS and share[j] < settings.faint:
-            out.append(
-                f"not observable: |shape| at the sensors is only {100 * share[j]:.2g} % of the median mode's"
-            )
+            out.append(f"not observable: |shape| at the sensors is only {100 * share[j]:.2g} % of the median mode's")
         else:
             out.append("")
     return out
@@ -103,9 +101,7 @@ class _Reasons:
     names: tuple[str, str]
 
     def of_a(self, i: int) -> str:
-        return self._of(
-            self.score.merged[i], self.score.error[i], self.names[1], self.cols, self.rows, self.names[0]
-        )
+        return self._of(self.score.merged[i], self.score.error[i], self.names[1], self.cols, self.rows, self.names[0])
 
     def of_b(self, j: int, a: ModeSet, b: ModeSet) -> str:
         f = float(b.frequencies[j])
@@ -130,8 +126,7 @@ class _Reasons:
         owner = np.flatnonzero(taken == best)
         if owner.size:
             return (
-                f"{theirs} {best + 1} (MAC {100 * macs[best]:.0f} %) is already taken by "
-                f"{mine} {int(by[owner[0]]) + 1}"
+                f"{theirs} {best + 1} (MAC {100 * macs[best]:.0f} %) is already taken by {mine} {int(by[owner[0]]) + 1}"
             )
         return f"{theirs} {best + 1} (MAC {100 * macs[best]:.0f} %) was set aside for another reason"
 

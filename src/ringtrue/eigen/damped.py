@@ -44,9 +44,7 @@ class ComplexModes:
         return -self.poles.real / np.abs(self.poles)
 
 
-def project(
-    phi: Float, viscous: sparse.csr_array | None, structural: sparse.csr_array | None
-) -> tuple[Float, Float]:
+def project(phi: Float, viscous: sparse.csr_array | None, structural: sparse.csr_array | None) -> tuple[Float, Float]:
     """ΦᵀDΦ and ΦᵀHΦ, (n, n) each; zeros for None."""
     n = phi.shape[1]
     made = [np.zeros((n, n)) if a is None else np.asarray(phi.T @ (a @ phi)) for a in (viscous, structural)]

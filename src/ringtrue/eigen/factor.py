@@ -72,9 +72,7 @@ class _SuperLu:
         upper = pattern.matrix(values)
         full = sparse.csc_array(upper + sparse.triu(upper, 1).T)
         try:
-            self._lu = splu(
-                full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.1, options={"SymmetricMode": True}
-            )
+            self._lu = splu(full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.1, options={"SymmetricMode": True})
         except RuntimeError:  # "Factor is exactly singular"
             self.singular = True
 

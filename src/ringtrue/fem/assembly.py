@@ -147,9 +147,7 @@ def assemble(model: Model) -> System:
     )
 
 
-def _structural(
-    m: Mesh, T: sparse.csr_array, stiffness: sparse.csr_array, parts: list[Matrices]
-) -> sparse.csr_array:
+def _structural(m: Mesh, T: sparse.csr_array, stiffness: sparse.csr_array, parts: list[Matrices]) -> sparse.csr_array:
     own = []
     for p in parts:
         at = np.flatnonzero(p.loss)

@@ -68,9 +68,7 @@ def _rbe3(m: Mesh) -> Equations:
     ref = m.nodes(t["REFGRID"], t, np.arange(len(t)))
     g = m.nodes(G.values, t, of)
     arms = m.xyz[g] - m.xyz[ref[of]]
-    length = np.bincount(of, np.linalg.norm(arms, axis=1), len(t)) / np.maximum(
-        np.bincount(of, minlength=len(t)), 1
-    )
+    length = np.bincount(of, np.linalg.norm(arms, axis=1), len(t)) / np.maximum(np.bincount(of, minlength=len(t)), 1)
     length = np.where(length == 0, 1.0, length)
     S = rotation(m.cd[g], 1) @ arm(arms)
     scale = np.ones((len(t), 6))
@@ -117,9 +115,7 @@ def _mpc(m: Mesh) -> Equations:
     use = np.isin(of, rows)
     lead = A.values[G.offsets[:-1]]
     if (lead[rows] == 0).any():
-        raise error(
-            m.model, t, int(rows[lead[rows] == 0][0]), "the first coefficient is 0; it names the dependent DOF"
-        )
+        raise error(m.model, t, int(rows[lead[rows] == 0][0]), "the first coefficient is 0; it names the dependent DOF")
     number = np.full(len(t), -1)
     number[rows] = np.arange(rows.size)
     rest = use & ~first
@@ -246,10 +242,7 @@ def singular_dofs(K: sparse.csr_array, free: Int, nodes: int, tolerance: float =
     out = there & (size == 0)[:, None]
     for _ in range(3):  # a block has three directions
         live = there & ~out
-        A = (
-            np.where(live[:, :, None] & live[:, None, :], blocks, 0.0)
-            / np.where(size == 0, 1.0, size)[:, None, None]
-        )
+        A = np.where(live[:, :, None] & live[:, None, :], blocks, 0.0) / np.where(size == 0, 1.0, size)[:, None, None]
         A[~live[:, :, None] & np.eye(3, dtype=bool)] = 4.0
         values, vectors = np.linalg.eigh(A)
         weak = np.flatnonzero((values[:, 0] < tolerance) & live.any(axis=1))

@@ -105,9 +105,7 @@ def terms(model: Model, parameter: Parameter, system: System) -> tuple[PowerTerm
     m = mesh(model)
     rows = affected(model, _targets(parameter))
     with np.errstate(all="ignore"):  # a rational dependence may have its pole at one of the points; it is refused
-        samples: dict[complex, list[sparse.csr_array]] = {
-            a: _sample(m, rows, parameter, a) for a in (1, -1, 1j, CHECK)
-        }
+        samples: dict[complex, list[sparse.csr_array]] = {a: _sample(m, rows, parameter, a) for a in (1, -1, 1j, CHECK)}
     parts = []
     for which in range(2):
         at = {a: s[which] for a, s in samples.items()}
@@ -119,9 +117,7 @@ def terms(model: Model, parameter: Parameter, system: System) -> tuple[PowerTerm
     scale = [_size(s) for s in samples[1]]
     found = []
     for power in (1, 2, 3):
-        here = [
-            c[power] if _size(c[power]) > NOISE * s else c[power] * 0 for c, s in zip(parts, scale, strict=True)
-        ]
+        here = [c[power] if _size(c[power]) > NOISE * s else c[power] * 0 for c, s in zip(parts, scale, strict=True)]
         if any(_size(A) for A in here):
             K, M = (reduced(system.transform, A) for A in here)
             found.append(PowerTerm(power, K, M))
@@ -136,9 +132,7 @@ def _not_polynomial(parameter: Parameter) -> str:
     )
 
 
-def matrix_derivatives(
-    model: Model, parameter: Parameter, system: System
-) -> tuple[sparse.csr_array, sparse.csr_array]:
+def matrix_derivatives(model: Model, parameter: Parameter, system: System) -> tuple[sparse.csr_array, sparse.csr_array]:
     """∂K/∂a and ∂M/∂a at a = 1, (f, f) csr, by a complex step through the kernels (Squire and Trapp 1998).
 
     Raises

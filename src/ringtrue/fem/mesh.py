@@ -73,9 +73,7 @@ class Mesh:
         bad = ~scalar & ((component < 1) | (component > 6))
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
-            raise error(
-                self.model, table, int(at[i]), f"component {component[i]} of GRID {ids[i]}: allowed are 1 to 6"
-            )
+            raise error(self.model, table, int(at[i]), f"component {component[i]} of GRID {ids[i]}: allowed are 1 to 6")
         return out
 
 

@@ -29,9 +29,7 @@ def cluster_poles(pole: Complex, psi: Complex, order: Int, cut: float = CUT) -> 
     d = distances(pole, psi)
     np.fill_diagonal(d, 0.0)
     d = 0.5 * (d + d.T)
-    label = (
-        np.asarray(fcluster(linkage(squareform(d, checks=False), "average"), cut, "distance"), dtype=np.int64) - 1
-    )
+    label = np.asarray(fcluster(linkage(squareform(d, checks=False), "average"), cut, "distance"), dtype=np.int64) - 1
     together = label[:, None] == label
     away = (d * together).sum(1)
     rank = np.lexsort((away, order, label))

@@ -174,9 +174,7 @@ def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[t
             lower = max(lower, min(float(cut), edges[-1] - LEAST_LINES * step))
         edges.append(lower if lower - low > LEAST_LINES / 2 * step else low)
     edges = edges[::-1]
-    return tuple(
-        (_overlap(a, -0.15 * (b - a), freqs), _overlap(b, 0.15 * (b - a), freqs)) for a, b in pairwise(edges)
-    )
+    return tuple((_overlap(a, -0.15 * (b - a), freqs), _overlap(b, 0.15 * (b - a), freqs)) for a, b in pairwise(edges))
 
 
 def _overlap(edge: float, by: float, freqs: Float) -> float:
@@ -225,8 +223,9 @@ def _band(
     lowest, highest = order_range(n_in, count_peaks(curve[at]).size, int(at.sum()))
     most = settings.damping_max + frfs.window_decay / (2 * np.pi * band[0])
     estimator = Plscf(lowest, highest, most)
-    white = frfs.data[at] / sigma.response[:, None] / sigma.line[at][:, None, None] / sigma.input
+    white = frfs.data[at] / (np.median(sigma.line[at]) * sigma.response[:, None] * sigma.input)
     poles = plscf(principal(white), frfs.freqs[at], estimator)
+    poles = replace(poles, shape=poles.shape * sigma.input[:, None])
     clusters = cluster_poles(poles, _step(frfs))
     db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
     return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
@@ -287,7 +286,7 @@ def _fit(
 ) -> tuple[_Fit, list[str]]:
     """Refine and prune; then look for modes in what is left over, until none comes to stay."""
     pairs, decay = driving_pairs(frfs), frfs.window_decay
-    best, rejected = _settle(lines, start, pairs, settings)
+    best, rejected = _settle(lines, start, pairs, settings, sets, decay)
     for turn in range(settings.searches):
         tell(0.7 + 0.25 * turn / settings.searches, f"{best.refined.poles.size} modes, looking for missed ones")
         more = missed(lines, best.refined, sets, decay, MOST_NEW)
@@ -298,23 +297,34 @@ def _fit(
         if new.refined.poles.size < best.refined.poles.size or new.refined.cost > 0.99 * best.refined.cost:
             break
         best = new
-    return _strict(lines, best, pairs, settings, rejected)
+    best, why = _strict(lines, best, pairs, settings, sets, decay)
+    return best, rejected + why
 
 
 def _strict(
-    lines: Lines, fit: _Fit, pairs: Sequence[tuple[int, int, float]], settings: HammerModes, rejected: list[str]
+    lines: Lines,
+    fit: _Fit,
+    pairs: Sequence[tuple[int, int, float]],
+    settings: HammerModes,
+    sets: Sequence[PoleSet],
+    decay: float,
 ) -> tuple[_Fit, list[str]]:
     """The final verdict, now that no mode is missing; what is dropped is fitted no more."""
-    refined = fit.refined
-    verdict = judge(lines, refined, fit.candidates, pairs, damping_max=settings.damping_max)
-    keep = verdict.confidence >= settings.confidence_min
-    if keep.all():
-        return _Fit(refined, fit.candidates, verdict), rejected
-    rejected += [verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
-    candidates = fit.candidates.take(keep)
-    refined = refine(lines, refined.poles[keep], refined.participation[keep])
-    verdict = judge(lines, refined, candidates, pairs, damping_max=settings.damping_max)
-    return _Fit(refined, candidates, verdict), rejected
+    rejected: list[str] = []
+    while True:  # each turn drops a mode or is the last
+        refined = fit.refined
+        held = support(refined.poles, refined.participation, sets, decay)
+        candidates = replace(fit.candidates, pole=refined.poles, support=held)
+        verdict = judge(lines, refined, candidates, pairs, damping_max=settings.damping_max)
+        keep = verdict.confidence >= settings.confidence_min
+        if keep.all():
+            return _Fit(refined, candidates, verdict), rejected
+        rejected += [verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
+        fit = replace(
+            fit,
+            refined=refine(lines, refined.poles[keep], refined.participation[keep]),
+            candidates=candidates.take(keep),
+        )
 
 
 def _joined(fit: _Fit, more: Candidates) -> Candidates:
@@ -332,16 +342,15 @@ def _settle(
     candidates: Candidates,
     pairs: Sequence[tuple[int, int, float]],
     settings: HammerModes,
-    sets: Sequence[PoleSet] = (),
-    decay: float = 0.0,
+    sets: Sequence[PoleSet],
+    decay: float,
 ) -> tuple[_Fit, list[str]]:
     """Refinement and pruning in turns, until no mode falls out."""
     rejected: list[str] = []
     fit = refine(lines, candidates.pole, candidates.participation)
     for _ in range(TURNS):
-        if sets:
-            seen = support(fit.poles, fit.participation, sets, decay)
-            candidates = replace(candidates, pole=fit.poles, support=np.maximum(candidates.support, seen))
+        held = support(fit.poles, fit.participation, sets, decay)
+        candidates = replace(candidates, pole=fit.poles, support=np.maximum(held, candidates.support))
         verdict = judge(lines, fit, candidates, pairs, damping_max=settings.damping_max, strict=False)
         keep = verdict.confidence >= settings.confidence_min
         if keep.all():

@@ -14,6 +14,7 @@ from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
 
 SIGNIFICANT = 12.0  # gain over that of noise
+VISIBLE = 0.3  # share of the response at its own frequency that makes a mode plain to see
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +79,7 @@ def judge(
     """Weigh each candidate.
 
     The confidence is the product of factors: stability over the orders, gain in the fit against the error left
-    nearby, damping in range and known, place (in the lines, not moved away by the refinement), not the double of a
+    nearby, damping in range and known, place in the lines, not the double of a
     stronger mode, a real shape (MPC), and the sign of the driving-point residues.
 
     Parameters
@@ -97,13 +98,15 @@ def judge(
     total = gain.sum(axis=0)
     driven = _driven(fit, shapes, pairs)
     real, gains = _real(shapes, lines.response, strict), _gains(lines, fit, shapes, total)
-    clear = _clear(fit, shapes, lines) & (gains.factor > 0.99) & (driven.factor > 0.99)
+    share = shares(lines, fit, shapes)
+    clear = _clear(fit, shapes, lines) & (share > VISIBLE) & (gains.factor > 0.99) & (driven.factor > 0.99)
     aspects = [
         _stable(candidates, clear),
         gains,
+        _seen(share if strict else np.ones_like(share)),
         _damped(fit, damping_max),
-        _placed(lines, fit, candidates),
-        _double(lines, fit, candidates, shapes, total),
+        _placed(lines, fit),
+        _double(lines, fit, candidates, shapes, total, strict),
         real,
         driven,
     ]
@@ -165,16 +168,30 @@ def _damped(fit: Refined, damping_max: float) -> _Aspect:
     )
 
 
-def _placed(lines: Lines, fit: Refined, c: Candidates) -> _Aspect:
+def _placed(lines: Lines, fit: Refined) -> _Aspect:
     f = np.abs(fit.poles) / (2 * np.pi)
     low, high = lines.s.imag[[0, -1]] / (2 * np.pi)
-    width = np.abs(c.pole.real) + np.pi * (lines.s.imag[1] - lines.s.imag[0]) / (2 * np.pi) + 1e-12
-    moved = np.abs(fit.poles - c.pole) / width
-    factor = np.where((f > low) & (f < high), np.clip(2.0 - moved / 6, 0, 1), 0.0)
-    return _texts(factor, [""] * f.size, [f"moved {m:.1f} half bandwidths in the refinement" for m in moved])
+    factor = np.where((f > low) & (f < high), 1.0, 0.0)
+    return _texts(factor, [""] * f.size, ["outside the lines"] * f.size)
 
 
-def _double(lines: Lines, fit: Refined, c: Candidates, shapes: Complex, total: Float) -> _Aspect:
+def shares(lines: Lines, fit: Refined, shapes: Complex) -> Float:
+    """(m,) amplitude of each mode at its own frequency against the data there, rms over responses and inputs."""
+    at = np.abs(lines.s.imag[:, None] - fit.poles.imag).argmin(axis=0)
+    gain = np.abs(lines.weight[at] * lines.kind[at] / (lines.s[at] - fit.poles))
+    psi = np.sqrt(((np.abs(shapes) * lines.response[:, None]) ** 2).mean(axis=0))
+    part = np.sqrt((np.abs(fit.participation * lines.input) ** 2).mean(axis=1))
+    data = np.sqrt((np.abs(lines.y[:, at] * lines.response) ** 2).mean(axis=(0, 2)))
+    return np.asarray(gain * psi * part / np.maximum(data, 1e-300))
+
+
+def _seen(share: Float) -> _Aspect:
+    factor = np.clip((share - 0.02) / 0.1, 0, 1)
+    text = [f"{100 * x:.0f} % of the response at its frequency" for x in share]
+    return _texts(factor, [""] * share.size, [f"only {t}" for t in text])
+
+
+def _double(lines: Lines, fit: Refined, c: Candidates, shapes: Complex, total: Float, strict: bool) -> _Aspect:
     """A weaker mode near a stronger one of the same shape and participation is its double.
 
     One that the orders do not show needs the same shape only: setups that disagree about a mode split it that way.
@@ -184,7 +201,7 @@ def _double(lines: Lines, fit: Refined, c: Candidates, shapes: Complex, total: F
     close = np.abs(p[:, None] - p) / width
     alike = mac(shapes, shapes) * mac(fit.participation.T, fit.participation.T)
     same = mac(shapes, shapes) if shapes.shape[0] > 4 else alike
-    alike = np.where((c.support < 0.4)[:, None], same, np.where((close < 1.0) & (same > 0.9), same, alike))
+    alike = np.where((c.support < 0.4)[:, None] & strict, same, np.where((close < 1.0) & (same > 0.9), same, alike))
     stronger = total[None] > total[:, None]
     share = total[:, None] / np.maximum(total[None], 1e-300)
     bad = stronger & (((close < 1.0) & (alike > 0.8)) | ((close < 3.0) & (alike > 0.9) & (share < 0.1)))

@@ -247,8 +247,9 @@ def normalise(model: ModalModel) -> ModalModel:
     o, i = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
     sign = np.array([p[2] for p in pairs])[:, None]
     psi, part = model.shapes[o] * sign, model.participation.T[i]
-    alpha = np.sqrt((psi.conj() * part).sum(axis=0) / np.maximum((np.abs(psi) ** 2).sum(axis=0), 1e-300))
-    alpha = np.where(np.abs(alpha) > 0, alpha, 1.0)
+    overlap = (part.conj() * psi).sum(axis=0)  # regressed on l, which all responses fix: ψ has more noise
+    square = (np.abs(part) ** 2).sum(axis=0) / np.where(overlap != 0, overlap, 1.0)
+    alpha = np.sqrt(np.where(square != 0, square, 1.0))
     return ModalModel(
         model.poles,
         model.shapes * alpha,

@@ -139,9 +139,7 @@ def _glue(group: _Group, psi: Complex, var: Float, member: tuple[int, int], freq
     return _Group((*group.members, member), (k * group.frequency + freq) / (k + 1), shape, inverse)
 
 
-def _assign(
-    groups: list[_Group], record: Record, index: int, full: tuple[Complex, Float], s: MergeSettings
-) -> None:
+def _assign(groups: list[_Group], record: Record, index: int, full: tuple[Complex, Float], s: MergeSettings) -> None:
     """Join each mode of a record to the group it fits best, each group once; the others begin a group."""
     psi, var = full
     freqs = record.modes.frequencies

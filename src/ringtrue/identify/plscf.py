@@ -115,9 +115,7 @@ def _order(factor: Float, n: int, m: int, freqs: Float) -> tuple[Complex, Comple
         factor[: n * m, : n * m], factor[n * m : (n + 1) * m, : n * m].T, lower=True, trans="T", check_finite=False
     )
     companion = np.eye(n * m, k=-m)
-    companion[:m] = (
-        -a.reshape(n, m, m)[::-1].transpose(2, 0, 1).reshape(m, n * m)
-    )  # A transposed: left null vectors
+    companion[:m] = -a.reshape(n, m, m)[::-1].transpose(2, 0, 1).reshape(m, n * m)  # A transposed: left null vectors
     mu, vectors = np.linalg.eig(companion)
     keep = (mu.imag < 0) & (np.abs(mu) > 1e-6)  # z = 1/mu in the upper half plane
     step = 2 * (freqs[-1] - freqs[0])
@@ -200,9 +198,7 @@ def _summary(poles: PoleSet, g: Int) -> tuple[complex, Complex, float, float]:
     """Medians over the upper half of the orders that hold the pole."""
     late = g[poles.order[g] >= np.median(poles.order[g])]
     pole = complex(np.median(poles.pole[late].real), np.median(poles.pole[late].imag))
-    u = np.linalg.svd(poles.shape[:, late] / np.linalg.norm(poles.shape[:, late], axis=0), full_matrices=False)[0][
-        :, 0
-    ]
+    u = np.linalg.svd(poles.shape[:, late] / np.linalg.norm(poles.shape[:, late], axis=0), full_matrices=False)[0][:, 0]
     here = np.unique(poles.order[g])
     support = here.size / np.count_nonzero(poles.orders >= here[0])
     scatter = float(np.median(np.abs(poles.pole[late] - pole)) / max(-pole.real, 1e-12))

@@ -16,6 +16,7 @@ from ringtrue.core.outcome import Outcome
 from ringtrue.identify.lsfd import Lines, augment, functions, mirrored, mirrored_rows
 
 ITERATIONS = 20
+REACH = 2.0  # half bandwidths
 TOLERANCE = 1e-6  # relative fall of the objective
 
 
@@ -67,6 +68,9 @@ class _State:
 def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: int = ITERATIONS) -> Refined:
     """Refine all modes at once.
 
+    No pole goes further than a few half bandwidths from its start: measured FRFs that disagree among themselves
+    would else turn modes into broad terms that patch up the fit.
+
     Parameters
     ----------
     lines : Lines
@@ -78,12 +82,13 @@ def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: 
     -------
     Refined
     """
+    reach = REACH * np.abs(poles.real) + (lines.s.imag[1] - lines.s.imag[0])
     part = participation * lines.input
     part = part / np.linalg.norm(part, axis=1, keepdims=True)
     state = _evaluate(lines, poles, part)
     damping, outcome = 1e-3, Outcome.MAX_ITERATIONS
     for _ in range(iterations if poles.size else 0):
-        new = _try(lines, state, damping)
+        new = _try(lines, state, damping, poles, reach)
         if new is None:
             damping *= 10
             if damping > 1e6:
@@ -98,7 +103,8 @@ def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: 
     return _result(lines, state, outcome)
 
 
-def _try(lines: Lines, state: _State, damping: float) -> _State | None:
+def _try(lines: Lines, state: _State, damping: float, start: Complex, reach: Float) -> _State | None:
+    """One Levenberg-Marquardt step with every pole held within reach of its start; None if nothing is gained."""
     free = _free(state.part)
     h = state.hessian[np.ix_(free, free)]
     scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
@@ -107,7 +113,8 @@ def _try(lines: Lines, state: _State, damping: float) -> _State | None:
     step[free] = scale * np.linalg.solve(h + damping * np.eye(free.size), scale * state.gradient[free])
     m, n_in = state.part.shape
     d = step.reshape(1 + n_in, 2, m)[:, 0]
-    poles = state.poles + d[0]
+    away = state.poles + d[0] - start
+    poles = start + away * np.minimum(1.0, reach / np.maximum(np.abs(away), 1e-300))
     if not np.isfinite(d).all() or (poles.imag <= 0).any() or (poles.real >= 0).any():
         return None
     part = state.part + d[1:].T
@@ -137,9 +144,7 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
     xg = np.concatenate([cd * ll, *(l.conj() * cc)], axis=1)
     gy = np.concatenate([(l.conj() * dy).sum(axis=0), *cy])
     scale = 1 / np.sqrt(np.maximum(np.diag(xx).real, 1e-300))
-    inverse = (
-        scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale
-    )  # small; its diagonal is needed too
+    inverse = scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale  # small; its diagonal is needed too
     psi = inverse @ xy
     gg = _gram(cc, cd, dd * ll, l)
     core = gg - xg.conj().T @ inverse @ xg
@@ -204,6 +209,4 @@ def _slopes(poles: Complex) -> Float:
     """(2 m, 2 m) derivatives of (frequency, damping) by (Re λ, Im λ)."""
     a, b, r = poles.real, poles.imag, np.abs(poles)
     d = np.diag
-    return np.block([[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]) / (
-        2 * np.pi
-    )
+    return np.block([[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]) / (2 * np.pi)

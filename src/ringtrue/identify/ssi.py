@@ -234,14 +234,10 @@ def ssi_cov(
     spread = np.ptp(data, axis=1)
     if not np.isfinite(spread).all() or not (spread > 0).all():
         lost = [c.id for c, s in zip(history.channels, spread, strict=True) if not s > 0]
-        raise DataError(
-            f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out"
-        )
+        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
     ids = [c.id for c in history.channels]
     if references is not None and (lost := [x for x in references if x not in ids]):
-        raise DataError(
-            f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}"
-        )
+        raise DataError(f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}")
     refs = None if references is None else np.array([ids.index(x) for x in references], dtype=np.int64)
     r, weights, scale = blockwise(data, settings, refs)
     p = identify_band(r, weights, settings, history.rate, (0.0, history.rate / 2)).poles

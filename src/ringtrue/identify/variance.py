@@ -81,9 +81,7 @@ def pole_deviations(p: Perturbations, r: Float, mu: Complex, right: Complex, lef
     """
     n = r.shape[0]
     row = solve_triangular(r.T, left.T, lower=True).T
-    return np.asarray(
-        _bilinear(row, p.down[:, :n, :n], right) - mu[:, None] * _bilinear(row, p.up[:, :n, :n], right)
-    )
+    return np.asarray(_bilinear(row, p.down[:, :n, :n], right) - mu[:, None] * _bilinear(row, p.up[:, :n, :n], right))
 
 
 def strengths(p: Perturbations, s: Float, left: Complex) -> Float:

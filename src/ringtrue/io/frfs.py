@@ -70,9 +70,7 @@ def _check(frfs: FrfSet, path: Path) -> None:
         raise DataError(f"{path}: {len(frfs.outputs)} responses and {frfs.freqs.size} lines; there must be some")
     step = np.diff(frfs.freqs)
     if not np.isfinite(step).all() or step.min() <= 0 or np.ptp(step) > 1e-3 * step.mean():
-        raise DataError(
-            f"{path}: the frequency lines must rise in equal steps ({step.min():g} to {step.max():g} Hz)"
-        )
+        raise DataError(f"{path}: the frequency lines must rise in equal steps ({step.min():g} to {step.max():g} Hz)")
 
 
 def _read_h5(path: Path) -> FrfSet:

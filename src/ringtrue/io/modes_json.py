@@ -68,9 +68,7 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
     """
     try:
         rows, channels = table["modes"], tuple(str(c) for c in table["channels"])
-        shapes = np.array(
-            [[_complex(r) for r in zip(*_parts(row), strict=True)] for row in rows], dtype=np.complex128
-        )
+        shapes = np.array([[_complex(r) for r in zip(*_parts(row), strict=True)] for row in rows], dtype=np.complex128)
         frequency = np.array([_float(r["frequency_hz"]) for r in rows])
         damping = np.array([_float(r.get("damping")) for r in rows])
         confidence = np.array([_float(r.get("confidence"), 1.0) for r in rows])

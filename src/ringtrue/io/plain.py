@@ -63,9 +63,7 @@ def read_npy(path: Path) -> RawTable:
         raise DataError(f"{path}: not a readable .npy file ({exc})") from exc
     if a.ndim not in (1, 2) or a.dtype.kind not in "fiu":
         raise DataError(f"{path}: array {a.shape} {a.dtype}; it must be (sample, channel) and real")
-    return _numbered(
-        np.ascontiguousarray(np.atleast_2d(a.T)) * (1.0 if a.dtype.kind != "f" else a.dtype.type(1)), None
-    )
+    return _numbered(np.ascontiguousarray(np.atleast_2d(a.T)) * (1.0 if a.dtype.kind != "f" else a.dtype.type(1)), None)
 
 
 def read_h5_table(file: h5py.File, path: Path) -> RawTable:

@@ -146,9 +146,7 @@ def write_record(
 
 def _put_column(group: h5py.Group, name: str, values: Sequence[object], kind: type) -> None:
     dtype = h5py.string_dtype() if kind is str else kind
-    group.create_dataset(
-        f"channels/{name}", data=np.array(values, dtype=object if kind is str else kind), dtype=dtype
-    )
+    group.create_dataset(f"channels/{name}", data=np.array(values, dtype=object if kind is str else kind), dtype=dtype)
 
 
 def record_info(path: str | Path) -> RecordInfo:
@@ -208,9 +206,7 @@ def record_blocks(path: str | Path, samples: int) -> Iterator[TimeHistory]:
             yield _slice(group, info, np.arange(len(info.channels)), slice(at, at + samples))
 
 
-def _read(
-    path: Path, rate: float | None, channels: Sequence[str] | None, start: int, stop: int | None
-) -> TimeHistory:
+def _read(path: Path, rate: float | None, channels: Sequence[str] | None, start: int, stop: int | None) -> TimeHistory:
     ext = path.suffix.lower()
     if ext in _HDF5:
         with _open(path) as file:
@@ -237,11 +233,7 @@ def _open(path: str | Path) -> h5py.File:
 
 def _find_record(file: h5py.File) -> h5py.Group | None:
     for group in (file.get("record"), file):
-        if (
-            isinstance(group, h5py.Group)
-            and "data" in group
-            and ("channels" in group or "id" in group["data"].attrs)
-        ):
+        if isinstance(group, h5py.Group) and "data" in group and ("channels" in group or "id" in group["data"].attrs):
             return group
     return None
 
@@ -329,9 +321,7 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
             raise DataError(f"{path}: rate {table.rate} Hz must be positive")
         _agree(rate, table.rate, path, "its time column or header")
     rows = [to_si(u if u else "", q) for u, q in zip(table.units, table.quantities, strict=True)]
-    channels = tuple(
-        Channel(name, quantity, unit) for name, (quantity, _, unit) in zip(table.names, rows, strict=True)
-    )
+    channels = tuple(Channel(name, quantity, unit) for name, (quantity, _, unit) in zip(table.names, rows, strict=True))
     factor: Float = np.array([f for _, f, _ in rows])
     data = table.data if (factor == 1).all() else table.data * factor[:, None]
     return TimeHistory(data, float(table.rate or rate or 0.0), channels, str(path))

@@ -132,9 +132,7 @@ def _rows(path: Path, sheet: str | None = None, columns: Sequence[str] = COLUMNS
         if name and name not in columns:
             raise DataError(f"{path}: unknown column {name!r}{did_you_mean(name, columns)}")
     if lost := [c for c in columns if c in REQUIRED and c not in head]:
-        raise DataError(
-            f"{path}: the columns {', '.join(lost)} are missing; there are {', '.join(filter(None, head))}"
-        )
+        raise DataError(f"{path}: the columns {', '.join(lost)} are missing; there are {', '.join(filter(None, head))}")
     return [dict(zip(head, r + [""] * (len(head) - len(r)), strict=False)) for r in table[1:]]
 
 

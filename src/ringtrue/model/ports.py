@@ -104,7 +104,8 @@ class ObservedModel(Protocol):
     what they return.
     """
 
-    parameters: ParameterSet
+    @property
+    def parameters(self) -> ParameterSet: ...
 
     def linearise(self, x: Float) -> Linearisation:
         """Modes and sensitivities at x (p,)."""

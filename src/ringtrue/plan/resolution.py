@@ -42,9 +42,7 @@ def ambient_std(frequencies: Float, damping: Float | float, duration: float) -> 
     return np.sqrt(z / n), np.sqrt(1 / (z * n))
 
 
-def resolution(
-    frequencies: Float, damping: float, *, precision: float = 0.1, shortest: float = 600.0
-) -> Resolution:
+def resolution(frequencies: Float, damping: float, *, precision: float = 0.1, shortest: float = 600.0) -> Resolution:
     """Resolution for modes at `frequencies` (m,) Hz with about the damping ratio `damping`.
 
     Parameters

@@ -17,9 +17,7 @@ def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float)
     fig = figure(
         120 + 17 * len(y) + 90,
         xaxis=axis(tickangle=-45, side="bottom", showgrid=False, showline=False, ticks=""),
-        yaxis=axis(
-            "FE mode", autorange="reversed", showgrid=False, showline=False, ticks="", tickfont={"size": 11}
-        ),
+        yaxis=axis("FE mode", autorange="reversed", showgrid=False, showline=False, ticks="", tickfont={"size": 11}),
     )
     bar = {"title": {"text": name, "side": "right", "font": {"size": 11}}, "thickness": 12, "outlinewidth": 0}
     fig.add_heatmap(

@@ -78,9 +78,7 @@ def estimate_frf(
     settings = _with_room(cuts, settings)
     length = min(c.length for c in cuts)
     if len({c.record.rate for c in cuts}) > 1:
-        raise DataError(
-            f"records of different rates: {sorted({c.record.rate for c in cuts})} Hz; resample them first"
-        )
+        raise DataError(f"records of different rates: {sorted({c.record.rate for c in cuts})} Hz; resample them first")
     if length < 16:
         raise DataError(f"{records[0].source}: {length} samples between the hits; give HammerSettings.block")
     reports = [check_hits(c.record, c.force, c.hits, length, settings, full_scale) for c in cuts]
@@ -264,8 +262,7 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
     if (weight == 0).any():
         o, i = np.argwhere(weight == 0)[0]
         raise DataError(
-            f"no FRF from {list(inputs)[i]} to {list(outputs)[o]}: "
-            f"{int((weight == 0).sum())} pairs were not measured"
+            f"no FRF from {list(inputs)[i]} to {list(outputs)[o]}: {int((weight == 0).sum())} pairs were not measured"
         )
     return replace(
         first,

@@ -209,9 +209,7 @@ def check_hits(
             why += _ringing(np.delete(block, at, axis=0), pre)
         name = input_id(record.channels[at].id)
         width = _width(force, hit) / record.rate
-        reports.append(
-            HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, tuple(why))
-        )
+        reports.append(HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, tuple(why)))
     return tuple(reports)
 
 

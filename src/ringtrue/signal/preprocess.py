@@ -115,9 +115,7 @@ def _runs(flag: Bool) -> int:
 def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
     """The channels that are dead, constant, not finite (left out), clipped or very weak (kept, but said)."""
     finite: Bool = np.asarray(np.isfinite(history.data).all(1))
-    std = np.array(
-        [np.std(x, dtype=np.float64) if ok else np.nan for x, ok in zip(history.data, finite, strict=True)]
-    )
+    std = np.array([np.std(x, dtype=np.float64) if ok else np.nan for x, ok in zip(history.data, finite, strict=True)])
     typical = float(np.median(std[finite & (std > 0)])) if (finite & (std > 0)).any() else np.nan
     out = []
     for channel, x, ok, s in zip(history.channels, history.data, finite, std, strict=True):

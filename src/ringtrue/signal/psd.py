@@ -137,9 +137,7 @@ def block_correlations(data: Float, references: Int, lags: int, bounds: Int) -> 
         left = np.ascontiguousarray(y.transpose(2, 0, 1))
         right = np.ascontiguousarray(x.conj().transpose(2, 1, 0))
         out[b] = irfft(left @ right, nfft, axis=0)[: lags + 1]
-    count = np.minimum(sizes[:, None], np.maximum(n - np.arange(lags + 1) - bounds[:-1, None], 0)).astype(
-        np.float64
-    )
+    count = np.minimum(sizes[:, None], np.maximum(n - np.arange(lags + 1) - bounds[:-1, None], 0)).astype(np.float64)
     return out / np.maximum(count, 1.0)[:, :, None, None], count
 
 

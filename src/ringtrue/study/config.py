@@ -29,7 +29,7 @@ class ModelSection(_Section):
 
     deck: str
     units: Literal["SI", "mm-t-s"] = "SI"
-    fmax: float = Field(100.0, gt=0)  # Hz, modes are computed up to here
+    fmax: float = Field(default=100.0, gt=0)  # Hz, modes are computed up to here
     regions: dict[str, list[int]] = {}  # name -> property numbers, for drawing and naming
 
 
@@ -37,14 +37,14 @@ class PlanSection(_Section):
     """What to plan."""
 
     fmin: float = 0.0
-    fmax: float = Field(80.0, gt=0)
-    sensors: int = Field(45, gt=0)  # measuring points for the hammer test
-    ambient_sensors: int = Field(12, gt=0)  # measuring points for the ambient tests
-    references: int = Field(4, gt=0)
+    fmax: float = Field(default=80.0, gt=0)
+    sensors: int = Field(default=45, gt=0)  # measuring points for the hammer test
+    ambient_sensors: int = Field(default=12, gt=0)  # measuring points for the ambient tests
+    references: int = Field(default=4, gt=0)
     candidates: dict[str, list[int]] = {}  # region -> candidate nodes; empty: the skin of the model
-    min_distance: float = Field(0.8, ge=0)  # m
-    damping: float = Field(0.01, gt=0)  # expected, for the resolution
-    max_auto_mac: float = Field(0.25, gt=0, lt=1)
+    min_distance: float = Field(default=0.8, ge=0)  # m
+    damping: float = Field(default=0.01, gt=0)  # expected, for the resolution
+    max_auto_mac: float = Field(default=0.25, gt=0, lt=1)
 
 
 class TestSection(_Section):
@@ -52,6 +52,7 @@ class TestSection(_Section):
 
     sheet: str
     log: str
+    lines: str | None = None  # pairs of points to draw
 
 
 class IdentifySection(_Section):
@@ -61,16 +62,16 @@ class IdentifySection(_Section):
     ambient_fmax: float | None = None
     hammer_fmin: float | None = None
     hammer_fmax: float | None = None
-    confidence: float = Field(0.5, ge=0, le=1)  # modes below are not used, but listed
+    confidence: float = Field(default=0.5, ge=0, le=1)  # modes below are not used, but listed
 
 
 class CorrelateSection(_Section):
     """Pairing and acceptance."""
 
-    mac_gate: float = Field(0.6, gt=0, lt=1)
-    frequency_gate: float = Field(0.4, gt=0)
+    mac_gate: float = Field(default=0.6, gt=0, lt=1)
+    frequency_gate: float = Field(default=0.4, gt=0)
     rigid_below: float | None = None  # Hz: rigid-body modes lie below; None: the largest gap decides
-    tolerance: float = Field(0.3, gt=0)  # m, sensor to node
+    tolerance: float = Field(default=0.3, gt=0)  # m, sensor to node
     accept_percent: float = 5.0
     accept_hz: float | None = None
     accept_mac: float = 80.0
@@ -91,7 +92,7 @@ class Candidate(_Section):
     targets: list[str]
     lower: float = 0.2
     upper: float = 5.0
-    std: float = Field(0.7, gt=0)
+    std: float = Field(default=0.7, gt=0)
     scale: Literal["log", "linear"] = "log"
 
     @field_validator("targets")
@@ -118,11 +119,11 @@ def parse_target(text: str) -> tuple[Target, ...]:
 class UpdateSection(_Section):
     """Updating."""
 
-    choose: int = Field(6, gt=0)
-    left_out: int = Field(5, ge=0)
+    choose: int = Field(default=6, gt=0)
+    left_out: int = Field(default=5, ge=0)
     step: Literal["gauss-newton", "published"] = "gauss-newton"
-    shape_weight: float = Field(0.3, ge=0)
-    iterations: int = Field(30, gt=0)
+    shape_weight: float = Field(default=0.3, ge=0)
+    iterations: int = Field(default=30, gt=0)
 
 
 class ReportSection(_Section):
@@ -197,10 +198,24 @@ def read_config(path: Path) -> StudyConfig:
         On a file that is not there, is not TOML, or has a key or value that is not allowed.
     """
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        return parse_config(path.read_text(encoding="utf-8"), path)
     except FileNotFoundError as e:
         raise ConfigError(f"{path}: no such file") from e
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+    except UnicodeDecodeError as e:
+        raise ConfigError(f"{path}: not UTF-8: {e}") from e
+
+
+def parse_config(text: str, path: Path) -> StudyConfig:
+    """A configuration from text; `path` names it in errors.
+
+    Raises
+    ------
+    ConfigError
+        If it is not TOML, or has a key or value that is not allowed.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as e:
         raise ConfigError(f"{path}: not TOML: {e}") from e
     try:
         return StudyConfig.model_validate(raw)

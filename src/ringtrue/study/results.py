@@ -140,10 +140,14 @@ class CompareStage:
 class CorrelateStage:
     """The model as delivered against the test, and after the stated remodelling."""
 
-    reference: ModeSet  # the test modes that the model is judged by (rigid from ambient, elastic from hammer)
+    reference: ModeSet  # the elastic test modes that the model is judged by, real shapes
     reference_uncertainty: Uncertainty
+    rigid: ModeSet  # the rigid-body test modes
+    rigid_uncertainty: Uncertainty
+    left_out: Int  # positions in `reference` that the updating must not see
     initial: CorrelationTable
     remodelled: CorrelationTable
+    rigid_initial: CorrelationTable
     remodelling: str  # in words
     diff: str  # unified diff of the deck
     fe_initial: ModeSet  # observed at the channels

@@ -5,15 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import platform
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from ringtrue import __version__
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.study.config import StudyConfig, read_config
+from ringtrue.study.config import StudyConfig, parse_config, read_config
+from ringtrue.study.results import Provenance
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.store import Store
 from ringtrue.study.workbench import Workbench
@@ -31,10 +35,15 @@ class StudyRun:
     """A finished run: results by stage, seconds by stage, and which stages were loaded rather than run."""
 
     folder: Path
-    config: StudyConfig
+    desk: Workbench
     results: Mapping[str, Any]
     timings: Mapping[str, float] = field(default_factory=dict)
     loaded: tuple[str, ...] = ()
+
+    @property
+    def config(self) -> StudyConfig:
+        """The settings."""
+        return self.desk.config
 
 
 def _digest(path: Path) -> str:
@@ -113,7 +122,47 @@ def run_study(
         timings[stage.name] = time.perf_counter() - began
         log.info("%s: %.1f s", stage.name, timings[stage.name])
     progress(1.0, "done")
-    return StudyRun(folder, config, {s.name: desk.get(s.name) for s in todo}, timings, tuple(loaded))
+    results = {s.name: desk.get(s.name) for s in todo}
+    made = provenance(desk, [f for s in todo for f in s.files(desk)], study, timings)
+    desk.store.save("provenance", "", made)
+    return StudyRun(folder, desk, results | {"provenance": made}, made.timings, tuple(loaded))
+
+
+def provenance(desk: Workbench, files: Iterable[Path], study: Path, timings: Mapping[str, float]) -> Provenance:
+    """Where the results came from; seconds of stages that were loaded are those of their own run."""
+    before = desk.get("provenance").timings if "provenance" in desk.store.stages() else {}
+    unique = dict.fromkeys([study, *files])
+    return Provenance(
+        __version__,
+        platform.python_version(),
+        {name: version(name) for name in ("numpy", "scipy", "h5py", "plotly", "pydantic")},
+        platform.platform(),
+        desk.config.study.seed,
+        datetime.now(UTC).isoformat(timespec="seconds"),
+        {p.name: _digest(p) for p in unique},
+        study.read_text(encoding="utf-8"),
+        {**before, **timings},
+    )
+
+
+def load_study(store: Path) -> StudyRun:
+    """A stored study, for its report.
+
+    Raises
+    ------
+    DataError
+        If there is no store.
+    ConfigError
+        If the study.toml that was stored with it is not valid any more.
+    """
+    held = Store(store)
+    made = held.load("provenance")
+    assert isinstance(made, Provenance)
+    names = [s.name for s in STAGES]
+    results = {n: held.load(n) for n in held.stages() if n in names}
+    config = parse_config(made.settings, store)
+    desk = Workbench(config, store.parent, store.parent, held)
+    return StudyRun(store.parent, desk, results | {"provenance": made}, made.timings, tuple(results))
 
 
 def _within(progress: Progress, i: int, n: int) -> Progress:

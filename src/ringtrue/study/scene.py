@@ -47,9 +47,7 @@ def _faces(model: Model) -> tuple[Int, Int]:
 
 
 def _lines(model: Model) -> tuple[Int, Int]:
-    parts = [
-        np.column_stack([model[c].stack(a, b), model[c]["PID"]]) for c, (a, b) in _LINES.items() if c in model
-    ]
+    parts = [np.column_stack([model[c].stack(a, b), model[c]["PID"]]) for c, (a, b) in _LINES.items() if c in model]
     every = np.concatenate(parts) if parts else np.zeros((0, 3), dtype=np.int64)
     return every[:, :2], every[:, 2]
 

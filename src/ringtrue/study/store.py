@@ -55,7 +55,9 @@ class Store:
             raise DataError(f"{self.path}: no such store; run the study first")
         with h5py.File(self.path, "r") as f:
             if stage not in f:
-                raise DataError(f"{self.path}: stage {stage!r} is not in the store; it holds {', '.join(f) or 'nothing'}")
+                raise DataError(
+                    f"{self.path}: stage {stage!r} is not in the store; it holds {', '.join(f) or 'nothing'}"
+                )
             return codec.load(f[stage])
 
     def stages(self) -> tuple[str, ...]:

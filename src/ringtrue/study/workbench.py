@@ -10,19 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
+from ringtrue.core.arrays import Int
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.observe import observe
 from ringtrue.errors import ConfigError
 from ringtrue.io.nastran.edit import add_cards
 from ringtrue.io.nastran.reader import read_deck
-from ringtrue.model.frames import positions
-from ringtrue.model.model import Model
-from ringtrue.model.ports import ModesRequest
+from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config import ModelSection, StudyConfig
+from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.parametric import AtChannels, build
 from ringtrue.study.store import Store
 
 LENGTH = {"SI": 1.0, "mm-t-s": 1e-3}
@@ -37,6 +33,7 @@ class Workbench:
     out: Path
     store: Store
     results: dict[str, Any] = field(default_factory=dict)
+    _model: ReducedModel | None = None
 
     def get(self, stage: str) -> Any:
         """The result of a stage, from this run or from the store."""
@@ -66,6 +63,39 @@ class Workbench:
         """Metres a model unit."""
         return LENGTH[self.deck.units]
 
+    def _reduced(self, progress: Progress) -> ReducedModel:
+        """All candidates and suspensions on the remodelled deck, seen at every channel of the sheet."""
+        if self._model is None:
+            from_candidates = self.config.candidates().parameters + self.config.suspensions().parameters
+            self._model = build(
+                self.remodelled,
+                ParameterSet(from_candidates),
+                self.get("identify").test,
+                self.config.correlate.tolerance,
+                self.deck.fmax,
+                progress,
+            )
+        return self._model
+
+    def _rows(self, channels: Sequence[str]) -> Int:
+        at = {c: i for i, c in enumerate(self.get("identify").test.channels)}
+        return np.array([at[c] for c in channels], dtype=np.int64)
+
+    def candidates(self, progress: Progress) -> AtChannels:
+        """The reduced model over the candidates at the channels of the elastic reference modes."""
+        model = self._reduced(progress)
+        total = len(model.system.parameters)
+        held = model.with_parameters(range(len(self.config.candidate)), np.zeros(total))
+        return AtChannels(held, self._rows(self.get("correlate").reference.channels))
+
+    def suspended(self, channels: Sequence[str], progress: Progress) -> AtChannels:
+        """The reduced model at the channels of the rigid-body reference modes."""
+        return AtChannels(self._reduced(progress), self._rows(channels))
+
+    def keep(self, model: AtChannels) -> None:
+        """Keep an enriched basis for what follows."""
+        self._model = model.model
+
     @cached_property
     def initial(self) -> Opened:
         """The deck as delivered."""
@@ -79,62 +109,5 @@ class Workbench:
             return self.initial
         folder = self.out / "remodelled"
         cards = (self.base / step.cards).read_text(encoding="utf-8")
-        add_cards(self.initial.model, self.base / step.file, cards, folder)
-        return Opened(read_deck(folder / Path(self.deck.deck).name), self.length)
-
-
-@dataclass(eq=False)
-class Opened:
-    """A model and its analysis, assembled and factored when first asked for."""
-
-    model: Model
-    length: float
-
-    @cached_property
-    def analysis(self) -> EmbeddedAnalysis:
-        """The embedded solver's view."""
-        return EmbeddedSolver().open(self.model)
-
-    @cached_property
-    def _modes(self) -> dict[float, Any]:
-        return {}
-
-    def modes(self, fmax: float) -> Any:
-        """All modes below `fmax`, Hz (`ModesResult`), solved once."""
-        if fmax not in self._modes:
-            self._modes[fmax] = self.analysis.modes(ModesRequest(band=(0.0, fmax)))
-        return self._modes[fmax]
-
-    def observation(self, test: TestModel, tolerance: float) -> Observation:
-        """The bridge to the channels of a test; `tolerance` in m."""
-        return observe(
-            test,
-            self.model["GRID"].ids,
-            positions(self.model),
-            self.analysis.dofs,
-            unit=self.length,
-            tolerance=tolerance,
-        )
-
-    def seen(self, modes: ModeSet, test: TestModel, tolerance: float) -> ModeSet:
-        """The modes at the channels."""
-        shapes = self.observation(test, tolerance)(modes.shapes)
-        return ModeSet(modes.frequencies, modes.damping, shapes, test.channels, modes.norm, modes.source)
-
-
-def union(sets: Sequence[ParameterSet]) -> ParameterSet:
-    """All parameters of several sets, each name once."""
-    named = {p.name: p for s in sets for p in s.parameters}
-    return ParameterSet(tuple(named.values()))
-
-
-def rigid_split(frequencies: np.ndarray[Any, np.dtype[np.float64]], below: float | None) -> float:
-    """The frequency between rigid-body and elastic modes: as given, or the middle of the largest relative gap."""
-    if below is not None:
-        return below
-    f = np.sort(np.asarray(frequencies)[np.asarray(frequencies) > 0])
-    if f.size < 2:
-        return 0.0
-    ratio = f[1:] / f[:-1]
-    i = int(np.argmax(ratio[: max(1, min(12, ratio.size))]))
-    return float(np.sqrt(f[i] * f[i + 1]))
+        main, *_ = add_cards(self.initial.model, self.base / step.file, cards, folder)
+        return Opened(read_deck(main), self.length)

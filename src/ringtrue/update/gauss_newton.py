@@ -86,8 +86,11 @@ class GaussNewton:
     move: float = 0.7  # largest change of any x in one step
     least: Float | None = None  # start
 
-    def _at(self, x: Float) -> tuple[Residual, float]:
-        r = residual(self.target, self.model.linearise(x))
+    def _at(self, x: Float, before: Residual | None = None) -> tuple[Residual, float]:
+        held = None
+        if before is not None:
+            held = np.isin(np.arange(self.target.used.size), before.pairs[before.used, 0])
+        r = residual(self.target, self.model.linearise(x), held)
         return r, objective(self.target, r, x, self.model.parameters.std())
 
     def init(self) -> State:
@@ -117,15 +120,17 @@ class GaussNewton:
         dx[free] = -np.linalg.solve(normal + state.mu * np.diag(np.diag(normal)), gradient[free])
         dx *= min(1.0, self.move / max(float(np.abs(dx).max(initial=0.0)), 1e-300))
         x = np.clip(x + dx, low, high)
-        r, value = self._at(x)
+        r, value = self._at(x, state.residual)
         if self.published or value <= state.value:
             return State(x, r, value, max(state.mu / 5, 1e-8), float(np.abs(x - state.x).max()), 0)
-        return State(state.x, state.residual, state.value, 8 * state.mu, state.step, state.rejected + 1)
+        return State(state.x, state.residual, state.value, max(8 * state.mu, 1e-2), state.step, state.rejected + 1)
 
     def terminate(self, state: State) -> Outcome | None:
         """Small gradient or step, or eight rejected steps in a row."""
         scale = np.abs(state.residual.slope).T @ np.abs(state.residual.value) + 1e-300
-        if float(np.max(np.abs(self.gradient(state)) / scale, initial=0.0)) < GRADIENT or state.step < STEP:
+        if float(np.max(np.abs(self.gradient(state)) / scale, initial=0.0)) < GRADIENT or (
+            state.step < STEP and state.mu < 0.1  # a step that damping made small proves nothing
+        ):
             return Outcome.CONVERGED
         return Outcome.STALLED if state.rejected >= 8 else None
 
@@ -167,10 +172,8 @@ def _result(method: GaussNewton, states: tuple[State, ...], outcome: Outcome, la
     parameters = method.model.parameters
     g, prior = last.residual.slope, parameters.std()
     # the expected size of a weighted residual is 1; a larger one is model discrepancy that W did not foresee
-    freedom = max(last.residual.value.size - len(parameters), 1)
-    pairs = max(int(last.residual.used.sum()), 1)
-    spread = max(1.0, float(last.residual.value @ last.residual.value) / min(freedom, 2 * pairs))
-    covariance = np.linalg.inv(g.T @ g / spread + np.diag(1 / prior**2))
+    spread = _spread(last.residual, g.T @ g, prior)
+    covariance: Float = np.asarray(np.linalg.inv(g.T @ g / spread + np.diag(1 / prior**2)), dtype=np.float64)
     scaled = g / np.maximum(np.linalg.norm(g, axis=0), 1e-300)
     start = float(np.linalg.norm(method.gradient(states[0]))) or 1.0
     return UpdateResult(
@@ -183,3 +186,14 @@ def _result(method: GaussNewton, states: tuple[State, ...], outcome: Outcome, la
         float(np.linalg.cond(scaled.T @ scaled)) if scaled.size else 1.0,
         float(np.linalg.norm(method.gradient(last))) / start,
     )
+
+
+def _spread(r: Residual, normal: Float, prior: Float) -> float:
+    """Mean square of the weighted residuals over what the parameters have not used up; not below the expected 1.
+
+    A shape counts as one datum, however many channels it has. The parameters use up the trace of the hat matrix.
+    """
+    pairs = int(r.used.sum())
+    data = pairs if r.value.size == pairs else 2 * pairs
+    spent = float(np.trace(np.linalg.solve(normal + np.diag(1 / prior**2), normal)))
+    return max(1.0, float(r.value @ r.value) / max(data - spent, 1.0))

@@ -5,7 +5,7 @@ Friswell and Mottershead (1995), Finite Element Model Updating in Structural Dyn
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -101,18 +101,29 @@ class Residual:
     used: Bool
 
 
-def match(target: Target, now: Linearisation) -> tuple[Int, Float, tuple[tuple[int, ...], ...]]:
-    """Pairs (k, 2), their MAC (k,) and the close groups of the model, by one assignment over MAC and frequency."""
+def match(
+    target: Target, now: Linearisation, held: Bool | None = None
+) -> tuple[Int, Float, tuple[tuple[int, ...], ...]]:
+    """Pairs (k, 2), their MAC (k,) and the close groups of the model, by one assignment over MAC and frequency.
+
+    Test modes in `held` (m,) keep a partner down to half the MAC gate: one that stands at the gate must not come and
+    go from step to step.
+    """
     s = scores(target.frequencies, target.shapes, now.frequencies, now.shapes, target.pairing)
     every = np.ones(target.frequencies.size, dtype=np.bool_)
     elastic = now.frequencies > 0
-    rows, cols = assign(s, target.pairing, every, elastic)
+    gates = target.pairing
+    if held is not None and held.any():
+        inside = (s.merged >= gates.mac_gate) & (np.abs(s.error) <= gates.frequency_gate)
+        s = replace(s, merged=np.where(inside | held[:, None], s.merged, -1.0))
+        gates = replace(gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD)
+    rows, cols = assign(s, gates, every, elastic)
     return np.stack([rows, cols], axis=1), s.merged[rows, cols], s.groups_b
 
 
-def residual(target: Target, now: Linearisation) -> Residual:
-    """Residuals of the used pairs at a point, modes paired anew."""
-    pairs, mac, groups = match(target, now)
+def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Residual:
+    """Residuals of the used pairs at a point, modes paired anew; `held` (m,) as in `match`."""
+    pairs, mac, groups = match(target, now, held)
     test, fe = pairs[:, 0], pairs[:, 1]
     used = target.used[test]
     error = now.frequencies[fe] / target.frequencies[test] - 1
@@ -132,9 +143,7 @@ def residual(target: Target, now: Linearisation) -> Residual:
     return Residual(np.concatenate(value), np.concatenate(slope), pairs, mac, error, used)
 
 
-def _group(
-    target: Target, now: Linearisation, t: int, f: int, group_of: dict[int, tuple[int, ...]]
-) -> tuple[int, ...]:
+def _group(target: Target, now: Linearisation, t: int, f: int, group_of: dict[int, tuple[int, ...]]) -> tuple[int, ...]:
     """The FE modes that stand for test mode t: the pair's own, or its close group where the test is close, too."""
     near = close_groups(target.frequencies, target.pairing.close, target.pairing.largest_group)
     alone = next(len(g) for g in near if t in g) == 1
@@ -164,6 +173,7 @@ def objective(target: Target, r: Residual, x: Float, prior_std: Float) -> float:
     return float(r.value @ r.value + (x / prior_std) @ (x / prior_std) + LOST * lost)
 
 
+HOLD = 0.5
 LOST = 100.0  # a used mode without a partner counts like a frequency deviation of ten standard deviations
 
 

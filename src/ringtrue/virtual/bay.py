@@ -82,9 +82,7 @@ def scaled(site: Ambient, ground_rms: float) -> Ambient:
     )
 
 
-def measure(
-    test: AmbientTest, events: Sequence[Pulses], samples: int, rng: np.random.Generator
-) -> tuple[Any_, float]:
+def measure(test: AmbientTest, events: Sequence[Pulses], samples: int, rng: np.random.Generator) -> tuple[Any_, float]:
     """One record in the steady state; the tail of the last event stands at its begin.
 
     Returns

@@ -168,6 +168,4 @@ def _jumper(times: Float, point: int, rng: np.random.Generator, mass: float, jum
         (period, weight, True),
     ]
     at = np.full(start.size, point)
-    return Pulses.join(
-        [Pulses(start.ravel(), d.ravel(), i.ravel(), at, flat=np.full(at.size, c)) for d, i, c in parts]
-    )
+    return Pulses.join([Pulses(start.ravel(), d.ravel(), i.ravel(), at, flat=np.full(at.size, c)) for d, i, c in parts])

@@ -41,9 +41,7 @@ def record_channels(
     ]
 
 
-def write_sheet(
-    path: Path, test: TestModel, channels: Sequence[str], sensors: Sequence[Sensor] | None = None
-) -> None:
+def write_sheet(path: Path, test: TestModel, channels: Sequence[str], sensors: Sequence[Sensor] | None = None) -> None:
     """A sensor sheet; without `sensors` only places, directions and groups, and points without channels too."""
     place = dict(zip(test.points.tolist(), zip(test.xyz.tolist(), test.groups, strict=True), strict=True))
     here = {c: i for i, c in enumerate(test.channels)}

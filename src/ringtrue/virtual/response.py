@@ -47,9 +47,7 @@ def response_spectrum(
     (out, line) complex128, unit of the quantity; 0 at 0 Hz.
     """
     if forces.shape != (model.participation.shape[1], freqs.size):
-        raise InputError(
-            f"forces {forces.shape}: must be (in, line) = {(model.participation.shape[1], freqs.size)}"
-        )
+        raise InputError(f"forces {forces.shape}: must be (in, line) = {(model.participation.shape[1], freqs.size)}")
     if quantity not in POWER:
         raise InputError(f"quantity {quantity!r}: allowed are {', '.join(POWER)}")
     out = np.empty((model.shapes.shape[0], freqs.size), dtype=np.complex128)
@@ -120,9 +118,7 @@ def at_outputs(model: ModalModel, ids: Sequence[str]) -> ModalModel:
     """The model seen at the named outputs only, in the given order."""
     here = {c.id: i for i, c in enumerate(model.outputs)}
     if lost := [c for c in ids if c not in here]:
-        raise InputError(
-            f"no output {' '.join(lost[:8])} in the modal model; there are {' '.join(list(here)[:40])}"
-        )
+        raise InputError(f"no output {' '.join(lost[:8])} in the modal model; there are {' '.join(list(here)[:40])}")
     at = [here[c] for c in ids]
     return replace(
         model,

@@ -84,22 +84,16 @@ class Sensor:
     def noise_psd(self, freqs: Float, rate: float) -> Float:
         """Self-noise and quantisation referred to the unit before the high pass, one-sided, unit²/Hz."""
         quantisation = self.step**2 / 6.0 / rate / self.sensitivity**2
-        return np.asarray(
-            (self.floor.psd(freqs) + quantisation) / np.maximum(np.abs(self.transfer(freqs)), 1e-9) ** 2
-        )
+        return np.asarray((self.floor.psd(freqs) + quantisation) / np.maximum(np.abs(self.transfer(freqs)), 1e-9) ** 2)
 
 
 _UG = 9.80665e-6  # m/s² per µg
 
-ACCELEROMETER = Sensor(
-    "force-balance accelerometer", "acceleration", "m/s^2", 1.02, 2.5, NoiseFloor(0.1 * _UG, 1.0)
-)
+ACCELEROMETER = Sensor("force-balance accelerometer", "acceleration", "m/s^2", 1.02, 2.5, NoiseFloor(0.1 * _UG, 1.0))
 GEOPHONE = Sensor(
     "geophone 4.5 Hz", "velocity", "m/s", 28.8, 1.0, NoiseFloor(5e-9, 1.0), 4.5, 0.56, hum=3e-6, drift=2e-4
 )
-ICP = Sensor(
-    "ICP accelerometer", "acceleration", "m/s^2", 0.0102, 0.5, NoiseFloor(3 * _UG, 5.0), 0.25, 0.9, hum=1e-6
-)
+ICP = Sensor("ICP accelerometer", "acceleration", "m/s^2", 0.0102, 0.5, NoiseFloor(3 * _UG, 5.0), 0.25, 0.9, hum=1e-6)
 FORCE_CELL = Sensor("force cell", "force", "N", 2.3e-4, 5.0, NoiseFloor(0.02, 5.0), 0.01, 0.9, hum=1e-5)
 
 
@@ -183,9 +177,7 @@ class Chain:
         return volts.astype(np.float32)
 
 
-def record(
-    motion: Complex, chain: Chain, samples: int, rate: float, rng: np.random.Generator
-) -> tuple[Any_, Complex]:
+def record(motion: Complex, chain: Chain, samples: int, rate: float, rng: np.random.Generator) -> tuple[Any_, Complex]:
     """Volts on disk from the spectra at the sensors.
 
     Parameters

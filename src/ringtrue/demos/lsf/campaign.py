@@ -204,9 +204,7 @@ def _prepare(twin: TwinView, plan: CampaignPlan, name: str, seed: int) -> Ambien
     model = at_outputs(twin.modal, channels)
     chain = Chain.draw((sensor,) * len(channels), _rng(seed, f"{name} sensors"))
     poles = in_band(model.poles, fmin, min(FMAX, 0.4 * rate))
-    test = AmbientTest(
-        model, chain, Ambient(), _pushed(twin, plan), next(iter(twin.machine_points), None), rate, poles
-    )
+    test = AmbientTest(model, chain, Ambient(), _pushed(twin, plan), next(iter(twin.machine_points), None), rate, poles)
     return on_a_day(test, plan.snr_db, (QUIET, LOUD))
 
 
@@ -253,9 +251,7 @@ def _long_record(
 ) -> float:
     hop, fade = _even(SEGMENT_S, test.rate), 2 * int(0.5 * FADE_S * test.rate)
     segments = int(np.ceil(FULL_HOURS * 3600 * test.rate / hop))
-    _write(
-        test, name, kind, twin, plan, folder, measure_long(test, segments, hop, fade, _rng(seed, f"{name}-{kind}"))
-    )
+    _write(test, name, kind, twin, plan, folder, measure_long(test, segments, hop, fade, _rng(seed, f"{name}-{kind}")))
     return expected_snr(test)
 
 
@@ -331,9 +327,7 @@ def _paperwork(twin: TwinView, plan: CampaignPlan, folder: Path) -> None:
     ):
         write_sheet(folder / f"sensors-{name}.csv", twin.test, channels, [sensor] * len(channels))
     write_lines(folder / "lines.csv", twin.test)
-    ambient = [
-        _ambient_log(name, rate, plan) for name, rate in (("foundation", plan.rate_a), ("frame", plan.rate_b))
-    ]
+    ambient = [_ambient_log(name, rate, plan) for name, rate in (("foundation", plan.rate_a), ("frame", plan.rate_b))]
     write_log(folder / "campaign.json", [*ambient, _hammer_log(plan)], [ACCELEROMETER, GEOPHONE, ICP, FORCE_CELL])
 
 

@@ -262,15 +262,11 @@ def _deck_node(m: Mesh, x: float, y: float) -> int:
     return min(at)[1]
 
 
-def _machine(
-    b: Builder, region: str, x: float, mass: float, inertia: tuple[float, float, float], half: float
-) -> int:
+def _machine(b: Builder, region: str, x: float, mass: float, inertia: tuple[float, float, float], half: float) -> int:
     """A rigid machine on four mounts; returns the node of its centre."""
     m = b.mesh
     centre = m.node(x, S.AXIS_Y, S.SHAFT_Z)
-    m.element(
-        "CONM2", centre, None, mass, None, None, None, None, inertia[0], None, inertia[1], None, None, inertia[2]
-    )
+    m.element("CONM2", centre, None, mass, None, None, None, None, inertia[0], None, inertia[1], None, None, inertia[2])
     feet = []
     for dx in (-half, half):
         for dy in (-0.9, 0.9):
@@ -286,9 +282,7 @@ def _machine(
 def _shaft(b: Builder, motor: int, gear: int) -> None:
     m = b.mesh
     stations = _ticks((S.MOTOR, S.BEARINGS[0], S.GEARBOX, S.BEARINGS[1], S.ROTOR), (3, 3, 4, 2))
-    nodes = m.lattice(
-        np.stack([stations, np.full_like(stations, S.AXIS_Y), np.full_like(stations, S.SHAFT_Z)], axis=1)
-    )
+    nodes = m.lattice(np.stack([stations, np.full_like(stations, S.AXIS_Y), np.full_like(stations, S.SHAFT_Z)], axis=1))
     b.beams("CBAR", "shaft", nodes, (0.0, 0.0, 1.0))
     m.element("CONM2", int(nodes[-1]), None, 2_500.0, None, None, None, None, 400.0, None, 250.0, None, None, 250.0)
     for x in S.BEARINGS:

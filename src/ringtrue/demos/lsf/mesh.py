@@ -52,12 +52,12 @@ class Mesh:
         """A card of the current part."""
         self.cards.append((self.part, card, fields))
 
-    def element(self, card: str, pid: int, *fields: Value) -> int:
-        """An element card with the next number of the current part."""
+    def element(self, card: str, *fields: Value) -> int:
+        """An element card numbered next in the current part; `fields` follow the number."""
         n = self.next_element.get(self.part, 0) + 1
         self.next_element[self.part] = n
         eid = self.bases.get(self.part, 0) + n
-        self.add(card, eid, pid, *fields)
+        self.add(card, eid, *fields)
         return eid
 
     def rows(self, card: str, pid: int, nodes: NDArray[np.int64]) -> None:

@@ -1,4 +1,4 @@
-"""The as-built facility as a modal model at its measuring, exciting and supporting points: what the campaign records."""
+"""The as-built facility as a modal model at its measuring, exciting and supporting points."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.checks.mass import mass_properties
 from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modal import ModalModel
@@ -20,6 +21,8 @@ from ringtrue.correlate.observe import observe
 from ringtrue.demos.lsf import deck, facility
 from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.truth import as_built
+from ringtrue.eigen import damped
+from ringtrue.fem.assembly import System
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
@@ -102,6 +105,13 @@ def _participation(shapes: Any_, model: Model, dofs: DofSet) -> tuple[Complex, t
     return np.asarray(force, dtype=np.complex128), tuple(f"{g}+{a}" for g in ("ground", "groundv") for a in AXES)
 
 
+def _damped(system: System, real: ModeSet) -> damped.ComplexModes:
+    """Complex modes in the basis of the real ones: dashpots and the loss factors of materials and bushes."""
+    phi = np.asarray(system.local @ real.shapes)
+    viscous, structural = damped.project(phi, system.viscous, system.structural)
+    return damped.complex_modes((2 * np.pi * real.frequencies) ** 2, viscous, structural)
+
+
 def make_twin(
     seed: int,
     test: TestModel,
@@ -127,34 +137,35 @@ def make_twin(
     xyz = positions(model)
     with EmbeddedSolver().open(model) as analysis:
         tell(0.2, "as-built modes")
-        real = analysis.modes(ModesRequest(band=(0.0, FMAX))).modes
+        real = analysis.modes(ModesRequest(band=(-1.0, FMAX))).modes
         tell(0.7, "as-built damping")
-        damped = analysis.complex_modes(real)
-        see = observe(test, grid, xyz, analysis.dofs, tolerance=0.6)
+        lossy = _damped(analysis.system, real)
+        see = observe(test, grid, xyz, analysis.dofs, tolerance=0.6, method="rigid")
         push = observe(extra, grid, xyz, analysis.dofs, tolerance=0.6)
         hits = [test.channels.index(r) for r in references]
         load = np.concatenate([see.matrix[hits].toarray(), push.matrix.toarray()])
         static = analysis.static(load.T)  # (dof, in)
-        dof, mass = analysis.system.stiffness.shape[0], analysis.system.total_mass()
-    outputs, inputs = see(damped.shapes), load @ damped.shapes
-    ground, ground_names = _participation(damped.shapes, model, analysis.dofs)
+        dof, mass = analysis.system.stiffness.shape[0], mass_properties(analysis.system).mass
+    shapes = real.shapes @ lossy.shapes
+    outputs, inputs = see(shapes), load @ shapes
+    ground, ground_names = _participation(shapes, model, analysis.dofs)
     flexibility = see(static) - see(real.shapes) @ (
         (load @ real.shapes).T / (2 * np.pi * real.frequencies[:, None]) ** 2
     )
     names = (*references, *extra.channels, *ground_names)
     upper = np.concatenate([flexibility, np.zeros((len(test.channels), len(ground_names)))], axis=1)
     modal = ModalModel(
-        damped.poles,
+        lossy.poles,
         outputs,
         np.concatenate([inputs.T, ground], axis=1),
-        np.zeros(upper.shape),
-        upper,
+        np.zeros(upper.shape, dtype=np.complex128),
+        upper.astype(np.complex128),
         tuple(Channel(c, "acceleration", "m/s^2") for c in test.channels),
         tuple(Channel(c, "force", "N") for c in names),
         "receptance",
         Norm.MODAL_A,
     )
-    seen = ModeSet(real.frequencies, damped.damping, see(real.shapes), test.channels, Norm.MASS, "as built")
+    seen = ModeSet(real.frequencies, lossy.damping, see(real.shapes), test.channels, Norm.MASS, "as built")
     return Twin(
         modal, test, kinds["drop"], kinds["jump"], kinds["sledge"], kinds["machine"], int(dof), float(mass), seen
     )

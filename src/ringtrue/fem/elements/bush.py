@@ -54,12 +54,8 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     row = lookup(m.model, "PBUSH", t["PID"][at], t, at)
     p = m.model["PBUSH"]
     motion = _relative(_axes(m, card, at, a, x, grounded), _spring_point(m, card, at, x)[:, None] - x, grounded)
-    K, B = (
-        congruent(motion, p.stack(*(f"{c}{i}" for i in range(1, 7)))[row][:, :, None] * np.eye(6)) for c in "KB"
-    )
-    ends = np.tile([0.5, 0.5, 0.5, 0.0, 0.0, 0.0], 2) * np.repeat(
-        np.stack([~grounded | True, ~grounded], 1), 6, axis=1
-    )
+    K, B = (congruent(motion, p.stack(*(f"{c}{i}" for i in range(1, 7)))[row][:, :, None] * np.eye(6)) for c in "KB")
+    ends = np.tile([0.5, 0.5, 0.5, 0.0, 0.0, 0.0], 2) * np.repeat(np.stack([~grounded | True, ~grounded], 1), 6, axis=1)
     dofs = node_dofs(np.stack([a, b], axis=1))
     dofs[grounded, 6:] = -1
     return Matrices(dofs, K, p["M"][row][:, None] * ends, p["GE"][row], B)

@@ -22,6 +22,4 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     inertia = congruent(R, np.stack([np.stack(row, axis=1) for row in rows], axis=1))
     body = scatter(at.size, 6, ([0, 1, 2], t["M"][at][:, None, None] * np.eye(3)), ([3, 4, 5], inertia))
     zero = np.zeros((at.size, 6, 6))
-    return Matrices(
-        node_dofs(nodes[:, None]), zero, congruent(arm(r), body), np.zeros(at.size), np.empty((0, 6, 6))
-    )
+    return Matrices(node_dofs(nodes[:, None]), zero, congruent(arm(r), body), np.zeros(at.size), np.empty((0, 6, 6)))

@@ -78,9 +78,7 @@ def assemble(m: Mesh, card: str, at: Int, names: list[str], rules: tuple[Rule, R
     K, det = kernel(x, iso, rules[0], *extra)
     if (det <= 0).any():
         bad = int(at[np.flatnonzero((det <= 0).any(axis=1))[0]])
-        raise error(
-            m.model, t, bad, "inside out or too distorted (its Jacobian is not positive); check its node order"
-        )
+        raise error(m.model, t, bad, "inside out or too distorted (its Jacobian is not positive); check its node order")
     M = mass(x, iso.rho, rules[1], m.model.param("COUPMASS", -1) > 0)
     return Matrices(node_dofs(nodes, 3), K, M, iso.loss, np.empty((0, K.shape[1], K.shape[1])))
 
@@ -90,6 +88,4 @@ def refuse_midside(m: Mesh, card: str, at: Int, first: int, last: int) -> None:
     t = m.model[card]
     names = [f"G{i}" for i in range(first, last + 1) if f"G{i}" in t.columns]
     if names and (used := (t.stack(*names)[at] > 0).any(axis=1)).any():
-        raise UnsupportedCard(
-            card, why=f"{t.ids[at[used][0]]} has {first - 1}+ nodes; only corner nodes are supported"
-        )
+        raise UnsupportedCard(card, why=f"{t.ids[at[used][0]]} has {first - 1}+ nodes; only corner nodes are supported")

@@ -15,9 +15,7 @@ from ringtrue.core.arrays import Bool, Int
 from ringtrue.errors import DeckError
 
 log = logging.getLogger(__name__)
-_INCLUDE = re.compile(
-    rb"(?im)^[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?"
-)
+_INCLUDE = re.compile(rb"(?im)^[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?")
 _ENDDATA = re.compile(rb"(?im)^[ \t]*ENDDATA[^\r\n]*")
 _BEGIN = re.compile(rb"(?im)^[ \t]*BEGIN\b[^\r\n$]*")
 _CEND = re.compile(rb"(?im)^[ \t]*CEND\b")
@@ -70,7 +68,7 @@ class _Reading:
 
     def read(self, path: Path, chain: tuple[Path, ...] = ()) -> bool:
         """Append the pieces of a file; True once ENDDATA is met."""
-        data = path.read_bytes()
+        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")  # the mark that some editors put before UTF-8
         number = self.files.setdefault(path, len(self.files))
         end = _ENDDATA.search(data)
         limit = end.start() if end else len(data)
@@ -102,9 +100,7 @@ class _Reading:
             if candidate.is_file():
                 return candidate.resolve()
         places = ", ".join(dict.fromkeys(str(t) for t in tried))
-        raise DeckError(
-            f"the included file is not there; looked for {places}", path=path, line=line, card="INCLUDE"
-        )
+        raise DeckError(f"the included file is not there; looked for {places}", path=path, line=line, card="INCLUDE")
 
 
 def load(path: str | Path) -> Deck:
@@ -123,9 +119,7 @@ def load(path: str | Path) -> Deck:
     raw = b"".join(p.data for p in reading.pieces)
     start, stop, file, line = _lines(reading.pieces, raw)
     first, last, supers = _bulk_range(raw, start, path)
-    top = (
-        tuple(raw[a:b].decode("latin-1") for a, b in zip(start[:first], stop[:first], strict=True)) if first else ()
-    )
+    top = tuple(raw[a:b].decode("latin-1") for a, b in zip(start[:first], stop[:first], strict=True)) if first else ()
     used = slice(first, last)
     stop = _without_comments(raw, start, stop)
     return Deck(

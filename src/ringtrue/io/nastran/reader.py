@@ -20,9 +20,7 @@ from ringtrue.model.cards import CARDS, is_unsupported
 from ringtrue.model.model import CaseControl, Model, Ragged, Table
 from ringtrue.model.references import Missing, missing
 
-_SHARED_IDS = frozenset(
-    ("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD")
-)  # several cards of one id belong together
+_SHARED_IDS = frozenset(("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD"))  # several cards of one id belong together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,9 +172,7 @@ def _params(found: Cards) -> dict[str, int | float | str]:
     for card in _written_out(found, "PARAM"):
         name, text = card.fields[0], card.fields[1]
         if not name:
-            raise DeckError(
-                "a PARAM without a name", path=found.deck.files[card.file], line=card.line, card="PARAM"
-            )
+            raise DeckError("a PARAM without a name", path=found.deck.files[card.file], line=card.line, card="PARAM")
         out[name] = _value(text)
     return out
 

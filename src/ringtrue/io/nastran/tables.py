@@ -116,9 +116,7 @@ def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells) -> Ragged:
         at = int(np.flatnonzero(~good)[0])
         text = cells[given & ~special[:, None]][at].decode("latin-1")
         raise fault(cards, int(rows[owner[at]]), f"{text!r} is not an integer", spec.name)
-    lists = [
-        expand_thru(cards, int(rows[i]), cells[i][given[i]].tolist(), spec.name) for i in np.flatnonzero(special)
-    ]
+    lists = [expand_thru(cards, int(rows[i]), cells[i][given[i]].tolist(), spec.name) for i in np.flatnonzero(special)]
     more = np.repeat(np.flatnonzero(special), [len(x) for x in lists])
     values = np.concatenate([values, *(np.array(x, dtype=np.int64) for x in lists)])
     owner = np.concatenate([owner, more])

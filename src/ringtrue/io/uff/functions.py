@@ -106,9 +106,7 @@ def read_frf_sets(path: str | Path) -> FrfSet:
     lost = np.argwhere(np.isnan(data[0]))
     if lost.size:
         o, i = lost[0]
-        raise DataError(
-            f"{path}: no function from {inputs[i].id} to {outputs[o].id} ({len(lost)} pairs are absent)"
-        )
+        raise DataError(f"{path}: no function from {inputs[i].id} to {outputs[o].id} ({len(lost)} pairs are absent)")
     coherence = _place([s for s in sets if s["func_type"] == COHERENCE], freqs, outputs, inputs, path).real
     quantity = outputs[0].quantity
     return FrfSet(

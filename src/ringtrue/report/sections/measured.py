@@ -44,9 +44,7 @@ def functions(data: Stages) -> Section | None:
     blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks), caption)]
     if ident.synthesis_error.size:
         middle, worst = np.nanmedian(ident.synthesis_error), np.nanmax(ident.synthesis_error)
-        text = (
-            f"The FRFs synthesised from the identified modes differ from the measured ones by {100 * middle:.1f} % "
-        )
+        text = f"The FRFs synthesised from the identified modes differ from the measured ones by {100 * middle:.1f} % "
         blocks.append(Text(text + f"in the median and {100 * worst:.1f} % at worst (relative norm over the band)."))
     if ident.rejected_hits:
         blocks.append(Items(ident.rejected_hits, f"Rejected hits ({len(ident.rejected_hits)})"))

@@ -71,9 +71,7 @@ def _test_only(data: Stages) -> list[Shown]:
     return out
 
 
-def _alone(
-    stage: str, m: ModeSet, k: int, fe: tuple[ModeSet, int] | None, test: tuple[ModeSet, int] | None
-) -> Shown:
+def _alone(stage: str, m: ModeSet, k: int, fe: tuple[ModeSet, int] | None, test: tuple[ModeSet, int] | None) -> Shown:
     f, zeta = float(m.frequencies[k]), float(m.damping[k])
     info = f"{fixed(f, 3)} Hz" + (f", damping {fixed(100 * zeta, 2)} %" if zeta > 0 else "")
     return Shown(stage, f"mode {k + 1} · {fixed(f, 2)} Hz", info, fe, test)

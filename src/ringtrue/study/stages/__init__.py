@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ringtrue.study.opened import Progress
 from ringtrue.study.stages import (
     compare,
     correlate,
@@ -18,7 +19,7 @@ from ringtrue.study.stages import (
     tune,
     update,
 )
-from ringtrue.study.workbench import Progress, Workbench
+from ringtrue.study.workbench import Workbench
 
 
 @dataclass(frozen=True, slots=True)

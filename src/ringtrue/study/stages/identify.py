@@ -19,12 +19,14 @@ from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.merge import merge_modes
 from ringtrue.io.records import read_record
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.signal.frf import HammerSettings, estimate_frf, join_frfs
+from ringtrue.signal.frf import estimate_frf, join_frfs
+from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
 from ringtrue.study.config import IdentifySection, TestSection
+from ringtrue.study.opened import Progress
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
-from ringtrue.study.workbench import Progress, Workbench
+from ringtrue.study.workbench import Workbench
 
 SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 
@@ -86,7 +88,7 @@ def corrected(history: TimeHistory, sensors: dict[str, Any]) -> tuple[TimeHistor
     if not corners or all(s.get("quantity") != "velocity" for s in corners.values()):
         return history, 0.0, ""
     (corner, sheet), *_ = corners.items()
-    psd = csd(history, Welch.resolving(0.1, history.rate))
+    psd = csd(history, Welch(0.1))
     level = np.median(np.real(np.einsum("fii->fi", psd.data)), axis=1)
     noise = np.full(psd.freqs.shape, sheet.get("noise", 0.0) ** 2)
     low = max(lowest_frequency(psd.freqs, level, noise), corner * 0.6)
@@ -98,7 +100,7 @@ def summary(record: Logged, history: TimeHistory, notes: Sequence[str]) -> Recor
     """What the report shows of a record."""
     show = history.data[:SHOWN]
     step = max(1, show.shape[1] // POINTS)
-    psd = csd(TimeHistory(show, history.rate, history.channels[:SHOWN]), Welch.resolving(0.05, history.rate))
+    psd = csd(TimeHistory(show, history.rate, history.channels[:SHOWN]), Welch(0.05))
     power = np.real(np.einsum("fii->if", psd.data))
     thin = max(1, psd.freqs.size // 2000)
     return RecordSummary(
@@ -115,24 +117,23 @@ def summary(record: Logged, history: TimeHistory, notes: Sequence[str]) -> Recor
         psd.freqs[::thin],
         power[:, ::thin],
         tuple(notes),
+        history.channels[0].unit,
     )
 
 
-def ambient(desk: Workbench, records: Sequence[Logged], sensors: dict[str, Any], progress: Progress) -> tuple[
-    list[IdentifiedRecord], list[RecordSummary]
-]:
+def ambient(
+    desk: Workbench, records: Sequence[Logged], sensors: dict[str, Any], progress: Progress
+) -> tuple[list[IdentifiedRecord], list[RecordSummary]]:
     """Modes of each ambient record."""
     settings = desk.config.identify
     found, shown = [], []
     for i, record in enumerate(records):
         progress(i / max(len(records), 1), f"ambient modes: {record.name}")
         history, low, note = corrected(read_record(record.path), sensors)
-        low = max(low, settings.ambient_fmin or 0.0) or None
-        result = identify_ambient(history, AmbientSettings(fmin=low, fmax=settings.ambient_fmax))
+        fmin = max(low, settings.ambient_fmin or 0.0) or None
+        result = identify_ambient(history, AmbientSettings(fmin=fmin, fmax=settings.ambient_fmax))
         notes = [n for n in (note, *result.notes) if n]
-        found.append(
-            IdentifiedRecord(record.name, result.modes, result.uncertainty, result.reasons, result.diagrams)
-        )
+        found.append(IdentifiedRecord(record.name, result.modes, result.uncertainty, result.reasons, result.diagrams))
         shown.append(summary(record, history, notes))
     return found, shown
 
@@ -175,7 +176,8 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     quiet = [r for r in records if r.kind == "ambient"]
     hits = [r for r in records if r.kind == "hammer"]
     found, shown = ambient(desk, quiet, sensors, lambda f, t: progress(0.5 * f, t))
-    merged = merge_modes([(r.modes, r.uncertainty, r.record) for r in found]) if found else None
+    parts = [(r.modes, r.uncertainty, r.record) for r in found if len(r.modes)]
+    merged = merge_modes(parts) if parts else None
     nothing = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
     none = Uncertainty.independent(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
     result = frfs = None
@@ -189,7 +191,7 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         tuple(found),
         merged.modes if merged else nothing,
         merged.uncertainty if merged else none,
-        merged.reasons if merged else (),
+        tuple("; ".join(c.why for c in p) for p in merged.provenance) if merged else (),
         frfs,
         result.cmif if result else np.zeros((0, 0)),
         rejected,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from ringtrue.checks.deck import check_deck
 from ringtrue.checks.mass import mass_properties
+from ringtrue.study.opened import Progress
 from ringtrue.study.results import ModelStage
 from ringtrue.study.scene import make_scene, scene_modes
-from ringtrue.study.workbench import Progress, Workbench
+from ringtrue.study.workbench import Workbench
 
 
 def run(desk: Workbench, progress: Progress) -> ModelStage:

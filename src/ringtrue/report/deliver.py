@@ -1,0 +1,39 @@
+"""From a finished study to its files: report.html and summary.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ringtrue.io.atomic import atomic_write
+from ringtrue.report.build import Acceptance, Photo, build
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.run import StudyRun, load_study
+from ringtrue.study.summary import summarise
+
+
+def deliver(run: StudyRun, extra: Mapping[str, Any] | None = None) -> Path:
+    """Write summary.json and report.html into the folder of the run; returns the report."""
+    summary = summarise(run) | dict(extra or {})
+    with atomic_write(run.folder / "summary.json") as part:
+        part.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return _report(run, run.folder / "report.html")
+
+
+def report_from_store(store: Path, target: Path | None = None) -> Path:
+    """The report of a stored study, beside its store unless `target` says otherwise."""
+    return _report(load_study(store), target or store.with_name("report.html"))
+
+
+def _report(run: StudyRun, out: Path) -> Path:
+    config: StudyConfig = run.config
+    c = config.correlate
+    captions = [*config.report.captions, *[""] * len(config.report.photos)]
+    photos = [Photo(run.desk.base / p, t) for p, t in zip(config.report.photos, captions, strict=False)]
+    stages = {k: v for k, v in run.results.items() if v is not None}
+    acceptance = Acceptance(percent=c.accept_percent, hz=c.accept_hz, mac=c.accept_mac)
+    return build(
+        stages, out, title=config.study.title, system_text=config.study.system, acceptance=acceptance, photos=photos
+    )

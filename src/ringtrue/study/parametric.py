@@ -1,0 +1,82 @@
+"""The parametric model of a study: all candidates and suspensions on one reduced basis, seen at chosen channels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.errors import NotConverged
+from ringtrue.fem.derivatives import terms
+from ringtrue.model.ports import Linearisation
+from ringtrue.reduce.parametric import ReducedModel, observed_system, reduced_model
+from ringtrue.study.opened import Opened, Progress
+
+CLOSE = 2e-3  # largest relative error of a frequency of the reduced model that is accepted
+ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtChannels:
+    """A reduced model at some rows of its channels."""
+
+    model: ReducedModel
+    rows: Int
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The active parameters."""
+        return self.model.parameters
+
+    def with_parameters(self, active: Sequence[int], base: Float | None = None) -> AtChannels:
+        """The same with other active parameters, by position among all; a short `base` is filled up with zeros."""
+        if base is not None:
+            base = np.concatenate([base, np.zeros(len(self.model.system.parameters) - base.size)])
+        return AtChannels(self.model.with_parameters(active, base), self.rows)
+
+    def _pick(self, point: Linearisation) -> Linearisation:
+        return replace(point, shapes=point.shapes[self.rows], d_shapes=point.d_shapes[self.rows])
+
+    def linearise(self, x: Float) -> Linearisation:
+        """Modes and sensitivities at x."""
+        return self._pick(self.model.linearise(x))
+
+    def modes(self, x: Float) -> Linearisation:
+        """Modes at x."""
+        return self._pick(self.model.modes(x))
+
+
+def build(
+    opened: Opened, parameters: ParameterSet, test: TestModel, tolerance: float, fmax: float, progress: Progress
+) -> ReducedModel:
+    """Assemble, differentiate and project: all modes below `fmax` with every parameter."""
+    system = opened.analysis.system
+    parts = []
+    for i, p in enumerate(parameters.parameters):
+        progress(0.4 * i / len(parameters), f"derivatives: {p.name}")
+        parts.append(terms(opened.model, p, system))
+    affine = observed_system(
+        system.stiffness, system.mass, system.transform, parameters, parts, opened.observation(test, tolerance)
+    )
+    count = len(opened.modes(fmax).modes)
+    return reduced_model(affine, count, pencil=opened.analysis.pencil, progress=lambda f, t: progress(0.4 + 0.6 * f, t))
+
+
+def verified(model: ReducedModel, x: Float) -> tuple[ReducedModel, float]:
+    """The model enriched by a full solution at x, and the largest relative frequency error it had there."""
+    before = model.modes(x)
+    better, truth = model.enrich(x)
+    n = min(before.frequencies.size, truth.frequencies.size)
+    return better, float(np.max(np.abs(before.frequencies[:n] / truth.frequencies[:n] - 1)))
+
+
+def not_verified(error: float) -> NotConverged:
+    """The error of a reduced model that does not follow the full one."""
+    return NotConverged(
+        f"the reduced model is off by {100 * error:.2g} % after {ROUNDS} enrichments (allowed {100 * CLOSE:.2g} %): "
+        "tighten the bounds of the parameters"
+    )

@@ -1,0 +1,123 @@
+"""The test modes that the model is judged by, and which of them the updating must not see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.correlate.assign import PairingSettings
+from ringtrue.correlate.pairing import CorrelationTable, correlation_table, pair_modes
+from ringtrue.errors import DataError
+from ringtrue.shapes.scale import realise_modes
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.results import IdentifyStage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """Elastic modes from the hammer test, rigid-body modes from the ambient test; real shapes."""
+
+    elastic: ModeSet
+    elastic_std: Uncertainty
+    rigid: ModeSet
+    rigid_std: Uncertainty
+
+
+def split_frequency(frequencies: Float, below: float | None) -> float:
+    """Between rigid-body and elastic modes, Hz: as given, or the geometric middle of the widest gap."""
+    f = np.sort(frequencies[frequencies > 0])
+    if below is not None or f.size < 2:
+        return below or 0.0
+    i = int(np.argmax(f[1:] / f[:-1]))
+    return float(np.sqrt(f[i] * f[i + 1]))
+
+
+def measured_channels(modes: ModeSet) -> ModeSet:
+    """The modes and channels without gaps: modes seen at fewer than half of the channels go first."""
+    known = np.isfinite(modes.shapes)
+    modes = modes.take(np.flatnonzero(known.mean(axis=0) >= 0.5)) if len(modes) else modes
+    full = np.atleast_1d(np.isfinite(modes.shapes).all(axis=1))
+    return modes.rows([c for c, ok in zip(modes.channels, full.tolist(), strict=True) if ok])
+
+
+def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
+    """Pick the reference modes.
+
+    Raises
+    ------
+    DataError
+        If the test holds no elastic mode.
+    """
+    every = np.concatenate([found.ambient.frequencies, found.hammer.frequencies if found.hammer else np.zeros(0)])
+    edge = split_frequency(every, config.correlate.rigid_below)
+    least = config.identify.confidence
+    ambient_sure = found.ambient.confidence >= least
+    low = np.flatnonzero((found.ambient.frequencies < edge) & ambient_sure)
+    rigid = realise_modes(measured_channels(found.ambient.take(low))) if low.size else found.ambient.take([])
+    if found.hammer is not None and found.hammer_uncertainty is not None:
+        high = np.flatnonzero(found.hammer.frequencies >= edge)
+        elastic, std = realise_modes(found.hammer.take(high)), found.hammer_uncertainty.take(high)
+    else:
+        high = np.flatnonzero(found.ambient.frequencies >= edge)
+        elastic = realise_modes(measured_channels(found.ambient.take(high)))
+        std = found.ambient_uncertainty.take(high)
+    if not len(elastic):
+        raise DataError("the test holds no elastic mode: nothing to correlate with")
+    return Reference(elastic, std, rigid, found.ambient_uncertainty.take(low))
+
+
+def left_out(modes: ModeSet, count: int, least: float) -> Int:
+    """Positions of the modes kept from the updating: confident ones, evenly spread over the band.
+
+    Fixed by the test alone, before the model is looked at.
+    """
+    sure = np.flatnonzero(modes.confidence >= least)
+    count = min(count, max(sure.size - 2, 0))
+    if not count:
+        return np.zeros(0, dtype=np.int64)
+    at = np.linspace(1, sure.size - 2, count).round().astype(np.int64)
+    return sure[np.unique(at)]
+
+
+def used_mask(n: int, out: Int) -> Bool:
+    """True for the modes that the updating may see, (n,)."""
+    return ~np.isin(np.arange(n), out)
+
+
+def settings(config: StudyConfig) -> PairingSettings:
+    """The gates of the study."""
+    c = config.correlate
+    return PairingSettings(
+        mac_gate=c.mac_gate, frequency_gate=c.frequency_gate, min_confidence=config.identify.confidence
+    )
+
+
+def elastic_table(
+    reference: Reference, fe: ModeSet, config: StudyConfig, out: Int, gates: PairingSettings | None = None
+) -> CorrelationTable:
+    """Elastic test modes against the model's elastic modes at the channels."""
+    gates = gates or settings(config)
+    edge = split_frequency(fe.frequencies, config.correlate.rigid_below)
+    first = int((fe.frequencies < edge).sum()) if len(reference.rigid) or config.correlate.rigid_below else 0
+    elastic = fe.take(np.arange(first, len(fe)))
+    pairing = pair_modes(reference.elastic, elastic, gates)
+    table = correlation_table(reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out)
+    return replace(
+        table,
+        pairing=replace(pairing, b=pairing.b + first, lone_b=pairing.lone_b + first),
+        mac=np.concatenate([np.zeros((len(reference.elastic), first)), table.mac], axis=1),
+        all_fe_hz=fe.frequencies,
+    )
+
+
+def rigid_table(reference: Reference, fe: ModeSet, config: StudyConfig) -> CorrelationTable:
+    """Rigid-body test modes against the model's."""
+    gates = replace(settings(config), mac_gate=min(0.5, config.correlate.mac_gate))
+    edge = split_frequency(fe.frequencies, config.correlate.rigid_below)
+    low = fe.take(np.flatnonzero(fe.frequencies < edge))
+    pairing = pair_modes(reference.rigid, low, gates)
+    return correlation_table(reference.rigid, low, pairing, std_hz=reference.rigid_std.frequency)

@@ -1,0 +1,33 @@
+"""Ambient against hammer modes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.correlate.pairing import correlation_table, pair_modes
+from ringtrue.study.opened import Progress
+from ringtrue.study.reference import measured_channels, settings, split_frequency
+from ringtrue.study.results import CompareStage, IdentifyStage
+from ringtrue.study.workbench import Workbench
+
+
+def run(desk: Workbench, progress: Progress) -> CompareStage | None:
+    """Pair the elastic modes of the two tests on their common channels; None if one is missing."""
+    found: IdentifyStage = desk.get("identify")
+    if found.hammer is None or not len(found.ambient):
+        return None
+    edge = split_frequency(found.ambient.frequencies, desk.config.correlate.rigid_below)
+    ambient, std = _elastic(found, edge)
+    ambient = measured_channels(ambient)
+    common = [c for c in ambient.channels if c in set(found.hammer.channels)]
+    a, b = ambient.rows(common), found.hammer.rows(common)
+    names = ("ambient", "hammer")
+    pairing = pair_modes(a, b, settings(desk.config), names=names)
+    return CompareStage(correlation_table(a, b, pairing, std_hz=std, names=names))
+
+
+def _elastic(found: IdentifyStage, edge: float) -> tuple[ModeSet, np.ndarray[tuple[int], np.dtype[np.float64]]]:
+    known = np.isfinite(found.ambient.shapes).mean(axis=0) >= 0.5
+    at = np.flatnonzero((found.ambient.frequencies >= edge) & known)
+    return found.ambient.take(at), found.ambient_uncertainty.frequency[at]

@@ -1,0 +1,63 @@
+"""Sensitivities of all candidates, and the parameter sets worth comparing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.model.ports import Linearisation
+from ringtrue.shapes.mac import unit
+from ringtrue.study.opened import Progress
+from ringtrue.study.reference import settings, used_mask
+from ringtrue.study.results import CorrelateStage, SensitivityStage
+from ringtrue.study.workbench import Workbench
+from ringtrue.update import choose
+from ringtrue.update.objective import Target, Weights, match
+
+
+def target(desk: Workbench) -> Target:
+    """The elastic modes of the test as the updating sees them: those left out are marked."""
+    found: CorrelateStage = desk.get("correlate")
+    sure = found.reference.confidence >= desk.config.identify.confidence
+    used = used_mask(len(found.reference), found.left_out) & sure
+    std = found.reference_uncertainty.frequency / found.reference.frequencies
+    weights = Weights(shape=desk.config.update.shape_weight)
+    return Target(found.reference.frequencies, found.reference.shapes, std, used, weights, settings(desk.config))
+
+
+def mac_slope(psi: Float, point: Linearisation, fe: int) -> Float:
+    """∂MAC/∂x of a test shape psi (channel,) with FE mode `fe`, (p,)."""
+    phi, d = point.shapes[:, fe], point.d_shapes[:, fe]
+    a = unit(psi[:, None])[:, 0]
+    size = phi @ phi
+    cross = float(a @ phi)
+    return np.asarray(2 * cross * (a @ d) / size - 2 * cross**2 * (phi @ d) / size**2)
+
+
+def run(desk: Workbench, progress: Progress) -> SensitivityStage:
+    """Linearise at the remodelled deck and choose sets by three rules."""
+    aim = target(desk)
+    model = desk.candidates(progress)
+    names = model.parameters.names
+    point = model.linearise(np.zeros(len(names)))
+    pairs, _, _ = match(aim, point)
+    fe = pairs[:, 1]
+    lam = (2 * np.pi * point.frequencies[fe]) ** 2
+    d_mac = np.array([mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist()])
+    count = min(desk.config.update.choose, len(names))
+    weighted = choose.weighted_sensitivities(model, aim)
+    progress(0.6, "choosing parameters")
+    members = {
+        "best subset": choose.best_subset(model, aim, count, lambda f, t: progress(0.6 + 0.4 * f, t)).members,
+        "orthogonal sensitivities": choose.orthogonal(weighted, count),
+        "largest sensitivities": choose.largest(weighted, count),
+    }
+    return SensitivityStage(
+        names,
+        0.5 * point.d_lambda[fe] / lam[:, None],
+        d_mac.reshape(-1, len(names)),
+        fe,
+        {rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
+        {rule: choose.RULES[rule] for rule in members},
+        choose.alike(weighted, names),
+    )

@@ -1,0 +1,148 @@
+"""The parameter sets updated and compared; the chosen one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.study.opened import Progress
+from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
+from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
+from ringtrue.study.stages.sensitivity import target
+from ringtrue.study.workbench import Workbench
+from ringtrue.update.choose import criterion
+from ringtrue.update.gauss_newton import State, UpdateResult, update
+from ringtrue.update.objective import Residual, Target
+
+WHY = (
+    "{name}: the lowest AICc ({value:.1f}) of the sets whose updating converged; it weighs the fit of the used modes "
+    "against the number of parameters and does not look at the modes left out"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Updated:
+    result: UpdateResult
+    states: tuple[State, ...]
+
+
+def run(desk: Workbench, progress: Progress) -> UpdateStage:
+    """Update every set, verify each by a full solution, choose by the information criterion."""
+    aim = target(desk)
+    sets: SensitivityStage = desk.get("sensitivity")
+    found: CorrelateStage = desk.get("correlate")
+    results = []
+    for i, (name, members) in enumerate(sets.sets.items()):
+        progress(i / len(sets.sets), f"updating: {name}")
+        results.append(_one(desk, aim, name, members, progress))
+    ok = [i for i, r in enumerate(results) if r.outcome.startswith("converged")] or list(range(len(results)))
+    chosen = min(ok, key=lambda i: results[i].criterion)
+    best = results[chosen]
+    parameters = desk.config.candidates().take([sets.names.index(n) for n in best.parameters])
+    before = dict(zip(best.parameters, _values(desk, best, np.ones(len(parameters))), strict=True))
+    after = dict(zip(best.parameters, _values(desk, best, best.factor), strict=True))
+    return UpdateStage(
+        tuple(results),
+        chosen,
+        WHY.format(name=best.name, value=best.criterion),
+        found.left_out,
+        before,
+        after,
+        {n: regions(desk, n) for n in best.parameters},
+    )
+
+
+def _values(desk: Workbench, best: SetResult, factor: Float) -> list[float]:
+    """The first target's value of each parameter at the factors."""
+    candidates = {p.name: p for p in desk.config.candidates().parameters}
+    out = []
+    for name, a in zip(best.parameters, factor.tolist(), strict=True):
+        t = candidates[name].targets[0]
+        table = desk.remodelled.model[t.card]
+        out.append(float(table[t.field][table.find(np.array([t.id]))[0]]) * a)
+    return out
+
+
+def regions(desk: Workbench, name: str) -> tuple[int, ...]:
+    """Groups of the scene that a parameter changes: those whose property or material it targets."""
+    scene = desk.get("model").scene
+    parameter = next(p for p in desk.config.candidates().parameters if p.name == name)
+    ids = {t.id for t in parameter.targets}
+    named = desk.deck.regions
+    return tuple(i for i, g in enumerate(scene.groups) if ids & set(named.get(g, [])) or g == name)
+
+
+def _one(desk: Workbench, aim: Target, name: str, members: tuple[str, ...], progress: Progress) -> SetResult:
+    """Update on the reduced model until the full one agrees at the end point."""
+    model = desk.candidates(progress)
+    every = model.parameters.names
+    at = [every.index(m) for m in members]
+    start: Float | None = None
+    states: list[State] = []
+    limit = desk.config.update.iterations
+    published = desk.config.update.step == "published"
+    error = np.inf
+    for _ in range(ROUNDS):
+        active = model.with_parameters(at, np.zeros(len(every)))
+        result = update(active, aim, iterations=limit, start=start, published=published)
+        states += result.history if start is None else result.history[1:]
+        start = result.x
+        better, error = verified(active.model, result.x)
+        model = AtChannels(better, model.rows).with_parameters(range(len(every)), np.zeros(len(every)))
+        if error < CLOSE:
+            break
+    desk.keep(model)
+    if error >= CLOSE:
+        raise not_verified(error)
+    active = model.with_parameters(at, np.zeros(len(every)))
+    final = update(active, aim, iterations=limit, start=start, published=published)
+    return _summary(desk, aim, name, members, final, [*states, *final.history[1:]])
+
+
+def _deviation(r: Residual, used: bool) -> float:
+    which = r.used if used else ~r.used
+    return float(100 * np.mean(np.abs(r.frequency_error[which]))) if which.any() else float("nan")
+
+
+def _summary(
+    desk: Workbench, aim: Target, name: str, members: tuple[str, ...], final: UpdateResult, states: list[State]
+) -> SetResult:
+    candidates = desk.config.candidates()
+    parameters = candidates.take([candidates.names.index(m) for m in members])
+    r = final.residual
+    low, high = parameters.bounds()
+    slope = parameters.slope(final.x) / final.factors
+    return SetResult(
+        name,
+        members,
+        final.factors,
+        final.std * slope,
+        np.stack([parameters.factors(low), parameters.factors(high)], axis=1),
+        final.identifiability,
+        _deviation(r, True),
+        float(100 * np.max(np.abs(r.frequency_error[r.used]))),
+        float(100 * np.mean(r.mac[r.used])),
+        _deviation(r, False),
+        final.condition,
+        criterion(r, final.x, parameters.std(), aim),
+        final.outcome.value,
+        np.array([s.value for s in states]),
+        np.array([0.0 if not np.isfinite(s.step) else s.step for s in states]),
+        np.array([_deviation(s.residual, True) for s in states]),
+        np.array([float(100 * np.mean(s.residual.mac[s.residual.used])) for s in states]),
+        np.array([parameters.factors(s.x) for s in states]),
+        final.gradient,
+    )
+
+
+def chosen_factors(desk: Workbench) -> Float:
+    """Factors of all candidates after the updating, (P,); 1 for those not chosen."""
+    done: UpdateStage = desk.get("update")
+    names = desk.config.candidates().names
+    out = np.ones(len(names))
+    best = done.sets[done.chosen]
+    for n, a in zip(best.parameters, best.factor.tolist(), strict=True):
+        out[names.index(n)] = a
+    return out

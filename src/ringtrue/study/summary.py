@@ -1,0 +1,206 @@
+"""summary.json: the numbers of a study, and whether what must hold does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.study.results import (
+    CompareStage,
+    CorrelateStage,
+    FinalStage,
+    ModelStage,
+    TuneStage,
+    UpdateStage,
+)
+from ringtrue.study.run import StudyRun
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that must hold."""
+
+    name: str
+    wanted: str
+    got: str
+    held: bool
+
+
+def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
+    """The pairs of a table as plain values."""
+    return [
+        {
+            "test_mode": r.test,
+            "fe_mode": r.fe,
+            "frequency_test_hz": r.test_hz,
+            "frequency_fe_hz": r.fe_hz,
+            "deviation_percent": r.deviation_percent,
+            "deviation_hz": r.deviation_hz,
+            "mac_percent": r.mac_percent,
+            "used": r.used,
+            "subspace": r.subspace,
+        }
+        for r in table.rows()
+    ]
+
+
+def unpaired(table: CorrelationTable) -> list[dict[str, Any]]:
+    """Modes without a partner, with the reason."""
+    p = table.pairing
+    sets = (
+        (table.names[0], p.lone_a, table.all_test_hz, p.why_a),
+        (table.names[1], p.lone_b, table.all_fe_hz, p.why_b),
+    )
+    return [
+        {"set": name, "mode": i + 1, "frequency_hz": float(f[i]), "reason": why}
+        for name, lone, f, reasons in sets
+        for i, why in zip(lone.tolist(), reasons, strict=True)
+    ]
+
+
+def correlation_json(table: CorrelationTable) -> dict[str, Any]:
+    """A table with its unpaired modes and mean values."""
+    return {
+        "pairs": pairs(table),
+        "unpaired": unpaired(table),
+        "mean_deviation_percent": _number(table.mean_deviation()),
+        "max_deviation_percent": _number(table.max_deviation()),
+        "mean_mac_percent": _number(table.mean_mac()),
+    }
+
+
+def _number(x: float) -> float | None:
+    return x if np.isfinite(x) else None
+
+
+def summarise(run: StudyRun) -> dict[str, Any]:
+    """The summary of a run; parts that were not run are absent."""
+    r = run.results
+    out: dict[str, Any] = {"title": run.config.study.title, "seed": run.config.study.seed}
+    model: ModelStage | None = r.get("model")
+    if model is not None:
+        out |= {"mass_t": model.mass / (1e3 if model.units == "SI" else 1.0), "dof": model.dof}
+    compare: CompareStage | None = r.get("compare")
+    if compare is not None:
+        out["ambient_vs_hammer"] = pairs(compare.table)
+        out["ambient_vs_hammer_unpaired"] = unpaired(compare.table)
+    correlate: CorrelateStage | None = r.get("correlate")
+    if correlate is not None:
+        out |= {"initial": pairs(correlate.initial), "remodelled": pairs(correlate.remodelled)}
+        out["rigid_body"] = {"before": pairs(correlate.rigid_initial), "after": []}
+        out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
+    out |= _updated(r)
+    out["timings_s"] = dict(run.timings)
+    return out
+
+
+def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    update: UpdateStage | None = r.get("update")
+    tune: TuneStage | None = r.get("tune")
+    final: FinalStage | None = r.get("final")
+    if update is not None:
+        best = update.sets[update.chosen]
+        out["parameter_set"] = {"name": best.name, "why": update.why}
+        out["parameters"] = [
+            {
+                "name": n,
+                "initial": update.initial_values[n],
+                "updated": update.updated_values[n],
+                "factor": float(a),
+                "std": float(s) * update.updated_values[n],
+            }
+            for n, a, s in zip(best.parameters, best.factor, best.std, strict=True)
+        ]
+        out["sets"] = [
+            {
+                "name": s.name,
+                "parameters": list(s.parameters),
+                "mean_deviation_percent": s.mean_deviation,
+                "max_deviation_percent": s.max_deviation,
+                "mean_mac_percent": s.mean_mac,
+                "mean_deviation_left_out_percent": _number(s.mean_deviation_left_out),
+                "condition": s.condition,
+                "aicc": s.criterion,
+                "outcome": s.outcome,
+            }
+            for s in update.sets
+        ]
+    if tune is not None:
+        out["suspension"] = [{"name": n, "factor": a, "std": tune.std[n] * a} for n, a in tune.factors.items()]
+    if final is not None:
+        out["final"] = pairs(final.table)
+        out["left_out"] = [p for p in pairs(final.table) if not p["used"]]
+        out["unpaired"] = unpaired(final.table)
+        out["rigid_body"] = {"before": pairs(r["correlate"].rigid_initial), "after": pairs(final.rigid)}
+        out["rigid_body_unpaired"] = unpaired(final.rigid)
+    return out
+
+
+def checks(r: Mapping[str, Any]) -> tuple[Check, ...]:
+    """What must hold of a study with a test and an updated model."""
+    out: list[Check] = []
+    compare: CompareStage | None = r.get("compare")
+    if compare is not None:
+        t = compare.table
+        good = (np.abs(t.deviation_percent) <= 0.6) & (t.mac_percent >= 80)
+        out.append(
+            Check(
+                "ambient vs hammer: modes with |Δf| ≤ 0.6 % and MAC ≥ 80 %",
+                "≥ 7",
+                str(int(good.sum())),
+                bool(good.sum() >= 7),
+            )
+        )
+    final: FinalStage | None = r.get("final")
+    if final is None:
+        return tuple(out)
+    t, first = final.table, r["correlate"].initial
+    n, spared = len(t), int((~t.used).sum())
+    out += [
+        Check("final: pairs", "≥ 18", str(n), n >= 18),
+        Check("final: pairs left out of the updating", "≥ 4", str(spared), spared >= 4),
+        _limit("final: mean |Δf|", t.mean_deviation(), 2.0, "%"),
+        _limit("final: largest |Δf|", t.max_deviation(), 6.0, "%"),
+        _floor("final: mean MAC", t.mean_mac(), 93.0, "%"),
+        _unpaired_below(final),
+        *_improved(t, first),
+    ]
+    rigid = final.rigid
+    out.append(Check("rigid-body modes paired one to one", "6", str(len(rigid)), len(rigid) == 6))
+    out.append(_limit("rigid-body modes: largest |Δf| after tuning", rigid.max_deviation(), 3.0, "%"))
+    return tuple(out)
+
+
+def _limit(name: str, got: float, most: float, unit: str) -> Check:
+    return Check(name, f"≤ {most:g} {unit}", f"{got:.2f} {unit}", bool(got <= most))
+
+
+def _floor(name: str, got: float, least: float, unit: str) -> Check:
+    return Check(name, f"≥ {least:g} {unit}", f"{got:.2f} {unit}", bool(got >= least))
+
+
+def _unpaired_below(final: FinalStage) -> Check:
+    t = final.table
+    top = float(t.test_hz.max(initial=0.0))
+    sure = [
+        i
+        for i, why in zip(t.pairing.lone_a.tolist(), t.pairing.why_a, strict=True)
+        if t.all_test_hz[i] < top and not why.startswith("confidence")
+    ]
+    return Check(
+        "final: confident test modes below the last pair without a partner", "≤ 4", str(len(sure)), len(sure) <= 4
+    )
+
+
+def _improved(now: CorrelationTable, before: CorrelationTable) -> list[Check]:
+    out = []
+    for name, which in (("used", True), ("left-out", False)):
+        a = before.mean_deviation(before.used == which)
+        b = now.mean_deviation(now.used == which)
+        out.append(Check(f"{name} modes: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a)))
+    return out

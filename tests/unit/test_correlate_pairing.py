@@ -1,0 +1,127 @@
+"""Pairing by one global assignment, its reasons, and the table."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes
+from ringtrue.errors import ConfigError, InputError
+
+CHANNELS = tuple("abcdefghij")
+
+
+def modes(f: list[float], shapes: np.ndarray, norm: Norm = Norm.UNSCALED) -> ModeSet:
+    return ModeSet(np.array(f), np.full(len(f), 0.01), shapes, CHANNELS[: shapes.shape[0]], norm)
+
+
+def sines(m: int, n: int = 10) -> np.ndarray:
+    """Discrete sine shapes: exactly orthogonal."""
+    return np.sin(np.pi * np.outer(np.arange(1, n + 1), np.arange(1, m + 1)) / (n + 1))
+
+
+def test_pairs_do_not_depend_on_order_sign_scale_or_channel_order() -> None:
+    rng = np.random.default_rng(0)
+    phi = sines(6)
+    a = modes([10, 20, 30, 41, 52, 63.0], phi + 0.02 * rng.standard_normal(phi.shape))
+    b = modes([11, 19, 31, 40, 55, 60.0], phi)
+    plain = pair_modes(a, b)
+    assert plain.a.tolist() == plain.b.tolist() == list(range(6))
+    mix, rows = rng.permutation(6), rng.permutation(10)
+    turned = b.take(mix)
+    turned = replace(turned, shapes=turned.shapes * rng.choice([-3.0, 0.2], 6))
+    got = pair_modes(a, turned.rows([CHANNELS[i] for i in rows]))
+    assert mix[got.b].tolist() == list(range(6))
+    np.testing.assert_allclose(got.mac, plain.mac, rtol=1e-12)
+    signed = turned.rows(CHANNELS).shapes[:, got.b] * got.sign
+    assert ((signed * a.shapes).sum(axis=0) > 0).all()
+
+
+def test_two_poor_pairs_never_outvote_a_good_one() -> None:
+    """A sum of MACs would pair across: 0.66 + 0.66 > 0.93."""
+    e = np.eye(4)
+    a = modes([10, 10.5], np.stack([e[0], 0.81 * e[0] + 0.58 * e[1]], axis=1))
+    b = modes([10, 10.5], np.stack([0.965 * e[0] + 0.26 * e[2], 0.81 * e[0] - 0.58 * e[3]], axis=1))
+    p = pair_modes(a, b, PairingSettings(close=0.0))
+    assert (p.a.tolist(), p.b.tolist()) == ([0], [0])
+    assert "already taken by test 1" in p.why_a[0]
+
+
+def test_rotated_close_pair_is_a_subspace() -> None:
+    phi = sines(4)
+    c, s = np.cos(np.pi / 4), np.sin(np.pi / 4)
+    turned = phi.copy()
+    turned[:, 1:3] = phi[:, 1:3] @ np.array([[c, -s], [s, c]])
+    a, b = modes([10, 20, 20.1, 40], phi), modes([10, 21, 21.1, 40], turned, Norm.MASS)
+    p = pair_modes(a, b)
+    assert len(p) == 4
+    assert p.subspace.tolist() == [False, True, True, False]
+    assert p.mac.min() > 0.99
+    assert len(pair_modes(a, b, PairingSettings(close=0.0))) == 2
+
+
+def test_close_modes_that_match_one_to_one_are_not_rotated() -> None:
+    phi = sines(3)
+    p = pair_modes(modes([10, 20, 20.1], phi), modes([10, 20, 20.1], phi))
+    assert not p.subspace.any()
+
+
+def test_each_unpaired_mode_has_its_reason() -> None:
+    phi = sines(6)
+    mixed = phi[:, 2] + 1.1 * phi[:, 5]
+    a = modes([10, 20, 30, 300, 40], np.stack([phi[:, 0], phi[:, 1], mixed, phi[:, 4], phi[:, 3]], axis=1))
+    a = replace(a, confidence=np.array([1, 0.3, 1, 1, 1]))
+    b = modes([10, 20, 30, 41, 900], phi[:, :5], Norm.MASS)
+    p = pair_modes(a, b, visible_b=np.array([1, 1, 1, 0.001, 1]))
+    why = dict(zip(p.lone_a.tolist(), p.why_a, strict=True))
+    assert why[1] == "confidence 0.30 < 0.50"
+    assert why[2].startswith("no FE mode within 40 % has MAC >= 60 %: best FE 3 with 45 %")
+    assert why[3] == "no FE mode within 40 %"
+    other = dict(zip(p.lone_b.tolist(), p.why_b, strict=True))
+    assert other[3].startswith("moves where no sensor is")
+    assert other[4].startswith("outside of the test band")
+    assert set(p.lone_a) | set(p.a) == set(range(5))
+    assert all(p.why_a)
+    assert all(p.why_b)
+
+
+def test_faint_mode_is_not_observable() -> None:
+    phi = sines(3)
+    b = modes([10, 20, 30], phi * [1, 1e-4, 1], Norm.MASS)
+    p = pair_modes(modes([10, 20, 30], phi), b)
+    assert p.lone_b.tolist() == [1]
+    assert "not observable" in p.why_b[0]
+
+
+def test_no_modes_at_all() -> None:
+    none = modes([], np.zeros((10, 0)))
+    p = pair_modes(none, modes([1.0], sines(1)))
+    assert len(p) == 0
+    assert len(p.why_b) == 1
+
+
+def test_channels_and_gates_are_checked() -> None:
+    a = modes([10.0], sines(1))
+    with pytest.raises(InputError, match="channels not in"):
+        pair_modes(a, modes([10.0], sines(1, 9)))
+    with pytest.raises(InputError, match="visible_b"):
+        pair_modes(a, a, visible_b=np.ones(2))
+    with pytest.raises(ConfigError, match="mac_gate"):
+        PairingSettings(mac_gate=1.5)
+
+
+def test_table_summary() -> None:
+    phi = sines(3)
+    a, b = modes([10, 20, 30], phi), modes([11, 19, 30], phi)
+    t = correlation_table(a, b, pair_modes(a, b), std_hz=np.array([0.1, 0.5, np.nan]), left_out=[2])
+    np.testing.assert_allclose(t.deviation_percent, [10, -5, 0], atol=1e-12)
+    np.testing.assert_allclose(t.significance, [10, 2, np.nan])
+    assert t.mean_deviation() == pytest.approx(5)
+    assert t.mean_deviation(t.used) == pytest.approx(7.5)
+    assert t.max_deviation() == pytest.approx(10)
+    assert t.mean_mac() == pytest.approx(100)
+    row = t.rows()[1]
+    assert (row.test, row.fe, row.used) == (2, 2, True)
+    assert row.deviation_hz == pytest.approx(-1)

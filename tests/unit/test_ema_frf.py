@@ -1,0 +1,152 @@
+"""Hits and FRFs from raw hammer records.
+
+A beam-like structure of four modes, hit six times with half-sine-squared pulses; its response is made in the frequency
+domain on twice the length, so that nothing wraps around.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.signal.frf import estimate_frf, estimators, frf_variance, join_frfs
+from ringtrue.signal.hits import HammerSettings, input_id
+
+RATE = 512.0
+FN = np.array([12.0, 15.0, 15.3, 55.0])
+ZETA = np.array([0.01, 0.008, 0.012, 0.015])
+PHI = np.cos(np.pi * np.linspace(0, 1, 12)[:, None] * np.arange(1, 5) + 0.3 * np.arange(4))
+STARTS = 1.0 + 9.0 * np.arange(6)
+
+
+def receptance(s: np.ndarray, outs: list[int], inp: int) -> np.ndarray:
+    w = 2 * np.pi * FN
+    terms = 1 / (s[:, None] ** 2 + 2 * ZETA * w * s[:, None] + w**2)
+    return np.asarray((terms * PHI[inp]) @ PHI[outs].T)
+
+
+def pulse(t: np.ndarray, size: float, width: float = 0.006) -> np.ndarray:
+    return np.where((t > 0) & (t < width), size * np.sin(np.pi * t / width) ** 2, 0.0)
+
+
+def record(
+    inp: int, outs: list[int], seed: int = 0, *, rebound: int = -1, noise: float = 1e-3, starts: np.ndarray = STARTS
+) -> TimeHistory:
+    rng = np.random.default_rng(seed)
+    n = int((starts[-1] + 11) * RATE)
+    t = np.arange(n) / RATE
+    force = np.zeros(n)
+    for k, start in enumerate(starts):
+        force += pulse(t - start, 100 * (1 + 0.2 * rng.random()))
+        force += pulse(t - start - 0.05, 30.0) if k == rebound else 0.0
+    s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / RATE)
+    spectrum = s[:, None] ** 2 * receptance(s, outs, inp) * np.fft.rfft(force, 2 * n)[:, None]
+    y = np.fft.irfft(spectrum, axis=0)[:n].T
+    y = y + noise * y.std() * rng.standard_normal(y.shape) + 0.5  # an offset, as a DC-coupled sensor has
+    channels = [Channel(f"F:{inp + 1}+Z", "force", "N")]
+    channels += [Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in outs]
+    return TimeHistory(np.vstack([force + 0.01 * rng.standard_normal(n) - 1.0, y]), RATE, tuple(channels), f"r{inp}")
+
+
+def test_finds_hits_and_tells_why_some_are_left_out() -> None:
+    _, reports = estimate_frf(record(1, [0, 1, 2], rebound=2))
+    assert len(reports) == 6
+    np.testing.assert_allclose([r.time for r in reports], STARTS + 0.003, atol=2 / RATE)
+    assert [r.accepted for r in reports] == [True, True, False, True, True, True]
+    assert "double hit" in reports[2].reasons[0]
+    assert reports[0].input == "2+Z" == input_id("F:2+Z") == input_id("2+Z")
+
+
+def test_overloads_with_and_without_a_range() -> None:
+    r = record(1, [0, 1])
+    top = np.abs(r.data[1] - 0.5).max()
+    _, reports = estimate_frf(r, full_scale={"1+Z": top * 0.9})
+    assert any("overload of 1+Z" in x for h in reports for x in h.reasons)
+    clipped = r.data.copy()
+    clipped[2] = np.clip(clipped[2], -0.1 * clipped[2].max(), 0.1 * clipped[2].max())
+    with pytest.raises(DataError, match="overload of 2"):
+        estimate_frf(replace(r, data=clipped))
+
+
+def test_frf_is_that_of_the_system_under_the_window() -> None:
+    """H is seen at s + σ, by the exponential window; 1e-3 is the noise over five averages."""
+    outs = [0, 1, 5]
+    frfs, _ = estimate_frf(record(1, outs), HammerSettings(fmax=100.0, exp_end=0.01))
+    assert frfs.kind == "accelerance"
+    assert frfs.window_decay == pytest.approx(-np.log(0.01) / (1 / frfs.freqs[1]), rel=1e-9)
+    s = 2j * np.pi * frfs.freqs + frfs.window_decay
+    exact = s[:, None] ** 2 * receptance(s, outs, 1)
+    error = np.linalg.norm(frfs.data[1:, :, 0] - exact[1:]) / np.linalg.norm(exact)
+    assert error < 3e-3
+    assert np.median(frfs.coherence[10:]) > 0.999
+
+
+def test_roving_responses_and_hammers_become_one_set() -> None:
+    parts = [record(i, o, seed=9 * i + k) for i in (1, 7) for k, o in enumerate(([0, 1, 2, 3], [3, 4, 5]))]
+    frfs, reports = estimate_frf(parts, HammerSettings(fmax=60.0))
+    assert frfs.data.shape[1:] == (6, 2)
+    assert [c.id for c in frfs.inputs] == ["2+Z", "8+Z"]
+    assert len(reports) == 24
+    with pytest.raises(DataError, match="were not measured"):
+        estimate_frf(parts[:3])
+
+
+def test_joining_averages_what_was_measured_twice_and_refuses_unlike_sets() -> None:
+    one = FrfSet(
+        np.full((4, 1, 1), 1.0 + 0j),
+        np.arange(4.0),
+        (Channel("1+Z", "acceleration"),),
+        (Channel("2+Z", "force"),),
+        np.ones((4, 1, 1)),
+        np.array([1.0]),
+    )
+    two = replace(one, data=np.full((4, 1, 1), 4.0 + 0j), averages=np.array([2.0]))
+    np.testing.assert_allclose(join_frfs([one, two]).data, 3.0)
+    for other in (
+        replace(one, freqs=np.arange(4.0) * 2),
+        replace(one, kind="mobility"),
+        replace(one, window_decay=1.0),
+    ):
+        with pytest.raises(DataError):
+            join_frfs([one, other])
+
+
+def test_estimators_bracket_the_truth() -> None:
+    """Noise on the response biases H2 up, on the force H1 down; |H1| <= |Hv| <= |H2|."""
+    ff, xf, xx = np.array([2.0]), np.array([[3.0 + 1j]]), np.array([[6.0]])
+    h = [np.abs(estimators(ff, xf, xx, which)[0]).item() for which in ("H1", "Hv", "H2")]
+    assert h[0] < h[1] < h[2]
+    assert h[0] * h[2] == pytest.approx(h[1] ** 2)
+    assert h[2] == pytest.approx(6 / np.sqrt(10))
+    assert estimators(ff, xf, xx, "H1")[1].item() == pytest.approx(10 / 12)
+
+
+def test_variance_from_the_coherence_covers_the_scatter() -> None:
+    """The real part over 40 seeds against |H|²(1 − γ²)/(2 n γ²)."""
+    runs = [
+        estimate_frf(record(1, [0], seed=k, noise=0.05), HammerSettings(fmax=40.0, block=8.0))[0] for k in range(40)
+    ]
+    scatter = np.var([r.data.real for r in runs], axis=0, ddof=1)[40:]
+    stated = np.mean([frf_variance(r) for r in runs], axis=0)[40:]
+    assert 0.6 < np.median(scatter / stated) < 1.7  # a handful of averages: the coherence itself scatters
+
+
+def test_refusals() -> None:
+    r = record(1, [0, 1])
+    with pytest.raises(ConfigError, match="Allowed: H1, H2, Hv"):
+        HammerSettings(estimator="H3")  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="0 force channels"):
+        estimate_frf(r.pick(["1+Z", "2+Z"]))
+    with pytest.raises(DataError, match="no channel 'F:9'"):
+        estimate_frf(r, HammerSettings(force="F:9"))
+    with pytest.raises(DataError, match="none of 6 hits"):
+        estimate_frf(r, HammerSettings(block=30.0))
+    mixed = replace(r, channels=(*r.channels[:2], Channel("2+Z", "velocity", "m/s")))
+    with pytest.raises(DataError, match="one kind of motion"):
+        estimate_frf(mixed)
+    with pytest.raises(DataError, match="different rates"):
+        estimate_frf([r, replace(r, rate=256.0)])
