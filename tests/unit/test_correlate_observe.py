@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
@@ -101,7 +102,7 @@ def test_suspects_are_named_and_nothing_else() -> None:
     b = fault_free()
     rng = np.random.default_rng(3)
     read = b.shapes + 0.01 * rng.standard_normal(b.shapes.shape)
-    good = ModeSet(b.frequencies, b.damping, read, b.labels)
+    good = ModeSet(b.frequencies, b.damping, read.copy(), b.labels)
     assert suspect_channels(good, b, pair_modes(good, b)) == ()
     read[2] *= -1
     read[[5, 6]] = read[[6, 5]]

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, InputError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.shapes.complexity import mcf, mean_phase, mpc, mpd
@@ -73,9 +74,7 @@ def test_subspace_mac_of_one_shape_is_the_mac() -> None:
 
 def test_close_groups_split_long_chains_at_the_widest_gap() -> None:
     f = np.array([10.0, 20.0, 10.1, 50.0, 50.4, 51.0, 51.2])
-    assert set(map(frozenset, close_groups(f, 0.02, 3))) == {
-        frozenset(g) for g in ({0, 2}, {1}, {3, 4}, {5, 6})
-    }
+    assert set(map(frozenset, close_groups(f, 0.02, 3))) == {frozenset(g) for g in ({0, 2}, {1}, {3, 4}, {5, 6})}
     assert close_groups(np.zeros(0), 0.02) == ()
 
 

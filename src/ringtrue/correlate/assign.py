@@ -12,6 +12,7 @@ from ringtrue.errors import ConfigError
 from ringtrue.shapes.mac import mac, paired_mac
 from ringtrue.shapes.subspace import close_groups, rotation
 
+TIE = 1e-3
 SOFT = 0.02  # 1 − MAC below this brings no further gain: it is noise
 
 
@@ -108,9 +109,7 @@ def _merge(
         return
     turned = paired_mac(a[:, ga], b[:, gb] @ rotation(a[:, ga], b[:, gb]))
     gain = turned > single[block].max(axis=1) + SOFT
-    # the single MAC stays as a tie-break between the members of the group
-    value = turned[:, None] - 1e-3 * (1 - single[block])
-    merged[block] = np.where(gain[:, None], np.maximum(value, single[block]), single[block])
+    merged[block] = np.where(gain[:, None], turned[:, None], single[block])
 
 
 def assign(score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: Bool) -> tuple[Int, Int]:
@@ -125,6 +124,7 @@ def assign(score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: B
     """
     value = np.log((1 - settings.mac_gate + SOFT) / (1 - score.merged + SOFT)) + SOFT
     worth = value * (1 - 0.5 * (score.error / settings.frequency_gate) ** 2)
+    worth += TIE * score.mac  # decides between the members of a rotated group
     allowed = (score.merged >= settings.mac_gate) & (np.abs(score.error) <= settings.frequency_gate)
     allowed &= usable_a[:, None] & usable_b[None, :]
     worth = np.where(allowed, worth, 0.0)

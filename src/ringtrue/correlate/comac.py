@@ -52,8 +52,8 @@ def suspect_channels(a: ModeSet, b: ModeSet, pairing: Pairing, *, least_pairs: i
     """Channels of A that look reversed, swapped with another, or dead, judged by the paired modes of B.
 
     A channel is *reversed* if its readings over the modes correlate below −0.8 with B and turning it raises the
-    mean MAC; two are *swapped* if each reads what the other should (cross-correlation above 0.9, own below 0.5) and
-    exchanging them raises the mean MAC; one is *dead* if it reads below 2 % of what B expects.
+    mean MAC; two are *swapped* if each reads what the other should (cross-correlation above 0.9 and 0.1 above its
+    own) and exchanging them raises the mean MAC; one is *dead* if it reads below 2 % of what B expects.
 
     Raises
     ------
@@ -81,9 +81,10 @@ def suspect_channels(a: ModeSet, b: ModeSet, pairing: Pairing, *, least_pairs: i
         if gain > 0:
             text = f"correlation {own[i]:.2f} over {len(pairing)} modes; turning it raises the mean MAC by {gain:.2g}"
             out.append(Suspect(a.channels[i], "reversed", text))
-    poor = np.flatnonzero((own < 0.5) & live & ~dead)
+    poor = np.flatnonzero((own < 0.9) & live & ~dead)
     both = np.minimum(np.abs(cross), np.abs(cross.T))
-    for i, j in ((int(i), int(j)) for i in poor for j in poor if i < j and both[i, j] > 0.9):
+    better = both > np.maximum(0.9, np.maximum.outer(own, own) + 0.1)
+    for i, j in ((int(i), int(j)) for i in poor for j in poor if i < j and better[i, j]):
         order = np.arange(left.shape[0])
         order[[i, j]] = j, i
         gain = float(paired_mac(left[order], right).mean()) - start

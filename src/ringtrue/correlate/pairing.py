@@ -27,7 +27,8 @@ def pair_modes(
     """Pair the modes of two sets by one global assignment over MAC and frequency.
 
     Blind to the order of modes and channels and to the sign, phase and scale of shapes. Close modes
-    (`settings.close`) are treated as subspaces where a rotation inside the group of B explains A and single shapes do not.
+    (`settings.close`) are treated as subspaces where a rotation inside the group of B explains A and single shapes
+    do not.
 
     Parameters
     ----------

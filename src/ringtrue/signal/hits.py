@@ -197,6 +197,9 @@ def check_hits(
     typical = float(np.median(np.abs(force[hits]))) if hits.size else 0.0
     pre = round(settings.pretrigger * record.rate)
     reports = []
+    responses = np.delete(np.arange(len(record.channels)), at)
+    unrest = [_unrest(record.data[responses, h - pre : h - pre + length], pre) for h in hits.tolist() if h >= pre]
+    quietest = min(unrest) if len(unrest) > 1 else 0.0
     for k, hit in enumerate(hits.tolist()):  # a few dozen hits
         start, stop = hit - pre, hit - pre + length
         why = _place(start, stop, record.data.shape[1], hits[k + 1 :], record.rate)
@@ -206,7 +209,7 @@ def check_hits(
             block = record.data[:, start : min(stop, record.data.shape[1])]
             why += _double(force, hit, stop, record.rate, settings)
             why += _overloads(record, block, full_scale or {})
-            why += _ringing(np.delete(block, at, axis=0), pre)
+            why += _ringing(_unrest(block[responses], pre), quietest)
         name = input_id(record.channels[at].id)
         width = _width(force, hit) / record.rate
         reports.append(HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, tuple(why)))
@@ -261,12 +264,18 @@ def _overloads(record: TimeHistory, block: Any_, full_scale: Mapping[str, float]
     return [f"overload of {' '.join(names[:8])}"] if names else []
 
 
-def _ringing(responses: Any_, pre: int) -> list[str]:
-    """The structure still rings from the hit before."""
+def _unrest(responses: Any_, pre: int) -> float:
+    """Level before the hit over that after it, median of the channels; 0 where it cannot be told."""
     if pre < 4 or not responses.shape[0]:
-        return []
+        return 0.0
     centred = responses - np.median(responses, axis=1, keepdims=True)
     before = np.sqrt(np.mean(np.square(centred[:, : pre // 2], dtype=np.float64), axis=1))
     after = np.sqrt(np.mean(np.square(centred[:, pre : pre + responses.shape[1] // 4], dtype=np.float64), axis=1))
-    share = float(np.median(before / np.maximum(after, 1e-300)))
-    return [f"still ringing before the hit: {100 * share:.0f} % of the response"] if share > _BAD_RINGING else []
+    return float(np.median(before / np.maximum(after, 1e-300)))
+
+
+def _ringing(share: float, quietest: float) -> list[str]:
+    """The structure still rings from the hit before; a level that all hits of the record have is noise."""
+    if share <= max(_BAD_RINGING, 3 * quietest):
+        return []
+    return [f"still ringing before the hit: {100 * share:.0f} % of the response"]

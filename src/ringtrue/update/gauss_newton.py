@@ -15,14 +15,16 @@ from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.core.iterate import iterate
 from ringtrue.core.outcome import Outcome
 from ringtrue.model.ports import ObservedModel
-from ringtrue.update.objective import Residual, Target, objective, residual
+from ringtrue.update.objective import Residual, Target, objective, residual, shared_cost
 
+SAFE = 1e-3  # least eigenvalue, in units of the Gauss-Newton diagonal, of a Hessian with second derivatives
+NEAR = 0.3  # largest change of x over which a secant says something of the Hessian
 STEP, GRADIENT = 1e-5, 1e-6  # convergence: step in x; gradient relative to its size without cancellation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """A point, its residual and the damping for the next step."""
+    """A point, its residual, the damping for the next step and the secant estimate of Σ Δz ∂²Δz (p, p)."""
 
     x: Float
     residual: Residual
@@ -30,6 +32,7 @@ class State:
     mu: float
     step: float
     rejected: int
+    curvature: Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +100,7 @@ class GaussNewton:
         """The nominal model, or the start given."""
         x = np.zeros(len(self.model.parameters)) if self.least is None else np.array(self.least, dtype=np.float64)
         r, value = self._at(x)
-        return State(x, r, value, self.mu, np.inf, 0)
+        return State(x, r, value, self.mu, np.inf, 0, np.zeros((x.size, x.size)))
 
     def gradient(self, state: State) -> Float:
         """½ ∂J/∂x with the components that point out of the bounds set to zero, (p,)."""
@@ -113,7 +116,7 @@ class GaussNewton:
         g, w = state.residual.slope, 1 / self.model.parameters.std() ** 2
         gradient = self.gradient(state)
         free = gradient != 0
-        normal = (g.T @ g + np.diag(w))[np.ix_(free, free)]
+        normal = _positive(g.T @ g + np.diag(w), state.curvature)[np.ix_(free, free)]
         low, high = self.model.parameters.bounds()
         x = state.x.copy()
         dx = np.zeros_like(x)
@@ -121,9 +124,20 @@ class GaussNewton:
         dx *= min(1.0, self.move / max(float(np.abs(dx).max(initial=0.0)), 1e-300))
         x = np.clip(x + dx, low, high)
         r, value = self._at(x, state.residual)
-        if self.published or value <= state.value:
-            return State(x, r, value, max(state.mu / 5, 1e-8), float(np.abs(x - state.x).max()), 0)
-        return State(state.x, state.residual, state.value, max(8 * state.mu, 1e-2), state.step, state.rejected + 1)
+        if self._better(x, r, state):
+            curvature = np.zeros_like(normal) if self.published else _secant(state, x, r, w)
+            return State(x, r, value, max(state.mu / 5, 1e-8), float(np.abs(x - state.x).max()), 0, curvature)
+        flat = np.zeros_like(state.curvature)
+        mu = max(8 * state.mu, 1e-2)
+        return State(state.x, state.residual, state.value, mu, state.step, state.rejected + 1, flat)
+
+    def _better(self, x: Float, r: Residual, state: State) -> bool:
+        """Whether the trial keeps every mode and lowers J (published: keeps every mode) over the modes of the state."""
+        now, before = shared_cost(r, state.residual), shared_cost(state.residual, state.residual)
+        if now is None or before is None:
+            return False
+        w = 1 / self.model.parameters.std() ** 2
+        return self.published or now + float(w @ x**2) <= before + float(w @ state.x**2)
 
     def terminate(self, state: State) -> Outcome | None:
         """Small gradient or step, or eight rejected steps in a row."""
@@ -197,3 +211,35 @@ def _spread(r: Residual, normal: Float, prior: Float) -> float:
     data = pairs if r.value.size == pairs else 2 * pairs
     spent = float(np.trace(np.linalg.solve(normal + np.diag(1 / prior**2), normal)))
     return max(1.0, float(r.value @ r.value) / max(data - spent, 1.0))
+
+
+def _positive(normal: Float, curvature: Float) -> Float:
+    """`normal` + `curvature` if that is safely positive definite, else `normal` (p, p)."""
+    both = normal + curvature
+    size = np.sqrt(np.diag(normal))
+    return both if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > SAFE else normal
+
+
+def _secant(before: State, x: Float, r: Residual, w: Float) -> Float:
+    """The part of the Hessian that Gauss-Newton leaves out, updated from one step; 0 where the pairs have changed.
+
+    Structured secant of Dennis, Gay and Welsch (1981), NL2SOL, eq. 2.11 and the sizing of 3.1. It matters where the
+    residuals stay large: Gauss-Newton alone then converges linearly.
+    """
+    old = before.residual
+    zero = np.zeros_like(before.curvature)
+    if r.value.shape != old.value.shape or r.pairs.tolist() != old.pairs.tolist():
+        return zero
+    s = x - before.x
+    if float(np.abs(s).max(initial=0.0)) > NEAR:
+        return zero
+    part = -(r.slope - old.slope).T @ r.value
+    y = old.slope.T @ old.value - r.slope.T @ r.value + w * s
+    along = float(y @ s)
+    if along <= 0:
+        return zero
+    own = float(s @ before.curvature @ s)
+    kept = before.curvature * (min(1.0, abs(float(s @ part) / own)) if own else 0.0)
+    miss = part - kept @ s
+    update = (np.outer(miss, y) + np.outer(y, miss)) / along - float(miss @ s) / along**2 * np.outer(y, y)
+    return np.asarray(kept + update)

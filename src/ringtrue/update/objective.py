@@ -18,6 +18,9 @@ from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
 from ringtrue.shapes.subspace import close_groups
 
+LOST = 100.0  # a used mode without a partner counts like a frequency deviation of ten standard deviations
+HOLD = 0.5  # of the MAC gate, and of 1/frequency gate, for modes that are paired already
+
 
 @dataclass(frozen=True, slots=True)
 class Weights:
@@ -168,13 +171,24 @@ def _shape(target: Target, now: Linearisation, t: int, group: Int) -> tuple[Floa
 
 
 def objective(target: Target, r: Residual, x: Float, prior_std: Float) -> float:
-    """J = Δzᵀ W Δz + pᵀ W_p p, with the cost of a lost used mode added so that losing one never pays."""
+    """J = Δzᵀ W Δz + pᵀ W_p p, and `LOST` for each used mode that has no partner."""
     lost = int(target.used.sum()) - int(r.used.sum())
     return float(r.value @ r.value + (x / prior_std) @ (x / prior_std) + LOST * lost)
 
 
-HOLD = 0.5
-LOST = 100.0  # a used mode without a partner counts like a frequency deviation of ten standard deviations
+def shared_cost(r: Residual, others: Residual) -> float | None:
+    """Δzᵀ W Δz over the test modes that `others` uses; None if one of them has no partner in `r`.
+
+    Points with different pairs are compared by this: a mode that has just found a partner must not count against a
+    point, and losing one must not pay.
+    """
+    mine, theirs = r.pairs[r.used, 0], others.pairs[others.used, 0]
+    if not np.isin(theirs, mine).all():
+        return None
+    square = r.value**2
+    k = mine.size
+    cost = square[:k] + square[k:].reshape(k, -1).sum(axis=1) if k else square
+    return float(cost[np.isin(mine, theirs)].sum())
 
 
 def as_target(

@@ -26,6 +26,7 @@ from ringtrue.virtual.hammer import HammerPlan
 
 SEED = 0
 SETUPS = 4  # roving setups of the hammer test
+HAMMER = HammerPlan(hits=8, block=8.0, peak=(10e3, 22e3))
 Progress = Callable[[float, str], None]
 
 
@@ -98,7 +99,7 @@ def campaign_plan(plan: PlanStage) -> CampaignPlan:
     on = {c: group[int(p)] for c, p in zip(test.channels, test.at, strict=True)}
     foundation = tuple(c for c in plan.ambient if on[c] == "foundation")
     frame = (*foundation[: len(foundation) // 2 // 3 * 3], *(c for c in plan.ambient if on[c] != "foundation"))
-    return CampaignPlan(foundation, frame, setups(test, plan.references), plan.references, hammer=HammerPlan(block=8.0))
+    return CampaignPlan(foundation, frame, setups(test, plan.references), plan.references, hammer=HAMMER)
 
 
 def setups(test: TestModel, references: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:

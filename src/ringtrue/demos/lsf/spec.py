@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-LENGTH, WIDTH, SLAB, WALL_TOP, WALL, END_WALL = 25.0, 10.0, 1.27, 3.2, 0.9, 0.8
+LENGTH, WIDTH, SLAB, WALL_TOP, WALL, END_WALL = 25.0, 10.0, 1.25, 3.2, 0.9, 0.8
 PORTALS = (4.0, 7.4, 10.8, 14.2, 17.6, 21.0)
 SIDES = (0.45, 9.55)
 BAYS_LEFT_OUT = (1, 3)  # bays whose braces the analyst left out

@@ -28,7 +28,7 @@ from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 
-FMAX = 150.0  # Hz, modes kept; the rest is in the residual flexibility
+FMAX = 100.0  # Hz, modes kept; the rest is in the residual flexibility
 AXES = ("X", "Y", "Z")
 # where people jump and weights fall (on the slab), where machines shake: point numbers of their own
 DROPS = {900001: (3.0, 3.0, S.SLAB), 900002: (22.0, 7.0, S.SLAB), 900003: (12.4, 2.2, S.SLAB)}
@@ -44,7 +44,7 @@ class Twin:
     Attributes
     ----------
     modal : ModalModel
-        Complex modes below 150 Hz and the residual flexibility of the rest. Outputs are the channels of `test`; inputs
+        Complex modes below 100 Hz and the residual flexibility of the rest. Outputs are the channels of `test`; inputs
         are the hammer points, `DROPS`, `JUMPS`, `SLEDGE`, `MACHINES` and the ground (`ground+X` for a unit displacement,
         `groundv+X` for a unit velocity).
     test : TestModel

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
-from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
+from ringtrue.identify.hammer import HammerModes, HammerResult, cmif, identify_hammer
 from ringtrue.identify.merge import merge_modes
-from ringtrue.io.records import read_record
+from ringtrue.io.records import read_record, record_info
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.signal.frf import estimate_frf, join_frfs
+from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
@@ -140,32 +140,30 @@ def ambient(
 
 def hammer(
     records: Sequence[Logged], settings: IdentifySection, progress: Progress
-) -> tuple[HammerResult, Any, list[RecordSummary], tuple[str, ...]]:
+) -> tuple[HammerResult, FrfSet, list[RecordSummary], tuple[str, ...]]:
     """FRFs of all setups and the modes in them."""
-    setups: dict[int, list[Any]] = {}
-    rejected: list[str] = []
+    histories = [replace(read_record(r.path), source=r.name) for r in records]
+    ranges: dict[str, float] = {}
+    for r in records:
+        ranges |= record_info(r.path).full_scale()
+    rate, d = histories[0].rate, records[0].details
+    block, pre = d["block_samples"] / rate, d["pretrigger_samples"] / rate
+    want = HammerSettings(block=block - pre, pretrigger=pre)  # the peak comes a little after the trigger
+    frfs, hits = estimate_frf(histories, want, full_scale=ranges, progress=lambda f, t: progress(0.4 * f, t))
     shown = []
-    for i, record in enumerate(records):
-        progress(0.5 * i / len(records), f"FRFs: {record.name}")
-        history = read_record(record.path)
-        d = record.details
-        want = HammerSettings(
-            force=d["force_channel"],
-            block=d["block_samples"],
-            pretrigger=d["pretrigger_samples"],
-        )
-        frfs, hits = estimate_frf(history, want)
-        rejected += [f"{record.name}: {h}" for h in hits if not h.accepted]
-        setups.setdefault(d["setup"], []).append(frfs)
-        if d["setup"] == 1:
-            shown.append(summary(record, history, [f"{sum(h.accepted for h in hits)} of {len(hits)} hits kept"]))
-    joined = join_frfs([f for s in setups.values() for f in s])
-    result = identify_hammer(
-        joined,
-        HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax),
-        progress=lambda f, t: progress(0.5 + 0.5 * f, t),
+    for record, history in zip(records, histories, strict=True):
+        mine = [h for h in hits if h.source == record.name]
+        if record.details["setup"] == records[0].details["setup"]:
+            shown.append(summary(record, history, [f"{sum(h.accepted for h in mine)} of {len(mine)} hits kept"]))
+    rejected = tuple(
+        f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: {', '.join(h.reasons)}" for h in hits if not h.accepted
     )
-    return result, joined, shown, tuple(rejected)
+    result = identify_hammer(
+        frfs,
+        HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax),
+        progress=lambda f, t: progress(0.4 + 0.6 * f, t),
+    )
+    return result, frfs, shown, rejected
 
 
 def run(desk: Workbench, progress: Progress) -> IdentifyStage:
@@ -193,7 +191,7 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         merged.uncertainty if merged else none,
         tuple("; ".join(c.why for c in p) for p in merged.provenance) if merged else (),
         frfs,
-        result.cmif if result else np.zeros((0, 0)),
+        cmif(frfs.data) if frfs else np.zeros((0, 0)),
         rejected,
         result.modes if result else None,
         result.uncertainty if result else None,

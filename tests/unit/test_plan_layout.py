@@ -1,0 +1,91 @@
+"""Where to measure and hit, and for how long: known optima of a bar and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ringtrue.errors import InputError
+from ringtrue.plan.layout import independence, lower_auto_mac, reached, select_points, select_references
+from ringtrue.plan.resolution import ambient_std, resolution
+from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
+
+
+def string(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Modes of a taut string at n inner points: (n, 1, m) and positions (n, 3)."""
+    s = np.arange(1, n + 1) / (n + 1)
+    xyz = np.stack([s, 0 * s, 0 * s], axis=1)
+    return np.sin(np.pi * np.outer(s, np.arange(1, m + 1)))[:, None, :], xyz
+
+
+def test_independence_sums_to_the_number_of_modes() -> None:
+    rng = np.random.default_rng(0)
+    shapes = rng.standard_normal((20, 3, 7))
+    share = independence(shapes)
+    assert share.sum() == pytest.approx(7)
+    np.testing.assert_allclose(independence(2 * shapes), share, rtol=1e-10)
+
+
+def test_chosen_points_tell_the_modes_apart() -> None:
+    shapes, xyz = string(59, 4)
+    at = select_points(shapes, xyz, 4)
+    assert np.unique(at).size == 4
+    # as many points as modes: well conditioned, far better than four neighbours
+    assert np.linalg.cond(shapes[at, 0]) < 2
+    assert worst_off_diagonal(auto_mac(shapes[at, 0])) < 0.1
+
+
+def test_fixed_points_stay_and_distances_hold() -> None:
+    shapes, xyz = string(59, 4)
+    fixed = np.zeros(59, dtype=bool)
+    fixed[7] = True
+    at = select_points(shapes, xyz, 6, fixed=fixed, min_distance=0.1)
+    assert 7 in at
+    assert np.diff(np.sort(xyz[at, 0])).min() > 0.1
+    with pytest.raises(InputError, match="lower min_distance"):
+        select_points(shapes, xyz, 20, min_distance=0.2)
+    with pytest.raises(InputError, match="cannot tell 4 modes apart"):
+        select_points(shapes, xyz, 3)
+
+
+def test_selection_does_not_depend_on_the_order_of_candidates() -> None:
+    rng = np.random.default_rng(1)
+    shapes, xyz = rng.standard_normal((40, 3, 5)), rng.standard_normal((40, 3))
+    mix = rng.permutation(40)
+    plain, mixed = select_points(shapes, xyz, 6), select_points(shapes[mix], xyz[mix], 6)
+    assert set(plain.tolist()) == set(mix[mixed].tolist())
+
+
+def test_points_are_added_until_the_auto_mac_is_low() -> None:
+    shapes, _ = string(59, 4)
+    poor = np.array([27, 28, 29, 30])
+    assert worst_off_diagonal(auto_mac(shapes[poor, 0])) > 0.9
+    at = lower_auto_mac(shapes, poor, 0.1, 20)
+    assert set(poor.tolist()) <= set(at.tolist())
+    assert at.size < 20
+    assert worst_off_diagonal(auto_mac(shapes[at, 0])) <= 0.1
+    assert lower_auto_mac(shapes, poor, 0.0, 6).size == 6
+
+
+def test_hammer_points_avoid_the_nodes_of_the_modes() -> None:
+    shapes, _ = string(59, 4)
+    phi = shapes[:, 0]
+    one = select_references(phi, 1)
+    middle = 29  # where half of the modes have a node
+    assert reached(phi, one).min() > 0.2
+    assert reached(phi, np.array([middle])).min() < 1e-12
+    two = select_references(phi, 2)
+    assert two[0] == one[0]
+    assert (reached(phi, two) >= reached(phi, one)).all()
+
+
+def test_resolution_closed_forms() -> None:
+    f, z = ambient_std(np.array([2.0]), 0.01, 600.0)
+    assert f[0] == pytest.approx(np.sqrt(0.01 / (2 * np.pi * 2 * 600)))
+    assert z[0] == pytest.approx(np.sqrt(1 / (2 * np.pi * 0.01 * 2 * 600)))
+    r = resolution(np.array([2.0, 40.0]), 0.01, precision=0.1)
+    assert r.step == pytest.approx(0.25 * 2 * 0.01 * 2.0)  # a quarter of the half-power bandwidth 2ζf
+    # after one block the slowest mode has decayed to 1 %
+    assert np.exp(-0.01 * 2 * np.pi * 2.0 * r.block) <= 0.01 * (1 + 1e-9)
+    assert r.std_damping[0] <= 0.1
+    assert r.std_damping[1] < r.std_damping[0]

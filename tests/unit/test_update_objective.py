@@ -1,0 +1,132 @@
+"""Residuals and their sensitivities on spring-mass models: Taylor remainders, rotations, holding of pairs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.correlate.assign import PairingSettings
+from ringtrue.errors import InputError
+from ringtrue.update.dense import DenseModel
+from ringtrue.update.objective import LOST, Target, Weights, match, objective, residual, shared_cost
+
+
+def chain(n: int, groups: int, *, kind: str = "log") -> DenseModel:
+    """n masses in a row on n springs, fixed at one end; springs in equal groups, one stiffness factor each.
+
+        |-k1-m1-k2-m2- ... -kn-mn
+
+    m grows along the row so that no symmetry hides a parameter.
+    """
+    spring = np.zeros((n, n, n))
+    for i in range(n):
+        ends = [i - 1, i] if i else [0]
+        v = np.zeros(n)
+        v[ends] = [-1, 1][-len(ends) :]
+        spring[i] = 4e4 * np.outer(v, v)
+    of = np.arange(n) * groups // n
+    parts = np.array([spring[of == g].sum(axis=0) for g in range(groups)])
+    names = ParameterSet(tuple(Parameter(f"k{g + 1}", (), 0.2, 5.0, kind, 2.0) for g in range(groups)))
+    return DenseModel.springs(spring.sum(axis=0), np.diag(1 + 0.05 * np.arange(n)), parts, names)
+
+
+def target(model: DenseModel, x: np.ndarray, m: int, **more: object) -> Target:
+    at = model.modes(x)
+    return Target(at.frequencies[:m], at.shapes[:, :m], np.zeros(m), np.ones(m, dtype=bool), **more)
+
+
+@pytest.mark.parametrize("kind", ["log", "linear"])
+def test_model_derivatives_have_a_taylor_remainder_of_second_order(kind: str) -> None:
+    model = chain(9, 3, kind=kind)
+    x, d = np.array([0.1, -0.2, 0.15]), np.array([0.3, 0.5, -0.4])
+    at = model.linearise(x)
+
+    def remainder(h: float) -> tuple[float, float]:
+        there = model.modes(x + h * d)
+        sign = np.sign((there.shapes * at.shapes).sum(axis=0))
+        lam, lam0 = (2 * np.pi * there.frequencies) ** 2, (2 * np.pi * at.frequencies) ** 2
+        return (
+            float(np.linalg.norm(lam - lam0 - h * at.d_lambda @ d)),
+            float(np.linalg.norm(there.shapes * sign - at.shapes - h * at.d_shapes @ d)),
+        )
+
+    coarse, fine = remainder(1e-3), remainder(1e-4)
+    np.testing.assert_allclose(np.log10(np.divide(coarse, fine)), 2, atol=0.05)
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_residual_slope_is_the_derivative(weight: float) -> None:
+    model = chain(9, 3)
+    aim = target(model, np.array([0.3, -0.1, 0.2]), 5, weights=Weights(shape=weight))
+    x, d, h = np.zeros(3), np.array([0.3, 0.5, -0.4]), 1e-5
+    plus, minus = (residual(aim, model.linearise(x + s * h * d)).value for s in (1, -1))
+    slope = residual(aim, model.linearise(x)).slope @ d
+    np.testing.assert_allclose((minus - plus) / (2 * h), slope, atol=1e-6 * np.abs(slope).max())
+
+
+def test_shape_part_is_one_minus_mac() -> None:
+    model = chain(9, 3)
+    w = Weights(frequency=0.01, mac=0.1, shape=1.0)
+    aim = target(model, np.array([0.4, -0.2, 0.3]), 4, weights=w)
+    r = residual(aim, model.linearise(np.zeros(3)))
+    shape = r.value[4:]
+    assert shape @ shape == pytest.approx(float((1 - r.mac).sum()) / w.mac)
+
+
+def test_scale_and_sign_of_test_shapes_do_not_matter() -> None:
+    model = chain(9, 3)
+    aim = target(model, np.array([0.4, -0.2, 0.3]), 4)
+    other = Target(aim.frequencies, aim.shapes * [3.0, -2, 1, -0.1], aim.std, aim.used)
+    x = np.zeros(3)
+    one, two = (residual(t, model.linearise(x)) for t in (aim, other))
+    std = model.parameters.std()
+    assert objective(aim, one, x, std) == pytest.approx(objective(other, two, x, std), rel=1e-10)
+    np.testing.assert_allclose(one.slope.T @ one.value, two.slope.T @ two.value, rtol=1e-8)
+
+
+def test_rotation_inside_a_close_pair_costs_nothing() -> None:
+    """Two equal towers, tied by nothing: every frequency is double, any mix of their shapes is a mode."""
+    k, m = chain(3, 1).stiffness, chain(3, 1).mass
+    zero = np.zeros((3, 3))
+    left, right = np.block([[k, zero], [zero, zero]]), np.block([[zero, zero], [zero, k]])
+    names = ParameterSet((Parameter("both", ()),))
+    model = DenseModel.springs(left + right, np.kron(np.eye(2), m), (left + right)[None], names)
+    at = model.modes(np.zeros(1))
+    turn = np.array([[np.cos(0.6), -np.sin(0.6)], [np.sin(0.6), np.cos(0.6)]])
+    aim = Target(at.frequencies[:2], at.shapes[:, :2] @ turn, np.zeros(2), np.ones(2, dtype=bool))
+    r = residual(aim, model.linearise(np.zeros(1)))
+    assert r.used.sum() == 2
+    assert r.value @ r.value < 1e-20
+    np.testing.assert_allclose(r.mac, 1, rtol=1e-10)
+
+
+def test_held_modes_keep_a_partner_below_the_gate_and_lost_ones_cost() -> None:
+    model = chain(9, 3)
+    aim = target(model, np.array([0.5, -0.4, 0.4]), 5, pairing=PairingSettings(mac_gate=0.97))
+    now = model.linearise(np.zeros(3))
+    plain, _, _ = match(aim, now)
+    held, _, _ = match(aim, now, np.ones(5, dtype=bool))
+    assert len(plain) < len(held) == 5
+    r = residual(aim, now)
+    cost = objective(aim, r, np.zeros(3), model.parameters.std())
+    whole = residual(aim, now, np.ones(5, dtype=bool))
+    assert shared_cost(whole, r) == pytest.approx(float(r.value @ r.value))
+    assert shared_cost(r, whole) is None
+    assert cost == pytest.approx(float(r.value @ r.value) + LOST * (5 - len(plain)))
+
+
+def test_dense_model_held_to_some_parameters() -> None:
+    model = chain(9, 3)
+    x = np.array([0.1, 0.2, -0.3])
+    part = model.with_parameters([2], x)
+    np.testing.assert_allclose(part.modes(x[[2]]).frequencies, model.modes(x).frequencies, rtol=1e-12)
+    np.testing.assert_allclose(part.linearise(x[[2]]).d_lambda[:, 0], model.linearise(x).d_lambda[:, 2], rtol=1e-9)
+
+
+def test_input_is_checked() -> None:
+    with pytest.raises(InputError, match="5 frequencies"):
+        Target(np.ones(5), np.ones((3, 4)), np.ones(5), np.ones(5, dtype=bool))
+    model = chain(4, 2)
+    with pytest.raises(InputError, match="2 parameters and 4 DOFs"):
+        DenseModel.springs(model.stiffness, model.mass, model.d_stiffness[:1], model.parameters)
