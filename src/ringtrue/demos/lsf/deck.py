@@ -138,13 +138,13 @@ _WITH_PROPERTY = {"CHEXA", "CPENTA", "CQUAD4", "CTRIA3", "CBEAM", "CBAR", "CBUSH
 def _site_properties() -> Iterable[str]:
     yield "$ Partition wall, platform, pipe and what they hang on\n"
     yield format_card("PSOLID", [site.PARTITION, site.PARTITION])
-    yield format_card("MAT1", [site.PARTITION, 2.9e10, None, 0.2, 2450.0, None, None, 0.02])
+    yield format_card("MAT1", [site.PARTITION, 2.9e10, None, 0.2, 2450.0, None, None, 0.01])
     yield format_card("PSHELL", [site.PLATFORM, site.PLATFORM, 0.060, site.PLATFORM, None, site.PLATFORM])
-    yield format_card("MAT1", [site.PLATFORM, 4.0e10, None, 0.3, 1500.0, None, None, 0.02])
+    yield format_card("MAT1", [site.PLATFORM, 4.0e10, None, 0.3, 1500.0, None, None, 0.01])
     yield format_card("PBEAM", [site.PIPE, site.PIPE, 0.0200, 6.0e-4, 6.0e-4, None, 1.2e-3, 60.0])
-    yield format_card("MAT1", [site.PIPE, 2.0e11, None, 0.3, 7850.0, None, None, 0.02])
+    yield format_card("MAT1", [site.PIPE, 2.0e11, None, 0.3, 7850.0, None, None, 0.01])
     clamp = [3.0e8] * 3 + [1.0e7] * 3
-    yield format_card("PBUSH", [site.PIPE_CLAMP, "K", *clamp, None, "GE", 0.10])
+    yield format_card("PBUSH", [site.PIPE_CLAMP, "K", *clamp, None, "GE", 0.05])
     hose = site.HOSE_BRIDGE * (2 * np.pi * 1.92) ** 2
     hoist = site.HOIST * (2 * np.pi * 2.24) ** 2
     stiff = 6.0e9

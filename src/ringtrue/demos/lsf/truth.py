@@ -75,9 +75,9 @@ def as_built(seed: int) -> Spec:
     """The facility as it stands."""
     deck, r = Spec(), ratios(seed)
     rng = np.random.default_rng([seed, 2])
-    loss = {c: float(rng.uniform(0.016, 0.024)) for c in S.CONCRETE}
-    loss |= {s: float(rng.uniform(0.006, 0.012)) for s in S.STEEL}
-    loss |= {b: float(rng.uniform(0.06, 0.14)) for b in S.BUSHES if b != "air springs"}
+    loss = {c: float(rng.uniform(0.007, 0.011)) for c in S.CONCRETE}
+    loss |= {s: float(rng.uniform(0.003, 0.006)) for s in S.STEEL}
+    loss |= {b: float(rng.uniform(0.02, 0.05)) for b in S.BUSHES if b != "air springs"}
     return replace(
         deck,
         mesh=FINE,
