@@ -48,7 +48,8 @@ def run(arguments: list[str] | None = None) -> int:
     except typer.Exit as e:
         return int(e.exit_code)
     except TyperException as e:
-        e.show()
+        show = getattr(e, "show", None)  # usage errors draw themselves
+        show() if show else err.print(f"error: {e}", markup=False)
         return 2
     except typer.Abort:
         err.print("stopped; what was stored is kept, the same command resumes", markup=False)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ringtrue.cli.show import out, progress, rows
-from ringtrue.demos.lsf import demo as lsf
+from ringtrue.demos.lsf.demo import SEED, run_demo
 from ringtrue.report.deliver import deliver, report_from_store
 from ringtrue.study.run import run_study
 from ringtrue.study.summary import Check
@@ -25,7 +25,7 @@ def demo(
     folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path("lsf"),
     seed: Annotated[
         int, typer.Option(metavar="N", help="Draws which regions are wrong, by how much, all noise.")
-    ] = lsf.SEED,
+    ] = SEED,
     fast: Annotated[bool, typer.Option("--fast", help="Shorter records.")] = False,
     full: Annotated[bool, typer.Option("--full", help="With the 11.4-hour ambient record.")] = False,
 ) -> int:
@@ -34,7 +34,7 @@ def demo(
     Example: ringtrue demo --out lsf
     """
     with progress("large spinning facility") as show:
-        result = lsf.run_demo(folder, seed, fast=fast, full=full, progress=show)
+        result = run_demo(folder, seed, fast=fast, full=full, progress=show)
     for line in result.lines:
         out.print(line, markup=False, highlight=False)
     out.print(f"report: {result.report}", markup=False, soft_wrap=True)

@@ -96,6 +96,11 @@ def settings(config: StudyConfig) -> PairingSettings:
     )
 
 
+def rigid_settings(config: StudyConfig) -> PairingSettings:
+    """Gates for rigid-body modes: neighbours on soft springs turn into each other, so they are one subspace."""
+    return replace(settings(config), mac_gate=min(0.5, config.correlate.mac_gate), close=0.08, distinct=0.95)
+
+
 def elastic_table(
     reference: Reference, fe: ModeSet, config: StudyConfig, out: Int, gates: PairingSettings | None = None
 ) -> CorrelationTable:
@@ -116,7 +121,7 @@ def elastic_table(
 
 def rigid_table(reference: Reference, fe: ModeSet, config: StudyConfig) -> CorrelationTable:
     """Rigid-body test modes against the model's."""
-    gates = replace(settings(config), mac_gate=min(0.5, config.correlate.mac_gate))
+    gates = rigid_settings(config)
     edge = split_frequency(fe.frequencies, config.correlate.rigid_below)
     low = fe.take(np.flatnonzero(fe.frequencies < edge))
     pairing = pair_modes(reference.rigid, low, gates)

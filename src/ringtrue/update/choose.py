@@ -23,8 +23,9 @@ TRIALS = 3  # promising exchanges tried in one round
 TURNS = 6  # Gauss-Newton steps after each change of the set
 
 RULES = {
-    "best subset": "forward selection on J with re-linearisation after each choice, then exchange of members while "
-    "J falls; each trial is a bounded Gauss-Newton prediction, confirmed by a short updating",
+    "best subset": "forward selection on J with re-linearisation after each choice, then, from it and from the two "
+    "simpler sets, exchange of members while J falls; each trial is a bounded Gauss-Newton prediction, confirmed by a "
+    "short updating",
     "orthogonal sensitivities": "QR with column pivoting of the weighted sensitivities scaled by the prior: the "
     "parameters that span most, whatever the residual",
     "largest sensitivities": "the largest weighted sensitivities scaled by the prior, overlap ignored",
@@ -107,7 +108,11 @@ def best_subset(
         now = _short(model, target, [*now.members.tolist(), best], now.x)
         if progress is not None:
             progress((k + 1) / (count + 2), f"parameter {k + 1}: {model.parameters.names[best]}")
-    return _exchange(model, target, now)
+    sensitive = weighted_sensitivities(model, target)
+    starts = [now.members, orthogonal(sensitive, count), largest(sensitive, count)]
+    unique = {tuple(sorted(s.tolist())): s for s in starts}
+    found = [_exchange(model, target, _short(model, target, s.tolist(), np.zeros(p))) for s in unique.values()]
+    return min(found, key=lambda c: c.value)
 
 
 def _exchange(model: Candidates, target: Target, now: Choice) -> Choice:

@@ -35,7 +35,7 @@ def true_modes(run: StudyRun, twin: Twin) -> tuple[Int, Int]:
 
 
 def best_possible(run: StudyRun, twin: Twin, desk: Workbench) -> float:
-    """Smallest mean |Δf|, %, over the final pairs that the best six of the candidates can reach on the true frequencies.
+    """Smallest mean |Δf|, %, that the best six candidates can reach on the true frequencies of the final pairs.
 
     Subset selection and exchange on the frequencies, then the mean absolute deviation itself is minimised by a
     sequence of linear programmes in a trust region.
@@ -69,7 +69,7 @@ def _least_mean(model: ObservedModel, aim: Target, x: Float) -> float:
         above = np.block([[slope, -np.eye(n)], [-slope, -np.eye(n)]])
         limits = [(max(-trust, a - b), min(trust, c - b)) for a, b, c in zip(low, x, high, strict=True)]
         step = linprog(cost, above, np.concatenate([-error, error]), bounds=[*limits, *[(0, None)] * n])
-        if not step.success:
+        if step.x is None:
             break
         x = np.clip(x + step.x[:p], low, high)
     return best

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.demos.lsf import deck, facility
 from ringtrue.demos.lsf.best import best_possible
 from ringtrue.demos.lsf.campaign import CampaignPlan, CampaignSummary, run_campaign
@@ -84,7 +85,7 @@ def run_demo(
     timings = {**planned.timings, **run.timings}
     run = replace(run, timings=timings)
     report = deliver(run, extra)
-    return DemoResult(run, report, _lines(run, twin, campaign, best), checks(run.results) + (_floor(best),))
+    return DemoResult(run, report, _lines(run, twin, campaign, best), (*checks(run.results), _floor(best)))
 
 
 def _floor(best: float) -> Check:
@@ -117,8 +118,15 @@ def _lines(run: StudyRun, twin: Twin, campaign: CampaignSummary, best: float) ->
     return (
         f"twin {twin_hash()[:12]}, seed {run.config.study.seed}: {twin.dof} DOF as built, {summary['dof']} in the deck",
         f"median signal-to-noise ratio at resonance: {snr}",
-        f"initial: {len(initial)} pairs, mean |Δf| {initial.mean_deviation():.1f} %, mean MAC {initial.mean_mac():.1f} %",
-        f"final: {len(final)} pairs, mean |Δf| {final.mean_deviation():.2f} %, mean MAC {final.mean_mac():.1f} %",
+        _said("initial", initial),
+        _said("final", final),
         f"best mean |Δf| that six parameters could reach: {best:.2f} %",
         "parameters: " + "; ".join(f"{p['name']} x {p['factor']:.2f}" for p in summary["parameters"]),
+    )
+
+
+def _said(name: str, table: CorrelationTable) -> str:
+    return (
+        f"{name}: {len(table)} pairs, mean |Δf| {table.mean_deviation():.2f} %, largest {table.max_deviation():.1f} %, "
+        f"mean MAC {table.mean_mac():.1f} %"
     )

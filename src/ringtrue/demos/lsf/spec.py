@@ -106,7 +106,7 @@ class Spec:
     mesh: Mesh3 = field(default_factory=Mesh3)
     modulus: Mapping[str, float] = field(
         default_factory=lambda: (
-            dict.fromkeys(CONCRETE, 15.0e9) | dict.fromkeys(STEEL, 2.06e11) | dict.fromkeys(JOINTED, 1.15e11)
+            dict.fromkeys(CONCRETE, 17.0e9) | dict.fromkeys(STEEL, 2.06e11) | dict.fromkeys(JOINTED, 1.60e11)
         )
     )
     density: Mapping[str, float] = field(
@@ -114,9 +114,9 @@ class Spec:
     )
     bush: Mapping[str, tuple[float, ...]] = field(
         default_factory=lambda: {
-            "anchors front": (6.0e8, 6.0e8, 1.6e9, 2.0e8, 2.0e8, 1.0e8),
-            "anchors middle": (6.0e8, 6.0e8, 1.6e9, 2.0e8, 2.0e8, 1.0e8),
-            "anchors rear": (6.0e8, 6.0e8, 1.6e9, 2.0e8, 2.0e8, 1.0e8),
+            "anchors front": (2.2e8, 2.2e8, 5.5e8, 2.0e8, 2.0e8, 1.0e8),
+            "anchors middle": (2.2e8, 2.2e8, 5.5e8, 2.0e8, 2.0e8, 1.0e8),
+            "anchors rear": (2.2e8, 2.2e8, 5.5e8, 2.0e8, 2.0e8, 1.0e8),
             "vessel mounts front": (9.0e8, 1.1e9, 1.4e9, 0.0, 0.0, 0.0),
             "vessel mounts rear": (9.0e8, 1.1e9, 1.4e9, 0.0, 0.0, 0.0),
             "motor mounts": (3.0e9, 3.0e9, 5.0e9, 0.0, 0.0, 0.0),

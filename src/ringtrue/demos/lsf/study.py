@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from ringtrue.demos.lsf import spec as S
@@ -10,6 +11,7 @@ from ringtrue.demos.lsf.facility import Builder
 from ringtrue.io.nastran.writer import format_card
 
 STUDY, BRACES = "study.toml", "remodel/braces.bdf"
+FRAME = ("columns", "girders", "cross beams")  # one assumption of the analyst: the modulus lowered for bolted joints
 TEST_REGIONS = ("foundation", "frame", "vessel", "drive")
 
 _SYSTEM = """The large spinning facility is a test bay for spinning large rotors: a ferro-concrete foundation of \
@@ -24,11 +26,13 @@ _STIFFNESS = "K1,K2,K3,K4,K5,K6"
 _TRANSLATION = "K1,K2,K3"
 
 
-def candidates() -> list[tuple[str, str]]:
-    """Name and target of each candidate region."""
-    modulus = [(r, f"MAT1 {pid} E") for r, pid in (S.CONCRETE | S.STEEL).items() if r not in ("haunches", "shaft")]
+def candidates() -> list[tuple[str, list[str]]]:
+    """Name and targets of each candidate region."""
+    alone = [r for r in S.CONCRETE | S.STEEL if r not in ("haunches", "shaft", *FRAME)]
+    modulus = [(r, [f"MAT1 {(S.CONCRETE | S.STEEL)[r]} E"]) for r in alone]
+    modulus.append(("frame members", [f"MAT1 {S.STEEL[r]} E" for r in FRAME]))
     bush = [
-        (r, f"PBUSH {pid} {_STIFFNESS if 'anchor' in r else _TRANSLATION}")
+        (r, [f"PBUSH {pid} {_STIFFNESS if 'anchor' in r else _TRANSLATION}"])
         for r, pid in S.BUSHES.items()
         if r != "air springs"
     ]
@@ -115,8 +119,8 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         "",
         "# Regions whose stiffness is uncertain: each a candidate, none chosen here",
     ]
-    for name, target in candidates():
-        lines += ["[[candidate]]", f'name = "{name}"', f'targets = ["{target}"]']
+    for name, targets in candidates():
+        lines += ["[[candidate]]", f'name = "{name}"', f"targets = {json.dumps(targets)}"]
     for name, field in (
         ("air springs, vertical", "K3"),
         ("air springs, along", "K1"),

@@ -44,9 +44,9 @@ class Twin:
     Attributes
     ----------
     modal : ModalModel
-        Complex modes below 100 Hz and the residual flexibility of the rest. Outputs are the channels of `test`; inputs
-        are the hammer points, `DROPS`, `JUMPS`, `SLEDGE`, `MACHINES` and the ground (`ground+X` for a unit displacement,
-        `groundv+X` for a unit velocity).
+        Complex modes below 100 Hz and the residual flexibility of the rest. Outputs are the channels of `test`;
+        inputs are the hammer points, `DROPS`, `JUMPS`, `SLEDGE`, `MACHINES` and the ground (`ground+X` for a unit
+        displacement, `groundv+X` for a unit velocity).
     test : TestModel
     dof : int
     mass : float, kg

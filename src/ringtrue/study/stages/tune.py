@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels
-from ringtrue.study.reference import reference_modes, rigid_table, settings
+from ringtrue.study.reference import reference_modes, rigid_settings, rigid_table
 from ringtrue.study.results import CorrelateStage, TuneStage
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.workbench import Workbench
@@ -31,7 +29,7 @@ def run(desk: Workbench, progress: Progress) -> TuneStage:
     first = len(desk.config.candidates())
     active = model.with_parameters(range(first, first + len(suspension)), base)
     n = len(found.rigid)
-    gates = replace(settings(desk.config), mac_gate=min(0.5, desk.config.correlate.mac_gate))
+    gates = rigid_settings(desk.config)
     std = np.maximum(found.rigid_uncertainty.frequency / found.rigid.frequencies, 1e-4)
     aim = Target(found.rigid.frequencies, found.rigid.shapes, std, np.ones(n, dtype=bool), WEIGHTS, gates)
     before = _seen(active, np.zeros(len(suspension)), found.rigid.channels)
