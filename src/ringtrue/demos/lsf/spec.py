@@ -106,7 +106,7 @@ class Spec:
     mesh: Mesh3 = field(default_factory=Mesh3)
     modulus: Mapping[str, float] = field(
         default_factory=lambda: (
-            dict.fromkeys(CONCRETE, 17.0e9) | dict.fromkeys(STEEL, 2.06e11) | dict.fromkeys(JOINTED, 1.60e11)
+            dict.fromkeys(CONCRETE, 17.0e9) | dict.fromkeys(STEEL, 2.06e11) | dict.fromkeys(JOINTED, 1.50e11)
         )
     )
     density: Mapping[str, float] = field(
