@@ -17,7 +17,8 @@ RingtrueError
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 
 
@@ -93,6 +94,17 @@ class SolverMissing(SolverError):
 
 class SolverFailed(SolverError):
     """An external solver ran and failed; the message ends with the tail of its log."""
+
+
+@contextmanager
+def about(path: object) -> Iterator[None]:
+    """Input errors raised within name the file that they are about."""
+    try:
+        yield
+    except (DataError, ConfigError) as e:
+        if str(path) in str(e):
+            raise
+        raise type(e)(f"{path}: {e}") from e
 
 
 def did_you_mean(got: str, allowed: Iterable[str]) -> str:

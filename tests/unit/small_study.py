@@ -160,9 +160,7 @@ def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True) -> No
     tests = []
     if ambient:
         write_record(folder / "ambient.h5", quiet, RATE, table)
-        tests.append(
-            {"name": "wind", "kind": "ambient", "records": [{"file": "ambient.h5", "excitation": "ambient"}]}
-        )
+        tests.append({"name": "wind", "kind": "ambient", "records": [{"file": "ambient.h5", "excitation": "ambient"}]})
     if hammer:
         records = []
         for reference, volts in zip(REFERENCES, hits, strict=True):

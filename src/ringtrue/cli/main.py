@@ -51,8 +51,8 @@ def run(arguments: list[str] | None = None) -> int:
         show = getattr(e, "show", None)  # usage errors draw themselves
         show() if show else err.print(f"error: {e}", markup=False)
         return 2
-    except typer.Abort:
-        err.print("stopped; what was stored is kept, the same command resumes", markup=False)
+    except (typer.Abort, KeyboardInterrupt):
+        err.print("stopped", markup=False)
         return 1
     except (InputError, UnsupportedError) as e:
         err.print(f"error: {e}", markup=False, highlight=False, soft_wrap=True)
@@ -60,6 +60,11 @@ def run(arguments: list[str] | None = None) -> int:
     except RingtrueError as e:
         err.print(f"error: {e}", markup=False, highlight=False, soft_wrap=True)
         return 1
+    except OSError as e:  # a file that cannot be read or written
+        if e.filename is None:
+            raise
+        err.print(f"error: {e.filename}: {e.strerror}", markup=False, highlight=False, soft_wrap=True)
+        return 2
 
 
 def main() -> NoReturn:

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
-from ringtrue.cli.show import out, progress, rows, write_json
+from ringtrue.cli.show import json_target, out, progress, rows, write_json
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes
-from ringtrue.errors import ConfigError, DataError
+from ringtrue.errors import ConfigError, DataError, about
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs
@@ -20,7 +20,9 @@ from ringtrue.io.modes_json import modes_to_json, read_modes
 from ringtrue.io.records import read_record
 from ringtrue.study.summary import correlation_json
 
-Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")]
+Json = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
+]
 Fmin = Annotated[float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")]
 Fmax = Annotated[float | None, typer.Option("--fmax", metavar="HZ", help="Highest frequency of interest.")]
 
@@ -38,7 +40,8 @@ def _print_modes(title: str, modes: ModeSet, std: Uncertainty | None, reasons: t
 
 
 def _check_band(fmin: float | None, fmax: float | None) -> None:
-    if fmin is not None and fmax is not None and not 0 <= fmin < fmax:
+    low, high = 0.0 if fmin is None else fmin, float("inf") if fmax is None else fmax
+    if not 0 <= low < high:
         raise ConfigError(f"--fmin {fmin} --fmax {fmax}: must be 0 <= fmin < fmax")
 
 
@@ -57,7 +60,7 @@ def oma(
     """
     _check_band(fmin, fmax)
     history = read_record(record, rate)
-    with progress("ambient modes") as show:
+    with progress("ambient modes") as show, about(record):
         found = identify_ambient(history, AmbientSettings(fmin=fmin, fmax=fmax), progress=show)
     if json:
         write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
@@ -85,8 +88,10 @@ def ema(
     _check_band(fmin, fmax)
     frfs = read_frfs(frf)
     if window_decay is not None:
+        if not 0 <= window_decay < float("inf"):
+            raise ConfigError(f"--window-decay {window_decay}: must be 0 or more, 1/s")
         frfs = replace(frfs, window_decay=window_decay)
-    with progress("modes from FRFs") as show:
+    with progress("modes from FRFs") as show, about(frf):
         found = identify_hammer(frfs, HammerModes(fmin=fmin, fmax=fmax), progress=show)
     if json:
         write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
@@ -121,14 +126,20 @@ def correlate(
         write_json(value, json)
     if json != "-":
         body = [
-            (r["test_mode"], r["fe_mode"], f"{r['frequency_test_hz']:.4g}", f"{r['frequency_fe_hz']:.4g}")
-            + (f"{r['deviation_percent']:+.2f}", f"{r['mac_percent']:.1f}")
+            (
+                r["test_mode"],
+                r["fe_mode"],
+                f"{r['frequency_test_hz']:.4g}",
+                f"{r['frequency_fe_hz']:.4g}",
+                f"{r['deviation_percent']:+.2f}",
+                f"{r['mac_percent']:.1f}",
+            )
             for r in value["pairs"]
         ]
         rows(f"{a} against {b}", ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
         for u in value["unpaired"]:
             out.print(f"{u['set']} {u['mode']}: {u['reason']}", markup=False)
-    return 0
+    return 0 if value["pairs"] else 1
 
 
 def register(app: typer.Typer) -> None:

@@ -10,15 +10,18 @@ import typer
 
 from ringtrue.backends.registry import solver
 from ringtrue.checks.deck import check_deck
-from ringtrue.checks.mass import mass_properties
-from ringtrue.cli.show import out, progress, rows, write_json
-from ringtrue.fem.assembly import assemble
+from ringtrue.checks.findings import Finding
+from ringtrue.checks.mass import whole_mass
+from ringtrue.cli.show import json_target, out, progress, rows, write_json
+from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.io.modes_json import modes_to_json
-from ringtrue.io.nastran.reader import read_deck, survey
+from ringtrue.io.nastran.reader import Survey, read_deck, survey
 from ringtrue.model.ports import ModesRequest
 
 Deck = Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")]
-Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")]
+Json = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
+]
 
 
 def modes(
@@ -32,11 +35,14 @@ def modes(
 
     Example: ringtrue modes wing.bdf --band 0 50 --json modes.json
     """
+    if band is not None and not band[0] < band[1]:
+        raise ConfigError(f"--band {band[0]} {band[1]}: must be F0 < F1")
+    engine = solver(solver_name)
     with progress("modes") as show:
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
         show(0.2, "solving")
-        with solver(solver_name).open(model) as analysis:
+        with engine.open(model) as analysis:
             result = analysis.modes(ModesRequest(n, band))
     if json:
         write_json(modes_to_json(result.modes) | {"complete": result.complete, "proof": result.proof}, json)
@@ -56,20 +62,39 @@ def check(deck: Deck, json: Json = None) -> int:
     Example: ringtrue check wing.bdf
     """
     found = survey(deck)
-    summary: dict[str, Any] = {"deck": str(deck), "unsupported": found.unsupported}
-    findings = []
-    if not found.unsupported:
-        report = check_deck(found.model)
-        findings = [{"severity": f.severity, "text": f.text, "file": f.file, "line": f.line} for f in report.findings]
-        mass = mass_properties(assemble(found.model))
-        summary |= {"mass": mass.mass, "centre_of_gravity": mass.cg.tolist(), "inertia": mass.inertia.tolist()}
-    summary |= {"cards": found.cards, "kept": dict(found.model.kept), "findings": findings}
+    findings = _findings(found)
+    sound = not found.unsupported and not any(f.severity == "error" for f in findings)
+    summary: dict[str, Any] = {"deck": str(deck), "cards": dict(found.cards), "kept": dict(found.model.kept)}
+    summary["unsupported"] = dict(found.unsupported)
+    try:
+        summary |= _mass(found) if sound else {}
+    except RingtrueError as e:  # the rest of the check is worth more than the mass
+        findings.append(Finding("error", str(e)))
+    summary["findings"] = [{"severity": f.severity, "text": f.text, "file": f.file, "line": f.line} for f in findings]
     if json:
         write_json(summary, json)
     if json != "-":
         _print_check(deck, summary)
-    bad = bool(found.unsupported) or any(f["severity"] == "error" for f in findings)
-    return 1 if bad else 0
+    return 0 if sound and not any(f.severity == "error" for f in findings) else 1
+
+
+def _findings(found: Survey) -> list[Finding]:
+    """What is wrong with the deck; where cards are not read, only what it refers to can be judged."""
+    if found.unsupported:
+        return [_lost(f) for f in found.faults]
+    findings = list(check_deck(found.model).findings)
+    told = {(f.file, f.line) for f in findings}
+    return [_lost(f) for f in found.faults if (str(f.path), f.line) not in told] + findings
+
+
+def _lost(fault: DeckError) -> Finding:
+    place = f"{fault.path}:{fault.line}: "
+    return Finding("error", str(fault).removeprefix(place), str(fault.path), fault.line or 0)
+
+
+def _mass(found: Survey) -> dict[str, Any]:
+    mass = whole_mass(found.model)
+    return {"mass": mass.mass, "centre_of_gravity": mass.cg.tolist(), "inertia": mass.inertia.tolist()}
 
 
 def _print_check(deck: Path, summary: dict[str, Any]) -> None:

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from ringtrue.errors import ConfigError
 from ringtrue.io.atomic import atomic_write
 
 out = Console(soft_wrap=False)
@@ -29,7 +30,7 @@ def progress(label: str) -> Iterator[Callable[[float, str], None]]:
             nonlocal last
             if text != last:
                 last = text
-                err.print(f"[{100 * fraction:3.0f} %] {text}", markup=False, highlight=False)
+                err.print(f"[{100 * fraction:3.0f} %] {text}", markup=False, highlight=False, soft_wrap=True)
 
         yield line
         return
@@ -46,13 +47,21 @@ def progress(label: str) -> Iterator[Callable[[float, str], None]]:
 
 def rows(title: str, heads: Sequence[str], body: Sequence[Sequence[object]]) -> None:
     """A table; numbers to the right."""
-    table = Table(title=title, title_justify="left", header_style="bold", box=None, pad_edge=False)
+    out.print(title, style="italic", markup=False, highlight=False, soft_wrap=True)
+    table = Table(header_style="bold", box=None, pad_edge=False)
     for i, head in enumerate(heads):
         number = any(isinstance(r[i], (int, float)) for r in body)
         table.add_column(head, justify="right" if number else "left")
     for r in body:
         table.add_row(*(str(x) for x in r))
     out.print(table)
+
+
+def json_target(value: str | None) -> str | None:
+    """The target as given, refused before any work is done if its folder is not there."""
+    if value not in (None, "-") and not Path(str(value)).parent.is_dir():
+        raise ConfigError(f"--json {value}: no folder {Path(str(value)).parent}")
+    return value
 
 
 def write_json(value: Any, target: str) -> None:

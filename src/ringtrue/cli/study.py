@@ -2,22 +2,38 @@
 
 from __future__ import annotations
 
+from json import loads
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from ringtrue.cli.show import out, progress, rows
+from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
+from ringtrue.errors import ConfigError
 from ringtrue.report.deliver import deliver, report_from_store
-from ringtrue.study.run import run_study
-from ringtrue.study.summary import Check
+from ringtrue.study.results import UpdateStage
+from ringtrue.study.run import StudyRun, load_study, run_study
+from ringtrue.study.summary import Check, finite, summarise
+
+Json = Annotated[
+    str | None,
+    typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
+]
 
 
 def _verdict(checks: tuple[Check, ...]) -> int:
     if checks:
         body = [("yes" if c.held else "NO", c.name, c.got, c.wanted) for c in checks]
         rows("What must hold", ("held", "what", "got", "wanted"), body)
+    return _status(checks)
+
+
+def _status(checks: tuple[Check, ...]) -> int:
     return 0 if all(c.held for c in checks) else 1
+
+
+def _summary(folder: Path) -> Any:
+    return loads((folder / "summary.json").read_text(encoding="utf-8"))
 
 
 def demo(
@@ -25,6 +41,7 @@ def demo(
     seed: Annotated[int, typer.Option(metavar="N", help="Draws which regions are wrong, by how much, all noise.")] = 0,
     fast: Annotated[bool, typer.Option("--fast", help="Shorter records.")] = False,
     full: Annotated[bool, typer.Option("--full", help="With the 11.4-hour ambient record.")] = False,
+    json: Json = None,
 ) -> int:
     """The worked example: a 1,600 t spin test facility, from deck and raw signals to the validated model.
 
@@ -34,8 +51,12 @@ def demo(
 
     with progress("large spinning facility") as show:
         result = run_demo(folder, seed, fast=fast, full=full, progress=show)
+    if json:
+        write_json(_summary(folder), json)
+    if json == "-":
+        return _status(result.checks)
     for line in result.lines:
-        out.print(line, markup=False, highlight=False)
+        out.print(line, markup=False, highlight=False, soft_wrap=True)
     out.print(f"report: {result.report}", markup=False, soft_wrap=True)
     return _verdict(result.checks)
 
@@ -45,32 +66,55 @@ def run(
     folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where results go.")] = None,
     first: Annotated[str | None, typer.Option("--from", metavar="STAGE", help="Run anew from this stage on.")] = None,
     until: Annotated[str | None, typer.Option("--until", metavar="STAGE", help="The last stage to run.")] = None,
+    json: Json = None,
 ) -> int:
     """Run a study: what is up to date is taken from study.h5, the rest is computed.
 
     Example: ringtrue run study.toml --until correlate
     """
-    with progress("study") as show:
-        result = run_study(study, out=folder, first=first, until=until, progress=show)
-        report = deliver(result)
-    for name, seconds in result.timings.items():
-        out.print(f"{name}: {seconds:.1f} s", markup=False, highlight=False)
-    for name in result.loaded:
-        out.print(f"{name}: up to date", markup=False, highlight=False)
-    out.print(f"report: {report}", markup=False, soft_wrap=True)
-    return 0
+    try:
+        with progress("study") as show:
+            result = run_study(study, out=folder, first=first, until=until, progress=show)
+            path = deliver(result)
+    except KeyboardInterrupt:
+        err.print("stopped: the stages that were finished are stored, the same command resumes", markup=False)
+        return 1
+    outcome = _outcome(result)
+    if json:
+        write_json(_summary(result.folder), json)
+    if json != "-":
+        for name, seconds in result.timings.items():
+            told = "up to date" if name in result.loaded else f"{seconds:.1f} s"
+            out.print(f"{name}: {told}", markup=False, highlight=False)
+        out.print(f"report: {path}", markup=False, soft_wrap=True)
+    if outcome:
+        err.print(f"the updating did not converge: {outcome}", markup=False, highlight=False, soft_wrap=True)
+    return 1 if outcome else 0
+
+
+def _outcome(result: StudyRun) -> str:
+    """Why the chosen updating is not to be trusted; empty where there is none or it converged."""
+    done: UpdateStage | None = result.results.get("update")
+    outcome = done.sets[done.chosen].outcome if done else "converged"
+    return "" if outcome.startswith("converged") else outcome
 
 
 def report(
     store: Annotated[Path, typer.Argument(help="study.h5")],
     target: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The HTML file.")] = None,
+    json: Json = None,
 ) -> int:
     """Write the report of a stored study anew.
 
     Example: ringtrue report lsf/study.h5
     """
+    if target is not None and not target.parent.is_dir():
+        raise ConfigError(f"--out {target}: no folder {target.parent}")
     path = report_from_store(store, target)
-    out.print(f"report: {path}", markup=False, soft_wrap=True)
+    if json:
+        write_json({"report": str(path)} | finite(summarise(load_study(store))), json)
+    if json != "-":
+        out.print(f"report: {path}", markup=False, soft_wrap=True)
     return 0
 
 

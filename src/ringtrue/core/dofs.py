@@ -29,6 +29,13 @@ class DofSet:
     ------
     InputError
         If a direction is not in -6..6 or a degree of freedom occurs twice (whatever its sign).
+
+    Examples
+    --------
+    >>> here = DofSet.parse(["101+Z", "102-RX"])
+    >>> index, sign = here.align(DofSet.parse(["102+RX"]))
+    >>> index.tolist(), sign.tolist()
+    ([1], [-1.0])
     """
 
     node: Int

@@ -9,15 +9,24 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
 from ringtrue.correlate.pairing import CorrelationTable
-from ringtrue.plots.style import FINAL, INITIAL, REMODELLED, SEQUENTIAL, axis, f32, figure
+from ringtrue.plots.style import FINAL, INITIAL, REMODELLED, SEQUENTIAL, TEST, axis, f32, figure
 
 STAGE_COLORS = {"initial": INITIAL, "remodelled": REMODELLED, "final": FINAL}
 
 
 def matrix(
-    mac: Float, rows: Sequence[str], columns: Sequence[str], row_title: str, column_title: str, height: int = 0
+    mac: Float,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    row_title: str,
+    column_title: str,
+    height: int = 0,
+    diagonal: bool = True,
 ) -> go.Figure:
-    """A MAC matrix in percent; `mac` (row, column) 0..1. Cells over 10 % carry their number where they fit."""
+    """A MAC matrix in percent; `mac` (row, column) 0..1. Cells over 10 % carry their number.
+
+    `diagonal` False leaves out the ones of an auto-MAC.
+    """
     percent = 100 * np.asarray(mac)
     size = max(percent.shape, default=1)
     fig = figure(
@@ -27,8 +36,11 @@ def matrix(
     )
     for a in (fig.layout.xaxis, fig.layout.yaxis):
         a.update(tickfont={"size": 10 if size > 12 else 11}, showline=False)
-    text = np.where(percent >= 10, np.char.mod("%.0f", percent), "")
-    bar = {"thickness": 10, "outlinewidth": 0, "title": {"text": "MAC, %", "side": "right", "font": {"size": 11}}}
+    told = percent >= 10
+    if not diagonal:
+        np.fill_diagonal(told, False)
+    text = np.where(told, np.char.mod("%.0f", percent), "")
+    bar = {"thickness": 10, "outlinewidth": 0, "title": {"text": "MAC, %", "side": "top", "font": {"size": 11}}}
     fig.add_heatmap(
         z=f32(percent), x=list(columns), y=list(rows), zmin=0, zmax=100, colorscale=SEQUENTIAL, colorbar=bar
     )
@@ -44,9 +56,27 @@ def labels(frequencies: Float) -> list[str]:
 
 
 def table_matrix(table: CorrelationTable) -> go.Figure:
-    """The MAC matrix of a correlation."""
+    """The MAC matrix of a correlation, its pairs outlined, from the first column compared to just above the test."""
     a, b = (f"{name} mode, Hz" for name in table.names)
-    return matrix(table.mac, labels(table.all_test_hz), labels(table.all_fe_hz), a, b)
+    first, last = _columns(table)
+    names = labels(table.all_fe_hz)[first:last]
+    fig = matrix(table.mac[:, first:last], labels(table.all_test_hz), names, a, b)
+    pairs = zip(table.pairing.a.tolist(), (table.pairing.b - first).tolist(), strict=True)
+    fig.update_layout(shapes=[_outline(i, j) for i, j in pairs])
+    return fig
+
+
+def _columns(table: CorrelationTable) -> tuple[int, int]:
+    compared = np.flatnonzero(table.mac.any(axis=0))
+    near = np.flatnonzero(table.all_fe_hz <= 1.15 * table.all_test_hz.max(initial=0.0))
+    last = max(int(x.max(initial=-1)) for x in (near, table.pairing.b)) + 1
+    first = int(compared[0]) if compared.size else 0
+    return (first, last) if last > first else (0, table.mac.shape[1])
+
+
+def _outline(row: int, column: int) -> dict[str, object]:
+    edges = {"x0": column - 0.5, "x1": column + 0.5, "y0": row - 0.5, "y1": row + 0.5}
+    return {"type": "rect", **edges, "line": {"width": 1.5, "color": TEST}}
 
 
 def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:

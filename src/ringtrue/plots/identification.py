@@ -24,25 +24,36 @@ def _strokes(diagram: StableDiagram, chosen: Bool, span: tuple[float, float]) ->
     return x, y, f" (one in {every} drawn)" if every > 1 else ""
 
 
+def pole_span(diagram: StableDiagram) -> tuple[float, float]:
+    """Where the poles of a diagram lie, with a margin, Hz."""
+    f = diagram.poles.frequencies if diagram.poles.frequencies.size else diagram.freqs
+    low, high = float(f.min(initial=np.inf)), float(f.max(initial=0.0))
+    if low > high:
+        return 0.0, 1.0
+    margin = 0.06 * (high - low) or 0.1 * high or 1.0
+    return max(low - margin, 0.0), high + margin
+
+
 def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
-    """Poles by model order over the spectrum; the chosen modes as lines."""
-    span = (float(diagram.freqs.min()), float(diagram.freqs.max())) if diagram.freqs.size else (0.0, np.inf)
+    """Poles by model order over the spectrum; the modes as marks. Drawn where there are poles."""
+    span = pole_span(diagram)
     in_mode = diagram.cluster >= 0
     fig = figure(
-        320,
-        xaxis=axis("Frequency, Hz", range=list(span) if diagram.freqs.size else None),
+        270,
+        xaxis=axis("Frequency, Hz", range=list(span)),
         yaxis=axis("Model order", rangemode="tozero"),
         yaxis2=axis("Spectrum, dB", overlaying="y", side="right", showgrid=False, tickmode="auto", nticks=5),
     )
     fig.layout.margin.r = 60
-    step = max(1, diagram.freqs.size // 1500)
+    inside = np.flatnonzero((diagram.freqs >= span[0]) & (diagram.freqs <= span[1]))
+    inside = inside[:: max(1, inside.size // 1000)]
     grey = {"width": 1, "color": "#b4bec8"}
-    x, y = f32(diagram.freqs[::step]), f32(diagram.level[::step])
+    x, y = f32(diagram.freqs[inside]), f32(diagram.level[inside])
     fig.add_scatter(x=x, y=y, yaxis="y2", line=grey, name="spectrum", hoverinfo="skip")
     for name, chosen, color, width in (
         ("unstable", ~diagram.stable & ~in_mode, "#d3cbbd", 1.0),
         ("stable", diagram.stable & ~in_mode, QUALITATIVE[5], 1.6),
-        ("taken into a mode", in_mode, FE, 2.0),
+        ("in a mode", in_mode, FE, 2.0),
     ):
         x, y, note = _strokes(diagram, chosen, span)
         line = {"width": width, "color": color}

@@ -87,7 +87,8 @@ def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[s
         color = QUALITATIVE[k % len(QUALITATIVE)]
         for g in groups:
             colors[g], alpha[g] = color, 1.0
-        legend.append({"name": name, "color": color, "note": notes.get(name, "")})
+        hidden = "" if groups else ", not drawn"
+        legend.append({"name": name + hidden, "color": color, "note": notes.get(name, "")})
     return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": legend})
 
 

@@ -5,9 +5,21 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Bool, Complex, Float
 from ringtrue.core.signals import FrfSet
-from ringtrue.plots.style import FINAL, INITIAL, QUALITATIVE, TEST, axis, f32, figure, joined, log_axis, thinned
+from ringtrue.plots.style import (
+    FINAL,
+    INITIAL,
+    QUALITATIVE,
+    TEST,
+    axis,
+    f32,
+    figure,
+    joined,
+    log_axis,
+    thinned,
+    thinned_log,
+)
 from ringtrue.study.results import FinalStage, RecordSummary
 
 FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
@@ -16,30 +28,40 @@ FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m
 def record(summary: RecordSummary, unit: str) -> go.Figure:
     """Time previews on the left, power spectral densities on the right; `unit` of the channels, empty if mixed."""
     unit = unit or "SI unit"
+    ok = summary.psd_freqs > 0
     fig = figure(
         250,
         xaxis=axis("Time, s", domain=[0, 0.41]),
         yaxis=axis(unit, exponentformat="power"),
         xaxis2=axis("Frequency, Hz", type="log", domain=[0.59, 1], anchor="y2", dtick=1),
-        yaxis2=log_axis(f"PSD, ({unit})²/Hz", anchor="x2", dtick=2),
+        yaxis2=log_axis(f"PSD, ({unit})²/Hz", anchor="x2", dtick=2, **_decades(summary.psd[:, ok])),
     )
-    ok = summary.psd_freqs > 0
     for i, name in enumerate(summary.preview_channels):
         line = {"width": 0.9, "color": QUALITATIVE[i % 8]}
         x, y = f32(summary.preview_time), f32(summary.preview[i])
         fig.add_scatter(x=x, y=y, name=name, line=line, legendgroup=name, opacity=0.85)
-        x, y = f32(summary.psd_freqs[ok]), f32(summary.psd[i][ok])
+        x, y = (f32(a) for a in thinned_log(summary.psd_freqs[ok], summary.psd[i][ok], 500))
         fig.add_scatter(x=x, y=y, line=line, xaxis="x2", yaxis="y2", legendgroup=name, showlegend=False, name=name)
     return fig
 
 
-def _imaginary(frfs: FrfSet, column: int, bins: int = 700) -> tuple[Float, Float]:
-    at, y = thinned(frfs.data[:, :, column].imag.T, bins)
-    return frfs.freqs[at], y
+def _decades(psd: Float) -> dict[str, list[float]]:
+    """A range of at most ten decades below the peak: the roll-off of a filter is not what the reader looks for."""
+    if not psd.size or not psd.max() > 0:
+        return {}
+    top = float(np.log10(psd.max()))
+    low = float(np.log10(max(psd[psd > 0].min(), 10 ** (top - 10))))
+    return {"range": [low - 0.3, top + 0.4]}
 
 
-def frfs(data: FrfSet, cmif: Float, marks: Float) -> go.Figure:
-    """Imaginary parts of all FRFs over one another, the CMIF below; `marks` (m,) Hz are the identified modes."""
+def _imaginary(frfs: FrfSet, column: int, shown: Bool, bins: int = 600) -> tuple[Float, Float]:
+    at, y = thinned(frfs.data[shown, :, column].imag.T, bins)
+    return frfs.freqs[shown][at], y
+
+
+def frfs(data: FrfSet, cmif: Float, marks: Float, top: float = np.inf) -> go.Figure:
+    """Imaginary parts of all FRFs over one another, the CMIF below, up to `top` Hz; `marks` (m,) Hz are modes."""
+    shown = data.freqs <= top
     fig = figure(
         560,
         xaxis=axis(domain=[0, 1], anchor="y", matches="x2", showticklabels=False),
@@ -48,15 +70,16 @@ def frfs(data: FrfSet, cmif: Float, marks: Float) -> go.Figure:
         yaxis2=log_axis(f"CMIF, {FRF_UNITS[data.kind]}", domain=[0, 0.44], anchor="x2", dtick=1),
     )
     for j, c in enumerate(data.inputs):
-        x, y = joined(*_imaginary(data, j))
+        x, y = joined(*_imaginary(data, j, shown))
         line = {"width": 0.6, "color": QUALITATIVE[j % 8]}
         fig.add_scatter(x=x, y=y, line=line, opacity=0.65, name=f"force at {c.id}", hoverinfo="skip")
+        fig.data[-1].meta = {"overlay": data.data.shape[1]}
     for j in range(cmif.shape[1]):
-        at, y = thinned(cmif[:, j][None], 1500)
+        at, y = thinned(cmif[shown, j][None], 1500)
         line = {"width": 1.4 if j == 0 else 1.0, "color": QUALITATIVE[j % 8]}
-        x = f32(data.freqs[at])
+        x = f32(data.freqs[shown][at])
         fig.add_scatter(x=x, y=f32(y[0]), line=line, xaxis="x2", yaxis="y2", name=f"σ{j + 1}", showlegend=False)
-    fig.update_layout(shapes=[_mark(f) for f in marks.tolist()])
+    fig.update_layout(shapes=[_mark(f) for f in marks[marks <= top].tolist()])
     return fig
 
 

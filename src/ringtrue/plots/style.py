@@ -87,6 +87,17 @@ def ticks(x: Float, low: Float, high: Float) -> tuple[Any_, Any_]:
     return f32(np.stack([x, x, nan], 1).ravel()), f32(np.stack([low, high, nan], 1).ravel())
 
 
+def thinned_log(x: Float, y: Float, bins: int) -> tuple[Any_, Any_]:
+    """One curve over a logarithmic axis, `x` (k,) > 0 ascending: the largest `y` in each of about `bins` equal bins."""
+    if x.size <= bins:
+        return x, y
+    place = np.floor(np.log(x / x[0]) / np.log(x[-1] / x[0]) * bins)
+    order = np.lexsort((-y, place))
+    first = np.unique(place[order], return_index=True)[1]
+    at = np.sort(order[first])
+    return x[at], y[at]
+
+
 def thinned(y: Float, bins: int) -> tuple[Any_, Any_]:
     """Positions (b,) and values (curve, b) of the largest |y| in each of at most `bins` equal bins: peaks stay."""
     curves, k = y.shape

@@ -19,7 +19,7 @@ def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float)
         xaxis=axis(tickangle=-45, side="bottom", showgrid=False, showline=False, ticks=""),
         yaxis=axis("FE mode", autorange="reversed", showgrid=False, showline=False, ticks="", tickfont={"size": 11}),
     )
-    bar = {"title": {"text": name, "side": "right", "font": {"size": 11}}, "thickness": 12, "outlinewidth": 0}
+    bar = {"title": {"text": name, "side": "top", "font": {"size": 11}}, "thickness": 12, "outlinewidth": 0}
     fig.add_heatmap(
         z=f32(values),
         x=list(stage.names),
@@ -36,14 +36,21 @@ def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float)
     return fig
 
 
+def _whole(count: int, most: int) -> dict[str, object]:
+    """An axis of `count` iterations with at most about `most` whole ticks."""
+    step = next((d for d in (1, 2, 5, 10, 20, 50) if count <= d * most), 100)
+    return {"dtick": step, "tick0": 0, "range": [-0.03 * count - 0.2, count - 0.8 + 0.03 * count]}
+
+
 def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     """Objective, mean |Δf| and mean MAC by iteration for every set."""
     thirds = ([0, 0.25], [0.375, 0.625], [0.75, 1.0])
     titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean MAC, %")
     fig = figure(300)
+    longest = max((s.objective.size for s in sets), default=1)
     for k, (domain, title) in enumerate(zip(thirds, titles, strict=True), start=1):
         n = "" if k == 1 else str(k)
-        fig.layout[f"xaxis{n}"] = axis("Iteration", domain=domain, anchor=f"y{n}", dtick=1)
+        fig.layout[f"xaxis{n}"] = axis("Iteration", domain=domain, anchor=f"y{n}", **_whole(longest, 7))
         fig.layout[f"yaxis{n}"] = axis(title, anchor=f"x{n}")
     fig.layout.yaxis.update(type="log", exponentformat="power", dtick=1, tickfont={"size": 10})
     for i, s in enumerate(sets):
@@ -62,7 +69,7 @@ def path(result: SetResult) -> go.Figure:
     """Factors of the parameters by iteration, with one standard deviation at the end."""
     fig = figure(
         320,
-        xaxis=axis("Iteration", dtick=1),
+        xaxis=axis("Iteration", **_whole(result.path.shape[0], 18)),
         yaxis=axis("Updated / initial", type="log", minor={"ticks": "outside"}),
     )
     fig.layout.yaxis.update(tickvals=[0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 20, 50], ticktext=None)

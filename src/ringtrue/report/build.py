@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
@@ -14,6 +15,7 @@ from plotly.offline import get_plotlyjs
 from ringtrue import __version__
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
+from ringtrue.report.pack import figure_json
 from ringtrue.report.parts import Acceptance, Photo, Picture, Plot, Scene3D, Section
 from ringtrue.report.sections import (
     after,
@@ -30,6 +32,7 @@ from ringtrue.report.sections import (
     updated,
 )
 from ringtrue.report.stages import Stages
+from ringtrue.study.summary import Check
 
 __all__ = ["Acceptance", "Photo", "build"]
 
@@ -53,6 +56,8 @@ SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
     origin.section,
 )
 
+GEOMETRY = frozenset(("xyz", "tri", "tgroup", "line", "lgroup"))  # of a skin; the rest is its look
+
 
 def build(
     stages: Mapping[str, object],
@@ -62,6 +67,7 @@ def build(
     system_text: str = "",
     acceptance: Acceptance | None = None,
     photos: Sequence[Photo] = (),
+    checks: Sequence[Check] = (),
 ) -> Path:
     """Write the report of a study.
 
@@ -78,6 +84,8 @@ def build(
         When a mode is accepted.
     photos : sequence of Photo
         The user's own photographs, embedded.
+    checks : sequence of Check
+        What must hold of the study, and whether it did.
 
     Returns
     -------
@@ -89,7 +97,7 @@ def build(
     ConfigError
         On a stage or section that does not exist.
     """
-    data = Stages.of(stages, title, system_text, acceptance or Acceptance())
+    data = Stages.of(stages, title, system_text, acceptance or Acceptance(), checks)
     sections = [s for s in (make(data) for make in SECTIONS) if s is not None]
     sections = [_with_photos(s, photos) for s in sections]
     _refuse_lost(photos, sections)
@@ -118,6 +126,7 @@ class _Figures:
 
     plots: list[str] = field(default_factory=list)
     views: list[str] = field(default_factory=list)
+    skins: list[str] = field(default_factory=list)
     figure: int = 0
     table: int = 0
 
@@ -132,10 +141,24 @@ class _Figures:
     def add(self, block: Plot | Scene3D) -> int:
         """The position of the figure's data in its list."""
         if isinstance(block, Plot):
-            self.plots.append(_safe(str(block.figure.to_json())))
+            self.plots.append(_safe(figure_json(block.figure)))
             return len(self.plots) - 1
-        self.views.append(_safe(json.dumps(block.view.payload, separators=(",", ":"), allow_nan=False)))
+        self.views.append(_safe(_json(self._shared(block.view.payload))))
         return len(self.views) - 1
+
+    def _shared(self, payload: dict[str, Any]) -> dict[str, Any]:
+        """The payload with the geometry of its skin, the same in every view, replaced by its position."""
+        if "skin" not in payload:
+            return payload
+        text = _json({k: v for k, v in payload["skin"].items() if k in GEOMETRY})
+        if text not in self.skins:
+            self.skins.append(text)
+        look = {k: v for k, v in payload["skin"].items() if k not in GEOMETRY}
+        return payload | {"skin": look | {"at": self.skins.index(text)}}
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
 def _safe(text: str) -> str:
@@ -185,4 +208,5 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
         version=__version__,
         plots=figures.plots,
         views=figures.views,
+        skins=figures.skins,
     )

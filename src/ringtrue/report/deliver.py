@@ -11,12 +11,12 @@ from ringtrue.io.atomic import atomic_write
 from ringtrue.report.build import Acceptance, Photo, build
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.run import StudyRun, load_study
-from ringtrue.study.summary import summarise
+from ringtrue.study.summary import checks, finite, summarise
 
 
 def deliver(run: StudyRun, extra: Mapping[str, Any] | None = None) -> Path:
     """Write summary.json and report.html into the folder of the run; returns the report."""
-    summary = summarise(run) | dict(extra or {})
+    summary = finite(summarise(run) | dict(extra or {}))
     with atomic_write(run.folder / "summary.json") as part:
         part.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return _report(run, run.folder / "report.html")
@@ -35,5 +35,11 @@ def _report(run: StudyRun, out: Path) -> Path:
     stages = {k: v for k, v in run.results.items() if v is not None}
     acceptance = Acceptance(percent=c.accept_percent, hz=c.accept_hz, mac=c.accept_mac)
     return build(
-        stages, out, title=config.study.title, system_text=config.study.system, acceptance=acceptance, photos=photos
+        stages,
+        out,
+        title=config.study.title,
+        system_text=config.study.system,
+        acceptance=acceptance,
+        photos=photos,
+        checks=checks(stages),
     )

@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.scene import View
+from ringtrue.study.summary import Check
 
 IMAGES = {
     ".png": "image/png",
@@ -112,6 +113,7 @@ class Table:
     caption: str = ""
     foot: Sequence[str | Cell] = ()
     scroll: bool = False
+    lead: int = 1  # columns that the first cell of the foot spans
     kind: str = field(default="table", init=False)
 
 
@@ -163,7 +165,7 @@ class Facts:
 class Checks:
     """What must hold, and whether it held."""
 
-    checks: Sequence[tuple[str, bool]]
+    checks: Sequence[Check]
     kind: str = field(default="checks", init=False)
 
 
@@ -268,7 +270,19 @@ def fixed(value: float | None, decimals: int, sign: bool = False) -> str:
     """A number with fixed decimals, so that a column lines up; `–` where unknown."""
     if value is None or not math.isfinite(value):
         return MISSING
-    return f"{value:{'+' if sign else ''}.{decimals}f}".replace("-", "−")
+    text = f"{value:{'+' if sign else ''}.{decimals}f}"
+    return (text if float(text) else text.lstrip("+-")).replace("-", "−")
+
+
+def sentence(text: str) -> str:
+    """A remark of a stage as a sentence."""
+    text = signs(text.strip())
+    return text[:1].upper() + text[1:] + ("" if not text or text[-1] in ".!?" else ".")
+
+
+def signs(text: str) -> str:
+    """Typed relations and arrows as the signs they stand for."""
+    return text.replace(">=", "≥").replace("<=", "≤").replace("->", "→")
 
 
 def _raised(n: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from ringtrue.study.results import (
     TuneStage,
     UpdateStage,
 )
+from ringtrue.study.summary import Check
 
 KINDS: dict[str, type] = {
     "model": ModelStage,
@@ -44,6 +45,7 @@ class Stages:
     title: str
     system_text: str
     acceptance: Acceptance
+    checks: tuple[Check, ...] = ()
     model: ModelStage | None = None
     plan: PlanStage | None = None
     identify: IdentifyStage | None = None
@@ -56,7 +58,14 @@ class Stages:
     provenance: Provenance | None = None
 
     @classmethod
-    def of(cls, stages: Mapping[str, object], title: str, system_text: str, acceptance: Acceptance) -> Stages:
+    def of(
+        cls,
+        stages: Mapping[str, object],
+        title: str,
+        system_text: str,
+        acceptance: Acceptance,
+        checks: Sequence[Check] = (),
+    ) -> Stages:
         """From a mapping.
 
         Raises
@@ -71,7 +80,7 @@ class Stages:
             if value is not None and not isinstance(value, KINDS[name]):
                 raise ConfigError(f"stage {name}: got {type(value).__name__}, needs {KINDS[name].__name__}")
             known[name] = value
-        return cls(title, system_text, acceptance, **known)
+        return cls(title, system_text, acceptance, tuple(checks), **known)
 
     @property
     def test(self) -> TestModel | None:

@@ -12,8 +12,13 @@ from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
 
 
+def _rising(name: str, low: float | None, high: float | None) -> None:
+    if (low is not None and low < 0) or (high is not None and high <= (low or 0.0)):
+        raise ValueError(f"{name}fmin {low} and {name}fmax {high}: must be 0 <= fmin < fmax")
+
+
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class StudyInfo(_Section):
@@ -46,6 +51,11 @@ class PlanSection(_Section):
     damping: float = Field(default=0.01, gt=0)  # expected, for the resolution
     max_auto_mac: float = Field(default=0.25, gt=0, lt=1)
 
+    @model_validator(mode="after")
+    def _band(self) -> Self:
+        _rising("", self.fmin, self.fmax)
+        return self
+
 
 class TestSection(_Section):
     """The measurements: a crew's log that lists the records, and the sensor sheet."""
@@ -63,6 +73,12 @@ class IdentifySection(_Section):
     hammer_fmin: float | None = None
     hammer_fmax: float | None = None
     confidence: float = Field(default=0.5, ge=0, le=1)  # modes below are not used, but listed
+
+    @model_validator(mode="after")
+    def _bands(self) -> Self:
+        _rising("ambient_", self.ambient_fmin, self.ambient_fmax)
+        _rising("hammer_", self.hammer_fmin, self.hammer_fmax)
+        return self
 
 
 class CorrelateSection(_Section):
@@ -100,7 +116,14 @@ class Candidate(_Section):
     def _readable(cls, value: list[str]) -> list[str]:
         for text in value:
             parse_target(text)
+        if not value:
+            raise ValueError("a candidate needs at least one target, as in 'MAT1 7 E'")
         return value
+
+    @model_validator(mode="after")
+    def _bounds(self) -> Self:
+        self.parameter()
+        return self
 
     def parameter(self) -> Parameter:
         """As a core parameter."""
@@ -152,6 +175,9 @@ class StudyConfig(_Section):
     def _something(self) -> Self:
         if self.model is None and self.test is None:
             raise ValueError("a study needs a [model], a [test] or both")
+        names = [c.name for c in (*self.candidate, *self.suspension)]
+        if twice := sorted({n for n in names if names.count(n) > 1}):
+            raise ValueError(f"candidates and suspensions need names of their own; twice: {', '.join(twice)}")
         return self
 
     def candidates(self) -> ParameterSet:
@@ -184,8 +210,9 @@ def _explain(path: Path, error: ValidationError) -> str:
             hint = did_you_mean(str(e["loc"][-1]), _allowed(e["loc"][:-1]))
             lines.append(f"{path}: unknown key {place!r}{hint}")
         else:
-            got = "" if e["type"] == "missing" else f" (got {e['input']!r})"
-            lines.append(f"{path}: {place or 'study'}: {e['msg']}{got}")
+            simple = isinstance(e["input"], str | int | float | list)
+            got = f" (got {e['input']!r})" if simple and e["type"] != "missing" else ""
+            lines.append(f"{path}: {place or 'study'}: {e['msg'].removeprefix('Value error, ')}{got}")
     return "\n".join(lines)
 
 
@@ -201,6 +228,8 @@ def read_config(path: Path) -> StudyConfig:
         return parse_config(path.read_text(encoding="utf-8"), path)
     except FileNotFoundError as e:
         raise ConfigError(f"{path}: no such file") from e
+    except IsADirectoryError as e:
+        raise ConfigError(f"{path}: a folder; name the study.toml in it") from e
     except UnicodeDecodeError as e:
         raise ConfigError(f"{path}: not UTF-8: {e}") from e
 

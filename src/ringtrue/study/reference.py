@@ -36,6 +36,18 @@ def split_frequency(frequencies: Float, below: float | None) -> float:
     return float(np.sqrt(f[i] * f[i + 1]))
 
 
+def elastic_edge(frequencies: Float, config: StudyConfig) -> float:
+    """Between rigid-body and elastic modes, Hz.
+
+    As stated in the study; else the widest gap where the study names a suspension. A structure without one is held or
+    free: it has no rigid-body modes but those at 0 Hz (to round-off, 1e-3 of the highest frequency).
+    """
+    below = config.correlate.rigid_below
+    if below is None and not config.suspension:
+        return 1e-3 * float(frequencies.max(initial=0.0))
+    return split_frequency(frequencies, below)
+
+
 def measured_channels(modes: ModeSet) -> ModeSet:
     """The modes and channels without gaps: modes seen at fewer than half of the channels go first."""
     known = np.isfinite(modes.shapes)
@@ -53,7 +65,7 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
         If the test holds no elastic mode.
     """
     every = np.concatenate([found.ambient.frequencies, found.hammer.frequencies if found.hammer else np.zeros(0)])
-    edge = split_frequency(every, config.correlate.rigid_below)
+    edge = elastic_edge(every, config)
     least = config.identify.confidence
     ambient_sure = found.ambient.confidence >= least
     low = np.flatnonzero((found.ambient.frequencies < edge) & ambient_sure)
@@ -106,7 +118,7 @@ def elastic_table(
 ) -> CorrelationTable:
     """Elastic test modes against the model's elastic modes at the channels."""
     gates = gates or settings(config)
-    edge = split_frequency(fe.frequencies, config.correlate.rigid_below)
+    edge = elastic_edge(fe.frequencies, config)
     first = int((fe.frequencies < edge).sum()) if len(reference.rigid) or config.correlate.rigid_below else 0
     elastic = fe.take(np.arange(first, len(fe)))
     pairing = pair_modes(reference.elastic, elastic, gates)
@@ -122,7 +134,7 @@ def elastic_table(
 def rigid_table(reference: Reference, fe: ModeSet, config: StudyConfig) -> CorrelationTable:
     """Rigid-body test modes against the model's."""
     gates = rigid_settings(config)
-    edge = split_frequency(fe.frequencies, config.correlate.rigid_below)
+    edge = elastic_edge(fe.frequencies, config)
     low = fe.take(np.flatnonzero(fe.frequencies < edge))
     pairing = pair_modes(reference.rigid, low, gates)
     return correlation_table(reference.rigid, low, pairing, std_hz=reference.rigid_std.frequency)

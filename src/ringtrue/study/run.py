@@ -5,17 +5,22 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import os
 import platform
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ringtrue import __version__
-from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
+from ringtrue.model.edit import apply_factors
 from ringtrue.study.config import StudyConfig, parse_config, read_config
 from ringtrue.study.results import Provenance
 from ringtrue.study.stages import STAGES, Stage
@@ -47,13 +52,29 @@ class StudyRun:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    try:
+        state = path.stat()
+        return _hashed(path, state.st_mtime_ns, state.st_size)
+    except (FileNotFoundError, IsADirectoryError) as e:
+        raise DataError(f"{path}: no such file; the study, its log or its deck names it") from e
+
+
+@lru_cache(maxsize=4096)
+def _hashed(path: Path, mtime: int, size: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _digests(paths: Iterable[Path], base: Path) -> dict[str, str]:
+    """SHA-256 by the path as seen from the folder of the study."""
+    home = base.resolve()
+    return {Path(os.path.relpath(p.resolve(), home)).as_posix(): _digest(p) for p in dict.fromkeys(paths)}
 
 
 def stage_key(stage: Stage, desk: Workbench, upstream: Mapping[str, str]) -> str:
     """A hash over the stage's settings, its input files, the version and the keys of the stages it needs."""
     settings = {name: json.loads(json.dumps(_plain(getattr(desk.config, name)))) for name in stage.settings}
-    files = {str(p.name): _digest(p) for p in stage.files(desk)}
+    files = _digests(stage.files(desk), desk.base)
     needs = {n: upstream[n] for n in stage.needs if n in upstream}
     text = json.dumps([__version__, stage.name, settings, files, needs], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -70,6 +91,41 @@ def _position(name: str) -> int:
     if name not in names:
         raise ConfigError(f"no stage {name!r}{did_you_mean(name, names)}")
     return names.index(name)
+
+
+def _span(desk: Workbench, first: str | None, until: str | None) -> tuple[int, int]:
+    """The first stage that is run anew whatever the store holds, and the last stage."""
+    for name in (first, until):
+        if name and not STAGES[_position(name)].applies(desk):
+            lost = " and no ".join(STAGES[_position(name)].lacks(desk)).replace("|", " or ")
+            raise ConfigError(f"stage {name!r} does not apply: the study has no section {lost}")
+    start = _position(first) if first else len(STAGES)
+    stop = _position(until) if until else len(STAGES) - 1
+    if first and start > stop:
+        raise ConfigError(
+            f"--from {first} comes after --until {until}; the order is {', '.join(s.name for s in STAGES)}"
+        )
+    return start, stop
+
+
+def _downstream(name: str) -> set[str]:
+    """The stages that take results of a stage, directly or not."""
+    out = {name}
+    for stage in STAGES:
+        if out & set(stage.needs):
+            out.add(stage.name)
+    return out - {name}
+
+
+def _check_targets(desk: Workbench, todo: Iterable[Stage]) -> None:
+    """Candidates must be in the deck: found before hours of identification, not after."""
+    if not any(s.name in ("sensitivity", "tune") for s in todo):
+        return
+    for p in (desk.config.candidates(), desk.config.suspensions()):
+        try:
+            apply_factors(desk.remodelled.model, p, np.ones(len(p)))
+        except InputError as e:
+            raise ConfigError(f"[[candidate]] or [[suspension]]: {e}") from e
 
 
 def run_study(
@@ -103,35 +159,48 @@ def run_study(
     config = read_config(study)
     folder = out or study.parent
     desk = Workbench(config, study.parent, folder, Store(folder / "study.h5"))
-    start = _position(first) if first else len(STAGES)
-    stop = _position(until) if until else len(STAGES) - 1
+    start, stop = _span(desk, first, until)
+    todo = [s for s in STAGES[: stop + 1] if s.applies(desk)]
+    _check_targets(desk, todo)
+    inputs = [f for s in todo for f in s.files(desk)]
+    _digests(inputs, desk.base)  # a file that is lost is found before anything is computed
     keys: dict[str, str] = {}
     timings: dict[str, float] = {}
     loaded = []
-    todo = [s for s in STAGES[: stop + 1] if s.applies(desk)]
-    for i, stage in enumerate(todo):
-        progress(i / len(todo), stage.title)
-        keys[stage.name] = stage_key(stage, desk, keys)
-        if _position(stage.name) < start and desk.store.key(stage.name) == keys[stage.name]:
-            loaded.append(stage.name)
-            continue
-        began = time.perf_counter()
-        result = stage.run(desk, _within(progress, i, len(todo)))
-        desk.put(stage.name, result)
-        desk.store.save(stage.name, keys[stage.name], result)
-        timings[stage.name] = time.perf_counter() - began
-        log.info("%s: %.1f s", stage.name, timings[stage.name])
+    try:
+        for i, stage in enumerate(todo):
+            progress(i / len(todo), stage.title)
+            keys[stage.name] = key = stage_key(stage, desk, keys)
+            stored = desk.store.key(stage.name)
+            if _position(stage.name) < start and stored == key:
+                loaded.append(stage.name)
+                continue
+            began = time.perf_counter()
+            result = stage.run(desk, _within(progress, i, len(todo)))
+            desk.put(stage.name, result)
+            stale = _downstream(stage.name) if stored != key else ()
+            desk.store.save(stage.name, key, result, drop=stale)
+            timings[stage.name] = time.perf_counter() - began
+            log.info("%s: %.1f s", stage.name, timings[stage.name])
+    except BaseException:  # stopped by the user, too: what is stored can be reported, and the next run resumes
+        if timings:
+            _sign(desk, inputs, study, timings)
+        raise
     progress(1.0, "done")
     results = {s.name: desk.get(s.name) for s in todo}
-    made = provenance(desk, [f for s in todo for f in s.files(desk)], study, timings)
-    desk.store.save("provenance", "", made)
+    made = _sign(desk, inputs, study, timings)
     return StudyRun(folder, desk, results | {"provenance": made}, made.timings, tuple(loaded))
+
+
+def _sign(desk: Workbench, files: Iterable[Path], study: Path, timings: Mapping[str, float]) -> Provenance:
+    made = provenance(desk, files, study, timings)
+    desk.store.save("provenance", "", made)
+    return made
 
 
 def provenance(desk: Workbench, files: Iterable[Path], study: Path, timings: Mapping[str, float]) -> Provenance:
     """Where the results came from; seconds of stages that were loaded are those of their own run."""
     before = desk.get("provenance").timings if "provenance" in desk.store.stages() else {}
-    unique = dict.fromkeys([study, *files])
     return Provenance(
         __version__,
         platform.python_version(),
@@ -139,7 +208,7 @@ def provenance(desk: Workbench, files: Iterable[Path], study: Path, timings: Map
         platform.platform(),
         desk.config.study.seed,
         datetime.now(UTC).isoformat(timespec="seconds"),
-        {p.name: _digest(p) for p in unique},
+        _digests([study, *files], desk.base),
         study.read_text(encoding="utf-8"),
         {**before, **timings},
     )
@@ -158,10 +227,10 @@ def load_study(store: Path) -> StudyRun:
     held = Store(store)
     made = held.load("provenance")
     assert isinstance(made, Provenance)
-    names = [s.name for s in STAGES]
-    results = {n: held.load(n) for n in held.stages() if n in names}
     config = parse_config(made.settings, store)
     desk = Workbench(config, store.parent, store.parent, held)
+    there = held.stages()
+    results = {s.name: held.load(s.name) for s in STAGES if s.name in there and s.applies(desk)}
     return StudyRun(store.parent, desk, results | {"provenance": made}, made.timings, tuple(results))
 
 

@@ -1,4 +1,4 @@
-"""What is drawn of a model: the skin of its solids, its shells and its lines, by region."""
+"""What is drawn of a model: the skin of its solids, its shells, its lines and its bushes, by region."""
 
 from __future__ import annotations
 
@@ -22,7 +22,13 @@ _FACES = {
     "CTRIA3": ((0, 1, 2, 2),),
 }
 _CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4, "CQUAD4": 4, "CTRIA3": 3}
-_LINES = {"CBAR": ("GA", "GB"), "CBEAM": ("GA", "GB"), "CROD": ("G1", "G2"), "CTUBE": ("G1", "G2")}
+_LINES = {
+    "CBAR": ("GA", "GB"),
+    "CBEAM": ("GA", "GB"),
+    "CROD": ("G1", "G2"),
+    "CTUBE": ("G1", "G2"),
+    "CBUSH": ("GA", "GB"),
+}
 
 
 def _faces(model: Model) -> tuple[Int, Int]:
@@ -49,7 +55,8 @@ def _faces(model: Model) -> tuple[Int, Int]:
 def _lines(model: Model) -> tuple[Int, Int]:
     parts = [np.column_stack([model[c].stack(a, b), model[c]["PID"]]) for c, (a, b) in _LINES.items() if c in model]
     every = np.concatenate(parts) if parts else np.zeros((0, 3), dtype=np.int64)
-    return every[:, :2], every[:, 2]
+    ends = np.where(every[:, :2] > 0, every[:, :2], every[:, :1])  # a bush to ground is a line without length
+    return ends, every[:, 2]
 
 
 def _groups(pids: Int, regions: Mapping[str, Sequence[int]]) -> tuple[Int, tuple[str, ...]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import shutil
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import h5py
 
 from ringtrue.errors import DataError
 from ringtrue.io import codec
+from ringtrue.io.atomic import atomic_write
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,25 +24,21 @@ class Store:
         """The key that a stage was stored with; None where it is not there."""
         if not self.path.exists():
             return None
-        with h5py.File(self.path, "r") as f:
+        with self._open() as f:
             return str(f[stage].attrs["key"]) if stage in f else None
 
-    def save(self, stage: str, key: str, result: object) -> None:
-        """Write a stage into a copy of the file, then put the copy in its place."""
+    def save(self, stage: str, key: str, result: object, *, drop: Collection[str] = ()) -> None:
+        """Write a stage into a copy of the file, without the stages of `drop`, then put the copy in its place."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        part = self.path.with_suffix(".part")
-        if self.path.exists():
-            shutil.copyfile(self.path, part)
-        try:
-            with h5py.File(part, "a") as f:
-                if stage in f:
-                    del f[stage]
-                group = f.create_group(stage)
-                codec.save(group, result)
-                group.attrs["key"] = key
-            os.replace(part, self.path)
-        finally:
-            part.unlink(missing_ok=True)
+        with atomic_write(self.path) as part, h5py.File(part, "w") as new:
+            if self.path.exists():
+                with self._open() as old:
+                    for name in old:
+                        if name != stage and name not in drop:
+                            old.copy(name, new)
+            group = new.create_group(stage)
+            codec.save(group, result)
+            group.attrs["key"] = key
 
     def load(self, stage: str) -> object:
         """The result of a stage.
@@ -53,7 +50,7 @@ class Store:
         """
         if not self.path.exists():
             raise DataError(f"{self.path}: no such store; run the study first")
-        with h5py.File(self.path, "r") as f:
+        with self._open() as f:
             if stage not in f:
                 raise DataError(
                     f"{self.path}: stage {stage!r} is not in the store; it holds {', '.join(f) or 'nothing'}"
@@ -64,5 +61,16 @@ class Store:
         """The stages that are stored."""
         if not self.path.exists():
             return ()
-        with h5py.File(self.path, "r") as f:
+        with self._open() as f:
             return tuple(f)
+
+    @contextmanager
+    def _open(self) -> Iterator[h5py.File]:
+        try:
+            file = h5py.File(self.path, "r")
+        except OSError as e:
+            raise DataError(
+                f"{self.path}: not a readable store ({e}); move it away and the study runs from the beginning"
+            ) from e
+        with file:
+            yield file

@@ -77,6 +77,15 @@ def _number(x: float) -> float | None:
     return x if np.isfinite(x) else None
 
 
+def finite(value: Any) -> Any:
+    """Plain values with None for every number that JSON cannot hold."""
+    if isinstance(value, Mapping):
+        return {k: finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
 def summarise(run: StudyRun) -> dict[str, Any]:
     """The summary of a run; parts that were not run are absent."""
     r = run.results

@@ -51,4 +51,4 @@ def _damping_table(data: Stages) -> Table:
         )
         for k in range(int(np.size(f.damping)))
     ]
-    return Table(("FE #", "f, Hz", "ζ, %", "|Taken from"), rows, "Damping of the final model.")
+    return Table(("FE #", "f, Hz", "ζ, %", "|Taken from"), rows, "Damping of the final model.", scroll=len(rows) > 16)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ringtrue.plots import updating as plots
-from ringtrue.report.parts import Block, Items, Plot, Section, Table, Tabs
+from ringtrue.report.parts import Block, Items, Plot, Section, Table, Tabs, sentence
 from ringtrue.report.stages import Stages
 
 
@@ -29,7 +29,7 @@ def section(data: Stages) -> Section | None:
             ]
         )
     ]
-    rows = [(k, str(len(v)), ", ".join(v), s.rules.get(k, "")) for k, v in s.sets.items()]
+    rows = [(k, str(len(v)), ", ".join(v), sentence(s.rules.get(k, ""))) for k, v in s.sets.items()]
     blocks.append(Table(("|Set", "Size", "|Parameters", "|Rule"), rows, "Parameter sets and how each was chosen."))
     if s.clusters:
         blocks.append(Items(s.clusters, "Candidates that the data cannot tell apart"))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from ringtrue.correlate.pairing import CorrelationRow, CorrelationTable
 from ringtrue.plots import correlation as plots
-from ringtrue.report.parts import Block, Cell, Diff, Plot, Section, Table, Text, fixed
+from ringtrue.report.parts import Block, Cell, Diff, Plot, Section, Table, Text, fixed, sentence, signs
 from ringtrue.report.stages import Stages
+
+FEW = 8  # modes above the other set's band that are still listed one by one
 
 
 def pairs(table: CorrelationTable, data: Stages, caption: str, updating: bool) -> Table:
@@ -17,8 +20,8 @@ def pairs(table: CorrelationTable, data: Stages, caption: str, updating: bool) -
     heads += ["|Updating", "|"] if updating else ["Δf/σ", "|"]
     rows = [_row(i + 1, r, data, updating) for i, r in enumerate(table.rows())]
     mean = [fixed(table.mean_deviation(), 2), "", fixed(table.mean_mac(), 1)]
-    foot = ["", "", "", "", "mean, of |Δf|", *mean, "", "", ""]
-    return Table(heads, rows, f"{caption} Accepted: {data.acceptance.words()}.", foot if rows else ())
+    foot = ["Mean, of |Δf|", *mean, "", "", ""]
+    return Table(heads, rows, f"{caption} Accepted: {data.acceptance.words()}.", foot if rows else (), lead=5)
 
 
 def _row(number: int, r: CorrelationRow, data: Stages, updating: bool) -> list[str | Cell]:
@@ -36,13 +39,21 @@ def _row(number: int, r: CorrelationRow, data: Stages, updating: bool) -> list[s
 def unpaired(table: CorrelationTable) -> list[Block]:
     """The modes without a partner, with the reasons."""
     p = table.pairing
-    sides = ((p.lone_a, p.why_a, table.all_test_hz), (p.lone_b, p.why_b, table.all_fe_hz))
-    rows = [
-        (name, str(k + 1), fixed(float(f[k]), 3), why)
-        for name, (lone, reasons, f) in zip(table.names, sides, strict=True)
-        for k, why in zip(lone.tolist(), reasons, strict=True)
-    ]
-    return [Table(("|Set", "#", "f, Hz", "|Reason"), rows, "Modes without a partner.")] if rows else []
+    top = float(table.all_test_hz.max(initial=0.0))
+    out: list[Block] = []
+    for name, lone, reasons, f in (
+        (table.names[0], p.lone_a, p.why_a, table.all_test_hz),
+        (table.names[1], p.lone_b, p.why_b, table.all_fe_hz),
+    ):
+        every = [(str(k + 1), fixed(float(f[k]), 3), signs(why)) for k, why in zip(lone.tolist(), reasons, strict=True)]
+        below = [row for row, k in zip(every, lone.tolist(), strict=True) if f[k] <= top]
+        rows = every if len(every) - len(below) <= FEW else below
+        caption = f"{name[:1].upper()}{name[1:]} modes without a partner."
+        if len(rows) < len(every):
+            caption += f" {len(every) - len(rows)} more lie above the highest {table.names[0]} mode."
+        if rows:
+            out.append(Table(("#", "f, Hz", "|Reason"), rows, caption))
+    return out
 
 
 def blocks(table: CorrelationTable, data: Stages, caption: str, updating: bool) -> list[Block]:
@@ -50,7 +61,7 @@ def blocks(table: CorrelationTable, data: Stages, caption: str, updating: bool) 
     a, b = table.names
     out: list[Block] = [pairs(table, data, caption, updating)]
     if table.mac.size:
-        text = f"MAC between {a} (rows) and {b} (columns) modes; numbers from 10 %."
+        text = f"MAC between {a} (rows) and {b} (columns) modes; numbers from 10 %, pairs outlined."
         out.append(Plot(plots.table_matrix(table), text))
     return out + unpaired(table)
 
@@ -77,7 +88,7 @@ def remodelled(data: Stages) -> Section | None:
     c = data.correlate
     if c is None or not (c.diff or c.remodelling):
         return None
-    body: list[Block] = [Text(c.remodelling)] if c.remodelling else []
+    body: list[Block] = [Text(sentence(c.remodelling))] if c.remodelling else []
     body += [Diff(c.diff, "The remodelling as a change of the deck.")] if c.diff else []
     body += blocks(c.remodelled, data, "The remodelled deck against the test.", updating=True)
     return Section("remodelled", "Remodelling", body)
@@ -98,5 +109,10 @@ def final(data: Stages) -> Section | None:
 
 def changes(files: Sequence[str], lines: Sequence[str]) -> list[Block]:
     """The changed fields of the deck."""
-    rows = [(x,) for x in lines]
-    return [Table(("|Field",), rows, f"Changed fields in {', '.join(files)}.", scroll=True)] if rows else []
+    caption = f"Changed fields of the deck ({', '.join(Path(f).name for f in files)})."
+    parts = [x.split() for x in lines]
+    if all(len(p) == 7 and p[5] == "->" for p in parts):
+        rows = [(place, f"{card} {ident}", field, old, new) for place, card, ident, field, old, _, new in parts]
+        heads: tuple[str, ...] = ("|File:line", "|Card", "|Field", "Initial", "Updated")
+        return [Table(heads, rows, caption, scroll=len(rows) > 20)] if rows else []
+    return [Table(("|Change",), [(signs(x),) for x in lines], caption, scroll=True)]

@@ -20,7 +20,6 @@ from ringtrue.report.parts import (
     Text,
     fixed,
     number,
-    plain,
 )
 from ringtrue.report.stages import Stages
 
@@ -50,11 +49,17 @@ def section(data: Stages) -> Section | None:
 
 
 def _diagrams(name: str, diagrams: Sequence[StableDiagram], modes: ModeSet) -> list[Block]:
-    out: list[Block] = []
-    for d in diagrams:
-        span = f"{plain(float(d.freqs.min()))} to {plain(float(d.freqs.max()))} Hz" if d.freqs.size else "all"
-        out.append(Plot(plots.stabilisation(d, modes), f"Stabilisation diagram, {name}, {span}."))
+    telling = [d for d in diagrams if (d.cluster >= 0).any()] or list(diagrams)
+    drawn: list[Block] = [Plot(plots.stabilisation(d, modes), f"{name}, {_span(d)}.") for d in telling]
+    out: list[Block] = [Columns([drawn[::2], drawn[1::2]]) if len(drawn) > 1 else drawn[0]]
+    if len(telling) < len(diagrams):
+        rest = ", ".join(_span(d) for d in diagrams if not (d.cluster >= 0).any())
+        out.append(Text(f"Not drawn, without a mode: {rest}.", "note"))
     return out
+
+
+def _span(d: StableDiagram) -> str:
+    return "{} to {} Hz".format(*(number(f, 3) for f in plots.pole_span(d)))
 
 
 def _modes(modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str], caption: str) -> Table:
@@ -68,9 +73,9 @@ def _modes(modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str], capt
             (
                 str(k + 1),
                 fixed(float(modes.frequencies[k]), 3),
-                number(sf, 2),
+                fixed(sf, 5),
                 fixed(100 * float(modes.damping[k]), 2),
-                number(100 * sz, 2),
+                fixed(100 * sz, 4),
                 Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
             )
         )
@@ -80,7 +85,7 @@ def _modes(modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str], capt
 def _by_record(data: Stages) -> Block:
     assert data.identify is not None
     rows = [
-        (r.record, str(len(r.modes)), " ".join(fixed(f, 2) for f in r.modes.frequencies.tolist()) or "–")
+        (r.record, str(len(r.modes)), "  ".join(fixed(f, 2) for f in r.modes.frequencies.tolist()) or "–")
         for r in data.identify.ambient_records
     ]
     table = Table(("|Record", "Modes", "|Frequencies, Hz"), rows, "Modes by excitation record, before merging.")

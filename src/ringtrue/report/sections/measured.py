@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.plots import signals as plots
-from ringtrue.report.parts import Block, Items, Plot, Section, Tabs, Text
+from ringtrue.report.parts import Block, Items, Plot, Section, Tabs, Text, number, plain
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import RecordSummary
 
@@ -37,11 +37,14 @@ def functions(data: Stages) -> Section | None:
     frfs = ident.frfs
     marks = ident.hammer.frequencies if ident.hammer is not None else np.empty(0)
     count = f"{len(frfs.outputs)} responses × {len(frfs.inputs)} references"
+    top = 1.6 * float(marks.max()) if marks.size else float(frfs.freqs[-1])
     caption = (
         f"Imaginary parts of all {len(frfs.outputs) * len(frfs.inputs)} FRFs ({count}) and the complex mode "
         "indicator function; dotted: identified modes."
     )
-    blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks), caption)]
+    if top < frfs.freqs[-1]:
+        caption += f" Measured to {plain(float(frfs.freqs[-1]))} Hz, drawn to {number(top, 3)} Hz."
+    blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks, top), caption)]
     if ident.synthesis_error.size:
         middle, worst = np.nanmedian(ident.synthesis_error), np.nanmax(ident.synthesis_error)
         text = f"The FRFs synthesised from the identified modes differ from the measured ones by {100 * middle:.1f} % "

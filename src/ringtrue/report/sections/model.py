@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from ringtrue.core.testmodel import TestModel
 from ringtrue.plots import scene
-from ringtrue.report.parts import Block, Columns, Items, Scene3D, Section, Table, Text, number
+from ringtrue.report.parts import Block, Columns, Items, Scene3D, Section, Table, Text, number, sentence
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import ModelStage
 
@@ -16,9 +18,13 @@ def section(data: Stages) -> Section | None:
     m, test = data.model, data.test
     kinds = scene.channel_kinds(data.plan.references, data.plan.ambient) if data.plan is not None else {}
     blocks: list[Block] = [Scene3D(scene.model(m.scene, test, kinds), _caption(test))]
-    cards = Table(("|Card", "Count"), [(k, str(v)) for k, v in sorted(m.cards.items())], "Cards of the deck.")
+    cards = Table(
+        ("|Card", "Count"), [(k, str(v)) for k, v in sorted(m.cards.items())], "Cards of the deck.", scroll=True
+    )
     blocks.append(Columns([[_modes(m)], [cards]]))
-    blocks.append(Text(f"Files: {', '.join(m.files)} (units {m.units}). {m.proof}", "note"))
+    blocks.append(
+        Text(f"Files: {', '.join(Path(f).name for f in m.files)} (units {m.units}). {sentence(m.proof)}", "note")
+    )
     if m.findings:
         blocks.append(Items(m.findings, "Findings of the deck check"))
     title = "Finite element model and sensors" if test is not None else "Finite element model"
@@ -38,4 +44,6 @@ def _modes(m: ModelStage) -> Table:
         (str(i + 1), number(f, 4), number(r, 2))
         for i, (f, r) in enumerate(zip(m.modes.frequencies.tolist(), m.residuals.tolist(), strict=True))
     ]
-    return Table(("#", "Frequency, Hz", "Residual"), rows, "Modes of the delivered model, relative residual norm.")
+    return Table(
+        ("#", "Frequency, Hz", "Residual"), rows, "Modes of the delivered model, relative residual norm.", scroll=True
+    )

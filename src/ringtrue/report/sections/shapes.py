@@ -21,6 +21,16 @@ def section(data: Stages) -> Section | None:
     return Section("shapes", "Mode shapes", [Scene3D(modes(scene, data.test, shown), "; ".join(parts) + ".", 540)])
 
 
+def first(data: Stages) -> Scene3D | None:
+    """The first pair of the final model and the test, for the headline."""
+    shown = _final(data)
+    if not shown or data.model is None:
+        return None
+    return Scene3D(
+        modes(data.model.scene, data.test, shown[:1]), "First pair: test in orange over the final model.", 350
+    )
+
+
 def _paired(stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, skin: ModeSet | None) -> list[Shown]:
     out = []
     for r in table.rows():

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.plots import correlation as plots
-from ringtrue.report.parts import Block, Checks, Fact, Facts, Heading, Plot, Section, Table, fixed, number
+from ringtrue.report.parts import Block, Checks, Columns, Fact, Facts, Heading, Plot, Section, Table, fixed, number
+from ringtrue.report.sections import shapes
 from ringtrue.report.stages import Stages
+from ringtrue.study.summary import Check
 
 
 def section(data: Stages) -> Section | None:
@@ -62,16 +64,21 @@ def _outcome(data: Stages) -> list[Block]:
     final = data.final
     assert final is not None
     before = data.correlate.initial if data.correlate is not None else None
-    blocks: list[Block] = [
-        _facts(final.table, before),
-        Heading("What must hold"),
-        Checks(list(final.checks.items())),
-    ]
+    held = data.checks or tuple(Check(name, "", "", ok) for name, ok in final.checks.items())
+    left: list[Block] = [Heading("What must hold"), Checks(held)] if held else []
+    blocks: list[Block] = [_facts(final.table, before)]
+    blocks += _beside(left, shapes.first(data))
     blocks += [_deviations(data), _stages_table(data)]
     if final.facts:
         rows = [(k, number(v, 4)) for k, v in final.facts.items()]
         blocks.append(Table(("|Fact", "Value"), rows, "Facts of the run."))
     return blocks
+
+
+def _beside(left: list[Block], right: Block | None) -> list[Block]:
+    if right is None:
+        return left
+    return [Columns([left, [right]])] if left else [right]
 
 
 def _stages_table(data: Stages) -> Table:

@@ -21,7 +21,7 @@ def _system(model: ModelStage) -> Table:
     x, y, z = (fixed(float(v), 2) for v in model.cg)
     rows = [
         ("Model", model.title or "–", ""),
-        ("Mass", number(model.mass / 1000, 5), "t"),
+        ("Mass", number(model.mass / 1000, 4), "t"),
         ("Centre of gravity x, y, z", f"{x}, {y}, {z}", "m"),
         ("Moments of inertia xx, yy, zz", _inertia(model), "t·m²"),
         ("Nodes; degrees of freedom", f"{model.nodes:,}; {model.dof:,}".replace(",", "\u202f"), ""),

@@ -4,7 +4,20 @@ from __future__ import annotations
 
 from ringtrue.plots import scene
 from ringtrue.plots import updating as plots
-from ringtrue.report.parts import Block, Cell, Heading, Plot, Scene3D, Section, Table, Text, fixed, number, plain
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Heading,
+    Plot,
+    Scene3D,
+    Section,
+    Table,
+    Text,
+    fixed,
+    number,
+    plain,
+    sentence,
+)
 from ringtrue.report.sections.correlation import pairs
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import SetResult, UpdateStage
@@ -16,8 +29,9 @@ def section(data: Stages) -> Section | None:
     if u is None:
         return None
     best = u.sets[u.chosen]
-    blocks: list[Block] = [_compared(u), Text(u.why)]
-    caption = "Convergence of every parameter set."
+    blocks: list[Block] = [_compared(u), Text(sentence(u.why))]
+    caption = "Convergence of every parameter set. Modes are paired anew at each iteration: where a mode is gained or "
+    caption += "lost, J and the mean values jump."
     blocks.append(Plot(plots.convergence(u.sets, u.chosen), caption))
     blocks += [Heading(f"The chosen set: {best.name}"), _parameters(u, best)]
     text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. "
@@ -26,7 +40,9 @@ def section(data: Stages) -> Section | None:
     if data.model is not None and u.regions:
         notes = {p: f"× {number(f, 3)}" for p, f in zip(best.parameters, best.factor.tolist(), strict=True)}
         view = scene.regions(data.model.scene, u.regions, notes)
-        blocks.append(Scene3D(view, "The updated regions, each with its factor updated / initial.", 460))
+        blocks.append(
+            Scene3D(view, "The updated regions, each with its factor updated / initial; springs are dots.", 460)
+        )
     return Section("updating", "Updating", blocks)
 
 

@@ -6,12 +6,31 @@
   const plots = [...document.querySelectorAll("[data-plot]")];
   const views = [...document.querySelectorAll("[data-view]")];
   const plotData = [...document.querySelectorAll("script.plot-data")];
+  const skinData = [...document.querySelectorAll("script.skin-data")];
   const viewData = [...document.querySelectorAll("script.view-data")];
   const drawn = [];
   const widthOf = (div) => Math.max(div.parentElement.clientWidth, 200);
 
+  const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+
+  // Many curves over one abscissa travel packed; one broken line draws them.
+  function unfold(trace) {
+    const packed = trace.meta && trace.meta.q && trace.meta;
+    if (!packed) return;
+    const x = new Float32Array(bytes(packed.x)), q = new Int16Array(bytes(packed.q)), k = x.length, n = q.length / k;
+    trace.x = new Float32Array(n * (k + 1));
+    trace.y = new Float32Array(n * (k + 1)).fill(NaN);
+    for (let c = 0; c < n; c++) {
+      trace.x.set(x, c * (k + 1));
+      trace.x[c * (k + 1) + k] = x[k - 1];
+      for (let i = 0; i < k; i++) trace.y[c * (k + 1) + i] = q[c * k + i] * packed.peak / 32767;
+    }
+    delete trace.meta;
+  }
+
   function drawPlot(div) {
     const spec = JSON.parse(plotData[+div.dataset.plot].textContent);
+    spec.data.forEach(unfold);
     spec.layout.width = widthOf(div);
     div.ringtrueHeight = spec.layout.height;
     return Plotly.newPlot(div, spec.data, spec.layout, config).then(() => {
@@ -21,7 +40,9 @@
   }
 
   function drawView(div) {
-    window.ringtrueView(div, JSON.parse(viewData[+div.dataset.view].textContent));
+    const data = JSON.parse(viewData[+div.dataset.view].textContent);
+    if (data.skin) Object.assign(data.skin, JSON.parse(skinData[data.skin.at].textContent));
+    window.ringtrueView(div, data);
     window.ringtrueDrawn += 1;
   }
 

@@ -1,7 +1,7 @@
 "use strict";
 // The 3D viewer: one shared WebGL 2 context draws every view, each copied to its own 2D canvas (so printing works).
 (() => {
-  const RAMP = "vec3 ramp(float t){vec3 a=vec3(.914,.929,.941),b=vec3(.561,.737,.831),c=vec3(.184,.482,.639),d=vec3(.098,.353,.545);" +
+  const RAMP = "vec3 ramp(float t){vec3 a=vec3(.949,.953,.918),b=vec3(.561,.816,.729),c=vec3(.169,.549,.745),d=vec3(.145,.204,.580);" +
     "return t<.333?mix(a,b,t*3.):t<.667?mix(b,c,t*3.-1.):mix(c,d,t*3.-2.);}";
   const HEAD = "#version 300 es\nprecision highp float;\nuniform mat4 uM;uniform float uCos,uSin,uAmp;\n";
   const MESH_V = HEAD + "in vec3 aP,aD;in vec4 aC;out vec3 vP;out vec4 vC;out float vD;uniform mat4 uR;" +
@@ -152,9 +152,10 @@
         const c = el("input", { type: "checkbox", checked: this.show[name], onchange: () => { this.show[name] = c.checked; this.draw(); } });
         return el("label", {}, c, text);
       };
-      if (this.data.modes && this.xyz) bar.append(box("skin", "model"));
-      if (this.txyz) bar.append(box("test", this.data.modes ? "test" : "sensors"));
-      if (this.data.modes) bar.append(box("still", "at rest"));
+      if (this.data.modes && this.data.modes.length === 1) bar.replaceChildren();
+      else if (this.data.modes && this.xyz) bar.append(box("skin", "model"));
+      if (this.txyz && !(this.data.modes && this.data.modes.length === 1)) bar.append(box("test", this.data.modes ? "test" : "sensors"));
+      if (this.data.modes && this.data.modes.length > 1) bar.append(box("still", "at rest"));
       const directions = el("div", { className: "directions" });
       for (const [name, az, e] of [["3D", -1.05, 0.42], ["X", 0, 0], ["Y", -Math.PI / 2, 0], ["Z", -Math.PI / 2, Math.PI / 2]])
         directions.append(button(name, name === "3D" ? "Oblique view" : `View along ${name}`, () => { Object.assign(this.cam, { az, el: e, zoom: 1.35 }); this.pan = [0, 0]; this.draw(); }));
@@ -333,6 +334,25 @@
       segments(this.xyz, this.edges, this.fe, null, plain(INK, 0.45), { wide: 1.0, lift: 0.0012, when });
       const beams = (k) => { const out = new Float32Array(4 * k); for (let i = 0; i < k; i++) { const c = this.colors[this.lgroup[i]]; out.set(modes ? [0.2, 0.3, 0.4, 1] : [...c.slice(0, 3).map((v) => v * 0.72), Math.max(c[3], 0.5)], 4 * i); } return out; };
       segments(this.xyz, this.lines, this.fe, null, beams, { wide: 2.2, lift: 0.0014, when });
+      if (!modes) this.uploadDots(add);
+    }
+
+    // Springs have no skin: a line without length (or nearly) is a dot, seen through the skin where it is coloured.
+    uploadDots(add) {
+      const seen = this.data.kind === "regions";
+      for (const solid of [false, true]) {
+        const at = [], color = [];
+        for (let k = 0; k < this.lines.length / 2; k++) {
+          const [a, b] = [3 * this.lines[2 * k], 3 * this.lines[2 * k + 1]], c = this.colors[this.lgroup[k]];
+          const d = [0, 1, 2].map((i) => this.xyz[b + i] - this.xyz[a + i]);
+          if (Math.hypot(...d) > 0.02 * this.size || (c[3] >= 1) !== solid) continue;
+          at.push(...d.map((v, i) => this.xyz[a + i] + v / 2));
+          color.push(...c.slice(0, 3).map((v) => v * (seen ? 1 : 0.7)), 1);
+        }
+        const n = at.length / 3, zero = new Float32Array(3 * n);
+        add("point", n, { aP: Float32Array.from(at), aD: zero, aI: zero, aC: Float32Array.from(color) },
+          { wide: solid ? 10 : 5, lift: seen && solid ? 0.5 : 0.01, when: () => this.show.skin });
+      }
     }
 
     uploadTest(add, segments, plain) {
@@ -390,7 +410,7 @@
 
     // All modes of the chosen stage side by side, for paper.
     sheet() {
-      if (!this.data.modes) return;
+      if (!this.data.modes || this.data.modes.length === 1) return;
       if (this.thumbs) this.thumbs.remove();
       const at = this.modeBox.selectedIndex, big = this.canvas, box = Object.assign(document.createElement("div"), { className: "sheet" });
       this.list.forEach((mode, k) => {

@@ -37,7 +37,7 @@ class Stage:
     inputs : callable, Workbench -> files
         Files that it reads.
     sections : tuple of str
-        Sections without which it does not apply.
+        Sections without which it does not apply; `a|b` means one of the two.
     """
 
     name: str
@@ -50,7 +50,11 @@ class Stage:
 
     def applies(self, desk: Workbench) -> bool:
         """Whether the study has what the stage needs."""
-        return all(getattr(desk.config, s) for s in self.sections)
+        return not self.lacks(desk)
+
+    def lacks(self, desk: Workbench) -> list[str]:
+        """Sections that the study would need for it."""
+        return [s for s in self.sections if not any(getattr(desk.config, n) for n in s.split("|"))]
 
     def files(self, desk: Workbench) -> list[Path]:
         """Files that it reads."""
@@ -95,6 +99,14 @@ STAGES = (
         (*_BOTH, "candidate"),
     ),
     Stage("update", "updating", update.run, ("update",), ("sensitivity",), _nothing, (*_BOTH, "candidate")),
-    Stage("tune", "rigid-body tuning", tune.run, ("suspension",), ("update",), _nothing, (*_BOTH, "suspension")),
-    Stage("final", "delivered deck", final.run, (), ("update", "tune"), _nothing, (*_BOTH, "candidate")),
+    Stage(
+        "tune",
+        "rigid-body tuning",
+        tune.run,
+        ("suspension",),
+        ("correlate", "update"),
+        _nothing,
+        (*_BOTH, "suspension"),
+    ),
+    Stage("final", "delivered deck", final.run, (), ("update", "tune"), _nothing, (*_BOTH, "candidate|suspension")),
 )

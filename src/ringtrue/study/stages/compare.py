@@ -7,20 +7,22 @@ import numpy as np
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlate.pairing import correlation_table, pair_modes
 from ringtrue.study.opened import Progress
-from ringtrue.study.reference import measured_channels, settings, split_frequency
+from ringtrue.study.reference import elastic_edge, measured_channels, settings
 from ringtrue.study.results import CompareStage, IdentifyStage
 from ringtrue.study.workbench import Workbench
 
 
 def run(desk: Workbench, progress: Progress) -> CompareStage | None:
-    """Pair the elastic modes of the two tests on their common channels; None if one is missing."""
+    """Pair the elastic modes of the two tests on their common channels; None if one is missing or none is common."""
     found: IdentifyStage = desk.get("identify")
     if found.hammer is None or not len(found.ambient):
         return None
-    edge = split_frequency(found.ambient.frequencies, desk.config.correlate.rigid_below)
+    edge = elastic_edge(found.ambient.frequencies, desk.config)
     ambient, std = _elastic(found, edge)
     ambient = measured_channels(ambient)
     common = [c for c in ambient.channels if c in set(found.hammer.channels)]
+    if not common:
+        return None
     a, b = ambient.rows(common), found.hammer.rows(common)
     names = ("ambient", "hammer")
     pairing = pair_modes(a, b, settings(desk.config), names=names)

@@ -112,7 +112,11 @@ def _responses(
         none = np.zeros((0, 0), dtype=np.complex128)
         return np.zeros(0), (), none, none, none
     keep = (frfs.freqs > 1.0) & (frfs.freqs < desk.deck.fmax)
-    pairs = frfs.driving_points()[:SHOWN] or [(0, 0)]
+    seen = set(final.channels)
+    rest = [(0, j) for j, c in enumerate(frfs.inputs) if c.id in seen]  # a hammer point without a sensor on the sheet
+    pairs = [(i, j) for i, j in frfs.driving_points() if frfs.inputs[j].id in seen][:SHOWN] or rest[:1]
+    if not pairs:
+        return _responses(desk, None, initial, final, zeta)
     mass = MASS[desk.deck.units]
     freqs = frfs.freqs[keep]
     mean = np.full(len(initial), float(np.median(zeta)))

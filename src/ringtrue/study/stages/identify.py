@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.errors import ConfigError, DataError
+from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.hammer import HammerModes, HammerResult, cmif, identify_hammer
 from ringtrue.identify.merge import merge_modes
-from ringtrue.io.records import read_record, record_info
+from ringtrue.io.records import RecordChannel, read_record, record_info
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.hits import HammerSettings
@@ -71,14 +72,38 @@ def read_log(path: Path) -> tuple[list[Logged], dict[str, Any]]:
         raise DataError(f"{path}:{e.lineno}: not JSON: {e.msg}") from e
     except KeyError as e:
         raise DataError(f"{path}: entry {e} is missing; a log has tests with name, kind and records") from e
+    except (TypeError, AttributeError) as e:
+        raise DataError(f"{path}: not a log: it must be an object with a list `tests` ({e})") from e
+    _check_log(path, records)
     return records, log.get("sensors", {})
+
+
+_HAMMER_ENTRIES = ("block_samples", "pretrigger_samples", "setup")
+
+
+def _check_log(path: Path, records: Sequence[Logged]) -> None:
+    if not records:
+        raise DataError(f"{path}: no record in any test")
+    for r in records:
+        if r.kind not in ("ambient", "hammer"):
+            raise DataError(f"{path}: test {r.test!r}: kind {r.kind!r}{did_you_mean(r.kind, ('ambient', 'hammer'))}")
+        if lost := [k for k in _HAMMER_ENTRIES if r.kind == "hammer" and k not in r.details]:
+            raise DataError(f"{path}: test {r.test!r}, record {r.path.name}: {' and '.join(lost)} missing")
+
+
+def _check_sheet(path: Path, channels: Sequence[Channel | RecordChannel], sheet: TestModel) -> None:
+    """Every response in a record must have its place on the sheet; a force channel names its point itself."""
+    known = set(sheet.channels)
+    if lost := [c.id for c in channels if c.id not in known and c.quantity != "force"]:
+        raise DataError(f"{path}: channel {' '.join(lost[:8])} is not on the sensor sheet")
 
 
 def files(desk: Workbench) -> list[Path]:
     """All inputs of the stage."""
     test = section(desk)
     records, _ = read_log(desk.base / test.log)
-    return [desk.base / test.sheet, desk.base / test.log, *(r.path for r in records)]
+    paper = [desk.base / f for f in (test.sheet, test.log, test.lines) if f]
+    return [*paper, *(r.path for r in records)]
 
 
 def corrected(history: TimeHistory, sensors: dict[str, Any]) -> tuple[TimeHistory, float, str]:
@@ -122,16 +147,19 @@ def summary(record: Logged, history: TimeHistory, notes: Sequence[str]) -> Recor
 
 
 def ambient(
-    desk: Workbench, records: Sequence[Logged], sensors: dict[str, Any], progress: Progress
+    desk: Workbench, records: Sequence[Logged], sensors: dict[str, Any], sheet: TestModel, progress: Progress
 ) -> tuple[list[IdentifiedRecord], list[RecordSummary]]:
     """Modes of each ambient record."""
     settings = desk.config.identify
     found, shown = [], []
     for i, record in enumerate(records):
         progress(i / max(len(records), 1), f"ambient modes: {record.name}")
-        history, low, note = corrected(read_record(record.path), sensors)
+        raw = read_record(record.path)
+        _check_sheet(record.path, raw.channels, sheet)
+        history, low, note = corrected(raw, sensors)
         fmin = max(low, settings.ambient_fmin or 0.0) or None
-        result = identify_ambient(history, AmbientSettings(fmin=fmin, fmax=settings.ambient_fmax))
+        with about(record.path):
+            result = identify_ambient(history, AmbientSettings(fmin=fmin, fmax=settings.ambient_fmax))
         notes = [n for n in (note, *result.notes) if n]
         found.append(IdentifiedRecord(record.name, result.modes, result.uncertainty, result.reasons, result.diagrams))
         shown.append(summary(record, history, notes))
@@ -173,7 +201,9 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     records, sensors = read_log(desk.base / test.log)
     quiet = [r for r in records if r.kind == "ambient"]
     hits = [r for r in records if r.kind == "hammer"]
-    found, shown = ambient(desk, quiet, sensors, lambda f, t: progress(0.5 * f, t))
+    for r in hits:
+        _check_sheet(r.path, record_info(r.path).channels, sheet.model)
+    found, shown = ambient(desk, quiet, sensors, sheet.model, lambda f, t: progress(0.5 * f, t))
     parts = [(r.modes, r.uncertainty, r.record) for r in found if len(r.modes)]
     merged = merge_modes(parts) if parts else None
     nothing = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())

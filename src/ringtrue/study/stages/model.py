@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ringtrue.checks.deck import check_deck
-from ringtrue.checks.mass import mass_properties
+from ringtrue.checks.mass import mass_properties, whole_mass
 from ringtrue.study.opened import Progress
 from ringtrue.study.results import ModelStage
 from ringtrue.study.scene import make_scene, scene_modes
@@ -17,7 +17,8 @@ def run(desk: Workbench, progress: Progress) -> ModelStage:
     report = check_deck(opened.model, units=desk.deck.units)
     progress(0.2, "modes of the deck")
     result = opened.modes(desk.deck.fmax)
-    mass = mass_properties(opened.analysis.system)
+    held = any(c in opened.model for c in ("SPC", "SPC1")) or (opened.model["GRID"]["PS"] != "").any()
+    mass = whole_mass(opened.model) if held else mass_properties(opened.analysis.system)
     scene = make_scene(opened.model, desk.deck.regions, desk.length)
     return ModelStage(
         opened.model.case.title,

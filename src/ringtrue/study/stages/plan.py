@@ -13,7 +13,7 @@ from ringtrue.plan.resolution import resolution
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.config import PlanSection
 from ringtrue.study.opened import Progress
-from ringtrue.study.reference import split_frequency
+from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import ModelStage, PlanStage
 from ringtrue.study.workbench import Workbench
 
@@ -49,12 +49,12 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         raise ConfigError("this stage needs a [plan]")
     model: ModelStage = desk.get("model")
     f = model.modes.frequencies
-    edge = split_frequency(f, desk.config.correlate.rigid_below)
+    edge = elastic_edge(f, desk.config)
     targets = np.flatnonzero((f > max(edge, plan.fmin)) & (f < plan.fmax))
     nodes, region = _candidates(plan, model)
     shapes = _shapes(desk, nodes, np.arange(f.size))
     xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(nodes)] * desk.length
-    first = np.concatenate([np.flatnonzero((f > 0) & (f <= edge)), targets[: plan.ambient_sensors]])
+    first = np.concatenate([np.flatnonzero((f > 1e-3 * f.max()) & (f <= edge)), targets[: plan.ambient_sensors]])
     ambient_at = _ambient(plan, shapes[:, :, first], xyz, region)
     fixed = np.isin(np.arange(nodes.size), ambient_at)
     progress(0.3, "measuring points")

@@ -6,6 +6,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
+from ringtrue.errors import DataError
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import reference_modes, rigid_settings, rigid_table
@@ -22,6 +23,11 @@ WEIGHTS = Weights(frequency=0.005, mac=0.1, shape=0.1)
 def run(desk: Workbench, progress: Progress) -> TuneStage:
     """Tune the suspension with the elastic parameters held at their updated values."""
     found: CorrelateStage = desk.get("correlate")
+    if not len(found.rigid):
+        raise DataError(
+            "rigid-body tuning: the ambient test holds no rigid-body mode to tune [[suspension]] to; set "
+            "correlate.rigid_below above them, or leave [[suspension]] out"
+        )
     reference = reference_modes(desk.get("identify"), desk.config)
     suspension = desk.config.suspensions()
     model = desk.suspended(found.rigid.channels, progress)

@@ -139,9 +139,11 @@ def _summary(
 
 def chosen_factors(desk: Workbench) -> Float:
     """Factors of all candidates after the updating, (P,); 1 for those not chosen."""
-    done: UpdateStage = desk.get("update")
     names = desk.config.candidates().names
     out = np.ones(len(names))
+    if not names:
+        return out
+    done: UpdateStage = desk.get("update")
     best = done.sets[done.chosen]
     for n, a in zip(best.parameters, best.factor.tolist(), strict=True):
         out[names.index(n)] = a

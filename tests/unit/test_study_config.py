@@ -1,0 +1,69 @@
+"""study.toml: every mistake is named with its place and what is allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ringtrue.errors import ConfigError
+from ringtrue.study.config import parse_config, parse_target, read_config
+
+HERE = Path("study.toml")
+MODEL = '[model]\ndeck = "a.bdf"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (MODEL + "fmx = 3.0\n", "unknown key 'model.fmx'; did you mean 'fmax'? Allowed: deck, fmax, regions, units"),
+        (MODEL + "[modl]\n", "unknown key 'modl'; did you mean 'model'?"),
+        (
+            MODEL + '[[candidate]]\nnme = "a"\nname = "a"\ntargets = ["MAT1 1 E"]\n',
+            "'candidate.0.nme'; did you mean 'name'",
+        ),
+        (MODEL + 'fmax = "high"\n', "model.fmax: Input should be a valid number (got 'high')"),
+        (MODEL + "fmax = -1.0\n", "model.fmax: Input should be greater than 0 (got -1.0)"),
+        (MODEL + 'units = "inch"\n', "model.units: Input should be 'SI' or 'mm-t-s' (got 'inch')"),
+        (MODEL + '[plan]\nsensors = "45"\n', "plan.sensors: Input should be a valid integer (got '45')"),
+        (MODEL + "[identify]\nhammer_fmin = 9.0\nhammer_fmax = 3.0\n", "identify: hammer_fmin 9.0 and hammer_fmax 3.0"),
+        (MODEL + '[[candidate]]\nname = "a"\ntargets = ["MAT1 E"]\n', "'MAT1 E' is not a target"),
+        (MODEL + '[[candidate]]\nname = "a"\ntargets = []\n', "at least one target"),
+        (MODEL + '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\nlower = 2.0\n', "bounds 2.0, 5.0 must enclose 1"),
+        (MODEL + 2 * '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\n', "twice: a"),
+        ("[model]\n", "model.deck: Field required"),
+        ("", "study: a study needs a [model], a [test] or both"),
+        ("[model\n", "study.toml: not TOML: "),
+    ],
+)
+def test_a_mistake_is_named_with_its_place(text: str, told: str) -> None:
+    with pytest.raises(ConfigError) as e:
+        parse_config(text, HERE)
+    assert told in str(e.value)
+    assert all(line.startswith("study.toml: ") for line in str(e.value).splitlines())
+
+
+def test_all_mistakes_are_told_at_once() -> None:
+    with pytest.raises(ConfigError) as e:
+        parse_config(MODEL + "fmax = 0.0\n[update]\nchose = 3\n", HERE)
+    assert len(str(e.value).splitlines()) == 2
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml: no such file"):
+        read_config(tmp_path / "none.toml")
+    with pytest.raises(ConfigError, match="a folder"):
+        read_config(tmp_path)
+    (tmp_path / "latin.toml").write_bytes("[study]\ntitle = 'Prüfstand'\n".encode("latin-1"))
+    with pytest.raises(ConfigError, match="not UTF-8"):
+        read_config(tmp_path / "latin.toml")
+
+
+def test_whole_numbers_serve_as_real_ones() -> None:
+    config = parse_config(MODEL + "fmax = 40\n", HERE)
+    assert config.model is not None
+    assert config.model.fmax == 40.0
+
+
+def test_a_target_may_name_several_fields() -> None:
+    assert [t.field for t in parse_target("pbush 3 k1,K2")] == ["K1", "K2"]

@@ -1,0 +1,182 @@
+"""A small complete study from deck and raw signals to the delivered deck; see `small_study` for the structure."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_study
+
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.io.nastran.edit import unified_diff
+from ringtrue.report.deliver import deliver
+from ringtrue.study.run import StudyRun, run_study
+
+# the signals have 1 % noise; three records of blows and 400 s of ambient motion tell a modulus to some percent
+CLOSE = 0.03
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> StudyRun:
+    run = run_study(small_study.write_study(tmp_path_factory.mktemp("small")))
+    deliver(run)
+    return run
+
+
+def summary(run: StudyRun) -> dict[str, object]:
+    return dict(json.loads((run.folder / "summary.json").read_text()))
+
+
+def test_the_study_finds_the_true_stiffness_of_each_storey(done: StudyRun) -> None:
+    update = done.results["update"]
+    best = update.sets[update.chosen]
+    for name, factor, std in zip(best.parameters, best.factor, best.std, strict=True):
+        truth = small_study.TRUTH[int(name.split()[-1])]
+        assert abs(factor - truth) < min(CLOSE, 3 * std)
+    assert best.outcome.startswith("converged")
+
+
+def test_used_and_left_out_modes_improve(done: StudyRun) -> None:
+    before, after = done.results["correlate"].initial, done.results["final"].table
+    assert len(after) >= 8
+    assert (~after.used).sum() == 2
+    for used in (True, False):
+        assert after.mean_deviation(after.used == used) < 0.2 * before.mean_deviation(before.used == used)
+
+
+def test_a_held_structure_has_no_rigid_body_modes(done: StudyRun) -> None:
+    # the widest gap of this frame, between 2.0 and 4.9 Hz, is one between elastic modes
+    assert len(done.results["correlate"].rigid) == 0
+    assert done.results["correlate"].reference.frequencies[0] < 2.0
+
+
+def test_only_the_changed_fields_differ_in_the_delivered_deck(done: StudyRun) -> None:
+    old = done.folder / "deck/frame.bdf"
+    new = done.folder / "updated/frame.bdf"
+    lines = unified_diff([old], [new]).splitlines()
+    changed = [(a[1:], b[1:]) for a, b in pairwise(lines) if a[:5] == "-MAT1" and b[:5] == "+MAT1"]
+    assert len(changed) == 3
+    assert sum(line[0] in "+-" and line[:3] not in ("+++", "---") for line in lines) == 6
+    for before, after in changed:
+        a, b = before.split(","), after.split(",")
+        assert [i for i, (x, y) in enumerate(zip(a, b, strict=True)) if x != y] == [2]
+
+
+def test_the_summary_has_the_agreed_keys(done: StudyRun) -> None:
+    found = summary(done)
+    wanted = {"mass_t", "dof", "rigid_body", "ambient_vs_hammer", "initial", "remodelled", "final", "left_out"}
+    assert wanted | {"unpaired", "parameters", "timings_s"} <= set(found)
+    # floors 3 x 12 m2 x 0.1 m x 2500 kg/m3, columns 36 m x 140 cm2 x 7850 kg/m3: feet count, too
+    assert found["mass_t"] == pytest.approx(9.0 + 36 * 0.014 * 7.85, rel=1e-3)
+    assert set(found["parameters"][0]) >= {"name", "initial", "updated", "std"}  # type: ignore[index]
+
+
+def test_the_same_inputs_give_the_same_numbers(done: StudyRun, tmp_path: Path) -> None:
+    again = run_study(done.folder / "study.toml", out=tmp_path)
+    assert again.loaded == ()
+    deliver(again)
+    one, two = summary(done), summary(again)
+    for name in ("initial", "final", "ambient_vs_hammer", "parameters"):
+        _same(one[name], two[name])
+
+
+def _same(a: object, b: object) -> None:
+    if isinstance(a, dict):
+        assert isinstance(b, dict)
+        assert a.keys() == b.keys()
+        for k in a:
+            _same(a[k], b[k])
+    elif isinstance(a, list):
+        assert isinstance(b, list)
+        assert len(a) == len(b)
+        for x, y in zip(a, b, strict=True):
+            _same(x, y)
+    elif isinstance(a, float):
+        assert a == pytest.approx(b, rel=1e-6, abs=1e-9)
+    else:
+        assert a == b
+
+
+def test_a_deck_without_a_test(tmp_path: Path) -> None:
+    run = run_study(small_study.write_study(tmp_path, small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\n"))
+    assert set(run.results) == {"model", "plan", "provenance"}
+    assert len(run.results["plan"].target_modes) == 9
+    assert deliver(run).stat().st_size > 1e5
+    assert {"mass_t", "dof", "timings_s"} <= set(summary(run))
+
+
+@pytest.mark.parametrize(("ambient", "hammer"), [(True, False), (False, True)])
+def test_a_test_without_a_deck(tmp_path: Path, ambient: bool, hammer: bool) -> None:
+    toml = small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\nambient_fmin = 1.0\n"
+    run = run_study(small_study.write_study(tmp_path, toml, ambient=ambient, hammer=hammer))
+    assert set(run.results) == {"identify", "compare", "provenance"}
+    found = run.results["identify"]
+    modes = found.ambient if ambient else found.hammer
+    assert len(modes) == 9
+    deliver(run)
+
+
+@pytest.mark.parametrize(("ambient", "hammer"), [(True, False), (False, True)])
+def test_one_kind_of_test_is_enough_to_update(tmp_path: Path, ambient: bool, hammer: bool) -> None:
+    run = run_study(small_study.write_study(tmp_path, ambient=ambient, hammer=hammer))
+    assert run.results["final"].table.mean_deviation() < 0.3 * run.results["correlate"].initial.mean_deviation()
+    deliver(run)
+
+
+def test_nothing_is_written_when_an_input_is_wrong(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    study = small_study.write_study(tmp_path)
+    study.write_text(small_study.FULL.replace("MAT1 2 E", "MAT1 20 E"))
+    with pytest.raises(ConfigError, match=r"MAT1 20 is not in the model; the nearest ids are \[10"):
+        run_study(study, out=out)
+    study.write_text(small_study.FULL)
+    (tmp_path / "data/ambient.h5").unlink()
+    with pytest.raises(DataError, match=r"ambient\.h5: no such file"):
+        run_study(study, out=out)
+    assert not out.exists()
+
+
+def test_a_suspension_without_rigid_body_modes_is_said(tmp_path: Path) -> None:
+    toml = small_study.FULL + '[correlate]\nrigid_below = 0.0\n[[suspension]]\nname = "s"\ntargets = ["MAT1 10 E"]\n'
+    with pytest.raises(DataError, match="no rigid-body mode to tune"):
+        run_study(small_study.write_study(tmp_path, toml, ambient=False))
+
+
+@pytest.mark.parametrize(
+    ("edit", "told"),
+    [
+        (lambda log: log["tests"][0].update(kind="ambiant"), "kind 'ambiant'; did you mean 'ambient'"),
+        (lambda log: log["tests"][1].pop("block_samples"), "block_samples missing"),
+        (lambda log: log["tests"][0].pop("records"), "entry 'records' is missing"),
+        (lambda log: log.update(tests=[]), "no record in any test"),
+        (lambda log: log.update(tests=3), "not a log"),
+    ],
+)
+def test_a_wrong_log_is_explained(tmp_path: Path, edit: object, told: str) -> None:
+    study = small_study.write_study(tmp_path, small_study.TEST)
+    path = tmp_path / "data/campaign.json"
+    log = json.loads(path.read_text())
+    edit(log)  # type: ignore[operator]
+    path.write_text(json.dumps(log))
+    with pytest.raises(DataError, match=told):
+        run_study(study)
+
+
+def test_a_channel_that_is_not_on_the_sheet_is_named(tmp_path: Path) -> None:
+    study = small_study.write_study(tmp_path, small_study.TEST)
+    sheet = tmp_path / "data/sensors.csv"
+    lines = sheet.read_text().splitlines(keepends=True)
+    sheet.write_text("".join(line for line in lines if "303+Y" not in line))
+    with pytest.raises(DataError, match=r"h5: channel 303\+Y is not on the sensor sheet"):
+        run_study(study)
+
+
+def test_updated_values_are_those_in_the_deck(done: StudyRun) -> None:
+    text = (done.folder / "updated/frame.bdf").read_text()
+    update = done.results["update"]
+    for name, value in update.updated_values.items():
+        line = next(x for x in text.splitlines() if x.startswith(f"MAT1,{name.split()[-1]},"))
+        assert float(np.float64(line.split(",")[2])) == pytest.approx(value, rel=1e-5)
