@@ -164,9 +164,7 @@ def field(xyz: np.ndarray, k: int, wrong: float = 0.0) -> np.ndarray:
     q = 0.9 * n * x + 0.3 * k + wrong * np.sin(3 * x + k)
     sway = np.where(z > 0, (1 + z) ** 2, 1.0)
     u = np.stack([0.3 * np.sin(q) * z, np.cos(q) * sway * (k % 3 == 0), np.cos(q + y * (k % 2)) * (k % 3 != 0)], 1)
-    return (
-        u + 0.15 * np.stack([o, np.sin(2 * y + k) * sway, np.cos(k * y)], 1) + wrong * 0.2 * np.cos(q + 1)[:, None]
-    )
+    return u + 0.15 * np.stack([o, np.sin(2 * y + k) * sway, np.cos(k * y)], 1) + wrong * 0.2 * np.cos(q + 1)[:, None]
 
 
 def _fe_modes(s: r.Scene, f: np.ndarray, wrong: float) -> ModeSet:
@@ -192,9 +190,7 @@ def test_model() -> TestModel:
     return TestModel(number, xyz, tuple(channels), at, axes, np.stack([number[i], number[j]], 1), tuple(part))
 
 
-def _seen(
-    test: TestModel, f: np.ndarray, wrong: float, noise: float, first: int = 0, damping: float = 0.0
-) -> ModeSet:
+def _seen(test: TestModel, f: np.ndarray, wrong: float, noise: float, first: int = 0, damping: float = 0.0) -> ModeSet:
     xyz = test.channel_xyz()
     shapes = np.stack([(field(xyz, k + first, wrong) * test.axes).sum(1) for k in range(f.size)], 1).astype(complex)
     shapes = shapes / 1e3
@@ -437,8 +433,12 @@ def study() -> dict[str, object]:
         "correlate": r.CorrelateStage(
             reference,
             _unsure(reference),
+            rigid,
+            _unsure(rigid),
+            np.array(left_out),
             tables[0],
             tables[1],
+            rigid_rows[0],
             "A diagonal brace in bay 3 was missing; two bars added.",
             diff,
             seen[0],

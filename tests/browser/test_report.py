@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import chromium
+import numpy as np
+import plotly.graph_objects as go
 import pytest
 from fake_study import study
 
 from ringtrue.errors import ConfigError, InputError
+from ringtrue.plots.style import joined
 from ringtrue.report.build import Acceptance, Photo, build
+from ringtrue.report.pack import figure_json
+from ringtrue.report.parts import fixed
+from ringtrue.study.summary import checks
 
 PIXEL = (
     b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x06\x00\x00\x00\x1f\x15\xc4\x89\x00\x00\x00\r"
@@ -37,16 +45,25 @@ def full(stages: dict[str, object], tmp_path_factory: pytest.TempPathFactory) ->
     (folder / "bay.png").write_bytes(PIXEL)
     photos = [Photo(folder / "bay.png", "The bay.")]
     text = "A test bay.\n\nIts model is to predict."
-    return build(stages, folder / "report.html", title="Spinning <bay>", system_text=text, photos=photos)
+    return build(
+        stages,
+        folder / "report.html",
+        title="Spinning <bay>",
+        system_text=text,
+        photos=photos,
+        checks=checks(stages),
+    )
 
 
-def test_has_every_section_and_stays_small(full: Path) -> None:
+def test_has_every_section_and_stays_small(full: Path, stages: dict[str, object]) -> None:
     want = "summary survey model plan signals frfs identification tests initial remodelled sensitivities updating"
     assert ids(full) == [*want.split(), "suspension", "final", "shapes", "response", "provenance"]
     assert full.stat().st_size < 15e6
     text = full.read_text()
     assert "Spinning &lt;bay&gt;" in text
     assert "data:image/png;base64," in text
+    for check in checks(stages):
+        assert f"<b>{check.got}</b>" in text
     assert [p.name for p in full.parent.iterdir() if p.name.endswith(".part")] == []
 
 
@@ -89,6 +106,22 @@ def test_acceptance_takes_percent_or_hertz_and_mac() -> None:
     assert rule.words() == "|Δf| ≤ 2 % or |Δf| ≤ 0.1 Hz and MAC ≥ 80 %"
 
 
+def test_a_rounded_zero_has_no_sign() -> None:
+    assert [fixed(x, 2, sign=True) for x in (-0.004, 0.004, -0.006, 0.006)] == ["0.00", "0.00", "−0.01", "+0.01"]
+
+
+def test_packs_overlaid_curves_within_a_line_width() -> None:
+    t = np.linspace(0, 1, 300)
+    y = np.sin(np.outer(np.arange(1, 40), t))
+    fig = go.Figure(go.Scatter(**dict(zip("xy", joined(t, y), strict=True)), meta={"overlay": y.shape[0]}))
+    text = figure_json(fig)
+    assert len(text) < 0.3 * len(str(fig.to_json()))
+    meta = json.loads(text)["data"][0]["meta"]
+    back = np.frombuffer(base64.b64decode(meta["q"]), "<i2").reshape(y.shape) * meta["peak"] / 32767
+    np.testing.assert_allclose(back, y, atol=2e-5)  # half a step of 16 bits; a line is 1/300 of the height
+    np.testing.assert_allclose(np.frombuffer(base64.b64decode(meta["x"]), "<f4"), t, atol=1e-6)
+
+
 @pytest.fixture(scope="module")
 def page(full: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[chromium.Page]:
     with chromium.page(tmp_path_factory.mktemp("profile")) as opened:
@@ -110,9 +143,7 @@ COLORS = """[...document.querySelectorAll('.view > .stage > canvas')].map(c => {
 
 @needs_browser
 def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromium.Page) -> None:
-    assert page.until(DRAWN, 120), (
-        page.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]") or page.complaints()
-    )
+    assert page.until(DRAWN, 120), page.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]") or page.complaints()
     assert page.evaluate("window.ringtrueExpected") == page.evaluate(
         "document.querySelectorAll('[data-plot], [data-view]').length"
     )
@@ -126,7 +157,7 @@ def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromi
 def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
     assert page.until(DRAWN, 120)
     colors = page.evaluate(COLORS)
-    assert len(colors) == 3
+    assert len(colors) == 4
     assert min(colors) > 20
     page.evaluate("document.getElementById('shapes').scrollIntoView({behavior: 'instant'})")
     image = "document.querySelector('#shapes canvas').toDataURL().slice(-4000)"

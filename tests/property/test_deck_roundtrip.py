@@ -52,9 +52,7 @@ def test_short_decimals_are_exact(x: object) -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(
-    st.lists(st.tuples(ids, plain, plain, plain), min_size=1, max_size=20, unique_by=lambda r: r[0]), st.booleans()
-)
+@given(st.lists(st.tuples(ids, plain, plain, plain), min_size=1, max_size=20, unique_by=lambda r: r[0]), st.booleans())
 def test_cards_read_back_as_written(rows: list[tuple[int, float, float, float]], large: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.bdf"

@@ -13,7 +13,8 @@ The truth scales the modulus of the columns storey by storey; the study must fin
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 
@@ -141,8 +142,6 @@ def _hammer(model: ModalModel, at: int, rng: np.random.Generator) -> Array:
 @cache
 def signals(seed: int = 0) -> tuple[Array, tuple[Array, ...], TestModel]:
     """The ambient record, a hammer record for each reference, and the test model."""
-    import tempfile
-
     test = test_model()
     with tempfile.TemporaryDirectory() as folder:
         model = modal(Path(folder), test)
@@ -183,10 +182,15 @@ def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True) -> No
 MODEL = f'[model]\ndeck = "deck/frame.bdf"\nfmax = {FMAX}\n'
 TEST = '[test]\nsheet = "data/sensors.csv"\nlog = "data/campaign.json"\n'
 SETTINGS = "[identify]\nambient_fmin = 1.0\nhammer_fmin = 1.0\nhammer_fmax = 20.0\n[update]\nleft_out = 2\n"
-CANDIDATES = "".join(
-    f'[[candidate]]\nname = "columns {k}"\ntargets = ["MAT1 {k} E"]\nlower = 0.5\nupper = 2.0\n' for k in TRUTH
-)
-FULL = MODEL + TEST + SETTINGS + CANDIDATES
+
+
+def candidates(storeys: Iterable[int]) -> str:
+    """The moduli of these storeys' columns as candidates."""
+    form = '[[candidate]]\nname = "columns {0}"\ntargets = ["MAT1 {0} E"]\nlower = 0.5\nupper = 2.0\n'
+    return "".join(form.format(k) for k in storeys)
+
+
+FULL = MODEL + TEST + SETTINGS + candidates(TRUTH)
 
 
 def write_study(folder: Path, toml: str = FULL, *, ambient: bool = True, hammer: bool = True) -> Path:

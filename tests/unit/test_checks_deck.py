@@ -120,9 +120,9 @@ def test_mass_of_a_block_of_point_masses() -> None:
     got = from_rigid_body_mass(rigid)
     cg = m @ x / m.sum()
     d = x - cg
-    inertia = (
-        m[:, None, None] * ((d**2).sum(axis=1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :])
-    ).sum(axis=0)
+    inertia = (m[:, None, None] * ((d**2).sum(axis=1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :])).sum(
+        axis=0
+    )
     assert got.mass == pytest.approx(m.sum(), rel=1e-14)
     assert got.even
     np.testing.assert_allclose(got.cg, cg, atol=1e-14)

@@ -149,7 +149,7 @@ def test_check_lists_unsupported_cards_with_their_place(deck: Path, capsys: Capt
     assert found["unsupported"]["CGAP"].endswith(f"frame.bdf:{line}")
     status, out, _ = call(capsys, "check", deck)
     assert status == 1
-    assert f"frame.bdf:{line}" in out.replace("\n", "")
+    assert f"frame.bdf:{line}" in out
     assert "CGAP is not supported" in refused(capsys, "modes", deck)
 
 
@@ -318,7 +318,9 @@ def test_correlating_what_cannot_be(tmp_path: Path, capsys: Capture) -> None:
 
 
 def test_run_and_report(tmp_path: Path, capsys: Capture) -> None:
-    study = small_study.write_study(tmp_path, ambient=False)
+    photo = '[report]\nphotos = ["frame.gif"]\ncaptions = ["The frame"]\n'
+    study = small_study.write_study(tmp_path, small_study.FULL + photo, ambient=False)
+    (tmp_path / "frame.gif").write_bytes(b"GIF89a")
     out = tmp_path / "out"
     found = parsed(capsys, "run", study, "--out", out)
     assert found["final"]
@@ -329,7 +331,7 @@ def test_run_and_report(tmp_path: Path, capsys: Capture) -> None:
     (out / "report.html").unlink()
     again = parsed(capsys, "report", out / "study.h5")
     assert again["final"] == found["final"]
-    assert Path(again["report"]).is_file()
+    assert "The frame" in Path(again["report"]).read_text(encoding="utf-8")
     assert call(capsys, "report", out / "study.h5", "--out", tmp_path / "r.html")[0] == 0
     assert (tmp_path / "r.html").is_file()
     assert "no folder" in refused(capsys, "report", out / "study.h5", "--out", tmp_path / "none/r.html")
@@ -436,5 +438,5 @@ def test_a_public_deck_with_unsupported_cards(capsys: Capture) -> None:
     status, out, _ = call(capsys, "check", deck)
     assert status == 1
     assert "unsupported PCOMP" in out
-    assert "bwb_geom.blk:19622" in out.replace("\n", "")
+    assert "bwb_geom.blk:19622" in out
     assert "bwb_geom.blk:19622: PCOMP is not supported" in refused(capsys, "modes", deck)

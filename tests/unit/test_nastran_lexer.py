@@ -49,9 +49,7 @@ def test_reals_of_many_digits_round_as_float_does() -> None:
 
 
 def test_integers() -> None:
-    value, good = integers(
-        np.array([b"12", b"-3", b"+4", b"1.", b"-", b"99999999", b"1_0", b"1234567890123456789"])
-    )
+    value, good = integers(np.array([b"12", b"-3", b"+4", b"1.", b"-", b"99999999", b"1_0", b"1234567890123456789"]))
     np.testing.assert_array_equal(good, [True, True, True, False, False, True, False, False])
     assert value[[0, 1, 2, 5]].tolist() == [12, -3, 4, 99999999]
 

@@ -73,9 +73,7 @@ def test_case_control_of_the_first_subcase(tmp_path: Path) -> None:
         "SOL 103\nCEND\nTITLE = A wing $ not this\nSPC = 4\nmethod(structure)=3\nSET 1 = 1,2,\n 3\n"
         "SUBCASE 1\n SPC=5\nSUBCASE 2\n SPC=6\n MPC=7\nBEGIN BULK\n"
     )
-    model = read(
-        tmp_path, text + NODES + "PARAM,WTMASS,.00259\nPARAM,GRDPNT,0\nPARAM,autospc,yes\nENDDATA\nrubbish"
-    )
+    model = read(tmp_path, text + NODES + "PARAM,WTMASS,.00259\nPARAM,GRDPNT,0\nPARAM,autospc,yes\nENDDATA\nrubbish")
     assert (model.case.title, model.case.spc, model.case.method, model.case.mpc) == ("A wing", 5, 3, 0)
     assert dict(model.params) == {"WTMASS": 0.00259, "GRDPNT": 0, "AUTOSPC": "YES"}
 

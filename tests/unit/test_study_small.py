@@ -180,3 +180,27 @@ def test_updated_values_are_those_in_the_deck(done: StudyRun) -> None:
     for name, value in update.updated_values.items():
         line = next(x for x in text.splitlines() if x.startswith(f"MAT1,{name.split()[-1]},"))
         assert float(np.float64(line.split(",")[2])) == pytest.approx(value, rel=1e-5)
+
+
+@pytest.mark.parametrize("candidates", [(), (2, 3)])
+def test_a_suspension_is_tuned_to_the_modes_below_the_stated_frequency(
+    tmp_path: Path, candidates: tuple[int, ...]
+) -> None:
+    """The lowest storey plays the suspension: two sways and a torsion lie below 3 Hz."""
+    sure = small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
+    toml = small_study.MODEL + small_study.TEST + sure + small_study.candidates(candidates)
+    toml += '[correlate]\nrigid_below = 3.0\n[[suspension]]\nname = "lowest storey"\ntargets = ["MAT1 1 E"]\n'
+    run = run_study(small_study.write_study(tmp_path, toml))
+    final = run.results["final"]
+    assert len(final.rigid) == 3
+    assert final.rigid.mean_deviation() < 0.3 * run.results["correlate"].rigid_initial.mean_deviation()
+    assert any("MAT1 1 E" in c for c in final.changes)
+    deliver(run)
+    assert summary(run)["suspension"][0]["name"] == "lowest storey"  # type: ignore[index]
+
+
+def test_an_unreadable_record_is_named(tmp_path: Path) -> None:
+    study = small_study.write_study(tmp_path, small_study.TEST, hammer=False)
+    (tmp_path / "data/ambient.h5").write_bytes(b"no")
+    with pytest.raises(DataError, match=r"ambient\.h5: not a readable HDF5 file"):
+        run_study(study)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -12,7 +14,7 @@ import small_study
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io import codec
 from ringtrue.study.run import StudyRun, load_study, run_study
-from ringtrue.study.stages import STAGES
+from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.store import Store
 
 ALL = ("model", "identify", "compare", "correlate", "sensitivity", "update", "final")
@@ -118,10 +120,8 @@ def test_a_stopped_run_can_be_reported_and_resumes(finished: Path, monkeypatch: 
     assert rerun(run_study(finished, out=out)) == {"sensitivity", "update", "final"}
 
 
-def _with_run(stage: object, run: object) -> object:
-    from dataclasses import replace
-
-    return replace(stage, run=run)  # type: ignore[type-var]
+def _with_run(stage: Stage, run: Callable[..., None]) -> Stage:
+    return replace(stage, run=run)
 
 
 @pytest.mark.parametrize(

@@ -30,9 +30,7 @@ def oscillator() -> ModalModel:
 
 def test_free_decay_after_a_short_pulse_is_the_closed_form() -> None:
     n, start, width, impulse = 8192, 2.0, 1e-3, 10.0
-    force = pulse_spectrum(
-        Pulses(np.array([start]), np.array([width]), np.array([impulse]), np.array([0])), 1, n, RATE
-    )
+    force = pulse_spectrum(Pulses(np.array([start]), np.array([width]), np.array([impulse]), np.array([0])), 1, n, RATE)
     x = np.fft.irfft(response_spectrum(oscillator(), force, lines(n, RATE), quantity="displacement")[0], n)
     t = np.arange(n) / RATE - start - width / 2
     want = np.where(t > 0, impulse / MASS / WD * np.exp(-ZETA * W0 * t) * np.sin(WD * t), 0.0)

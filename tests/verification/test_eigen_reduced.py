@@ -39,9 +39,7 @@ def test_nominal(case):
     assert np.allclose(a.shapes, b.shapes * sign, atol=1e-7 * np.abs(a.shapes).max())
     assert np.allclose(a.d_lambda, b.d_lambda, rtol=1e-6, atol=1e-6 * np.abs(a.d_lambda).max())
     size = np.abs(a.d_shapes).max()
-    assert (
-        np.abs(a.d_shapes - b.d_shapes * sign[:, None]).max() < 1e-3 * size
-    )  # the static part is that at σ, not at λ
+    assert np.abs(a.d_shapes - b.d_shapes * sign[:, None]).max() < 1e-3 * size  # the static part is that at σ, not at λ
 
 
 @pytest.mark.parametrize(("size", "limit"), [(0.1, 1e-4), (0.5, 1e-2)])

@@ -36,9 +36,7 @@ def test_fixed_free_rod(coupled: int, order: int) -> None:
     L, exact = 3.0, np.sqrt(E / RHO) / 12
     rod = cards("PROD", PID=[1], MID=1, A=0.01)
     f = [
-        modes(
-            model(grid(line(n, L), PS="23456"), *chain("CROD", n, rod), spc([1], "1"), spc=1, COUPMASS=coupled), 1
-        )[0]
+        modes(model(grid(line(n, L), PS="23456"), *chain("CROD", n, rod), spc([1], "1"), spc=1, COUPMASS=coupled), 1)[0]
         for n in (4, 8, 16)
     ]
     np.testing.assert_allclose(rates([x / exact - 1 for x in f]), order, atol=0.1)
@@ -91,17 +89,13 @@ def double_cross(n: int) -> Model:
 
 def test_fv2_pin_ended_double_cross() -> None:
     f = modes(double_cross(4), 16)
-    np.testing.assert_allclose(
-        f[[0, 8]], [11.336, 45.345], rtol=5e-3
-    )  # NAFEMS' own finite element answers differ so
+    np.testing.assert_allclose(f[[0, 8]], [11.336, 45.345], rtol=5e-3)  # NAFEMS' own finite element answers differ so
     np.testing.assert_allclose(f[1:8], 17.709, rtol=5e-3)
     np.testing.assert_allclose(f[9:16], 57.390, rtol=1e-2)
 
 
 FV12 = np.array([1.622, 2.360, 2.922])
-FREE_PLATE = np.array(
-    [13.468, 19.596, 24.270, 34.801, 34.801, 61.093, 61.093]
-)  # ω a² sqrt(ρh/D), ν = 0.3; Gorman 1978
+FREE_PLATE = np.array([13.468, 19.596, 24.270, 34.801, 34.801, 61.093, 61.093])  # ω a² sqrt(ρh/D), ν = 0.3; Gorman 1978
 FV16 = np.array([0.421, 1.029, 2.582, 3.306, 3.753, 6.555])
 
 

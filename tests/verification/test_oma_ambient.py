@@ -159,9 +159,7 @@ def test_orders_of_one_band_agree_with_the_truth():
 
 def test_a_record_too_short_is_refused():
     with pytest.raises(DataError, match="too short"):
-        identify_ambient(
-            wrap(np.random.default_rng(1).standard_normal((2, 120)), 100.0), AmbientSettings(fmin=40.0)
-        )
+        identify_ambient(wrap(np.random.default_rng(1).standard_normal((2, 120)), 100.0), AmbientSettings(fmin=40.0))
 
 
 @pytest.mark.data
@@ -177,9 +175,7 @@ def test_building_with_two_close_pairs():
 @pytest.mark.data
 @pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
 def test_timber_building_as_published():
-    r = identify_ambient(
-        wrap(np.load(DATA / "palisaden/Palisaden_dataset.npy").T, 100.0), AmbientSettings(fmax=3.0)
-    )
+    r = identify_ambient(wrap(np.load(DATA / "palisaden/Palisaden_dataset.npy").T, 100.0), AmbientSettings(fmax=3.0))
     assert r.modes.frequencies == pytest.approx([1.882, 2.422, 2.687], rel=2e-3)  # two published methods differ so
 
 

@@ -67,7 +67,7 @@ def oma(
     if json != "-":
         _print_modes(f"{record}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
         for note in found.notes:
-            out.print(note, markup=False)
+            out.print(note, markup=False, highlight=False, soft_wrap=True)
     return 0 if len(found.modes) else 1
 
 
@@ -138,7 +138,7 @@ def correlate(
         ]
         rows(f"{a} against {b}", ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
         for u in value["unpaired"]:
-            out.print(f"{u['set']} {u['mode']}: {u['reason']}", markup=False)
+            out.print(f"{u['set']} {u['mode']}: {u['reason']}", markup=False, highlight=False, soft_wrap=True)
     return 0 if value["pairs"] else 1
 
 

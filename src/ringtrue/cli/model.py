@@ -52,7 +52,7 @@ def modes(
             for i, (f, r) in enumerate(zip(result.modes.frequencies, result.residuals, strict=True))
         ]
         rows(f"{deck}: {len(body)} modes", ("#", "f [Hz]", "residual"), body)
-        out.print(result.proof, markup=False)
+        out.print(result.proof, markup=False, highlight=False, soft_wrap=True)
     return 0 if result.complete else 1
 
 
@@ -101,16 +101,18 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
     rows(f"{deck}: cards", ("card", "number"), sorted(summary["cards"].items()))
     if "mass" in summary:
         cg = ", ".join(f"{x:.4g}" for x in summary["centre_of_gravity"])
-        out.print(f"mass {summary['mass']:.6g}, centre of gravity ({cg})", markup=False)
+        out.print(
+            f"mass {summary['mass']:.6g}, centre of gravity ({cg})", markup=False, highlight=False, soft_wrap=True
+        )
         for row in np.asarray(summary["inertia"]):
-            out.print("inertia  " + "  ".join(f"{x: .5e}" for x in row), markup=False)
+            out.print("inertia  " + "  ".join(f"{x: .5e}" for x in row), markup=False, highlight=False, soft_wrap=True)
     for card, place in summary["unsupported"].items():
-        out.print(f"unsupported {card}: {place}", markup=False)
+        out.print(f"unsupported {card}: {place}", markup=False, highlight=False, soft_wrap=True)
     for f in summary["findings"]:
         place = f"{f['file']}:{f['line']}: " if f["file"] else ""
-        out.print(f"{f['severity']}: {place}{f['text']}", markup=False)
+        out.print(f"{f['severity']}: {place}{f['text']}", markup=False, highlight=False, soft_wrap=True)
     if not summary["findings"] and not summary["unsupported"]:
-        out.print("no findings")
+        out.print("no findings", highlight=False)
 
 
 def register(app: typer.Typer) -> None:

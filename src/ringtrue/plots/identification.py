@@ -11,6 +11,14 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.plots.style import FE, FINAL, MUTED, QUALITATIVE, TEST, axis, f32, figure, ticks
 
+# What the colours of a stabilisation diagram mean.
+POLE_COLORS = (
+    ("spectrum", "#b4bec8"),
+    ("unstable pole", "#d3cbbd"),
+    ("stable pole", QUALITATIVE[5]),
+    ("pole taken into a mode", FE),
+    ("mode", TEST),
+)
 LIMIT = 3000  # strokes of one kind in one diagram; beyond it every n-th is drawn
 
 
@@ -39,12 +47,12 @@ def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
     span = pole_span(diagram)
     in_mode = diagram.cluster >= 0
     fig = figure(
-        270,
+        240,
         xaxis=axis("Frequency, Hz", range=list(span)),
         yaxis=axis("Model order", rangemode="tozero"),
         yaxis2=axis("Spectrum, dB", overlaying="y", side="right", showgrid=False, tickmode="auto", nticks=5),
     )
-    fig.layout.margin.r = 60
+    fig.update_layout(showlegend=False, margin={"r": 60, "t": 10})
     inside = np.flatnonzero((diagram.freqs >= span[0]) & (diagram.freqs <= span[1]))
     inside = inside[:: max(1, inside.size // 1000)]
     grey = {"width": 1, "color": "#b4bec8"}
@@ -89,7 +97,7 @@ def precision(modes: ModeSet, std: Float, expected: Float) -> go.Figure:
     fig = figure(
         280,
         barmode="group",
-        xaxis=axis("Target mode, Hz", type="category", tickangle=-60),
+        xaxis=axis("Mode, Hz", type="category", tickangle=-60),
         yaxis=axis("Standard deviation, %"),
     )
     fig.layout.yaxis.update(type="log", dtick=1)

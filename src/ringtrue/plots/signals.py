@@ -29,14 +29,21 @@ def record(summary: RecordSummary, unit: str) -> go.Figure:
     """Time previews on the left, power spectral densities on the right; `unit` of the channels, empty if mixed."""
     unit = unit or "SI unit"
     ok = summary.psd_freqs > 0
+    names = summary.preview_channels[:1] if unit == "N" else summary.preview_channels  # the rest are not forces
     fig = figure(
         250,
+        showlegend=True,
         xaxis=axis("Time, s", domain=[0, 0.41]),
         yaxis=axis(unit, exponentformat="power"),
         xaxis2=axis("Frequency, Hz", type="log", domain=[0.59, 1], anchor="y2", dtick=1),
-        yaxis2=log_axis(f"PSD, ({unit})²/Hz", anchor="x2", dtick=2, **_decades(summary.psd[:, ok])),
+        yaxis2=log_axis(
+            f"PSD, {unit if unit.isalpha() else f'({unit})'}²/Hz",
+            anchor="x2",
+            dtick=2,
+            **_decades(summary.psd[: len(names)][:, ok]),
+        ),
     )
-    for i, name in enumerate(summary.preview_channels):
+    for i, name in enumerate(names):
         line = {"width": 0.9, "color": QUALITATIVE[i % 8]}
         x, y = f32(summary.preview_time), f32(summary.preview[i])
         fig.add_scatter(x=x, y=y, name=name, line=line, legendgroup=name, opacity=0.85)

@@ -170,6 +170,14 @@ class Checks:
 
 
 @dataclass(frozen=True, slots=True)
+class Key:
+    """What the colours of the figures that follow mean: (name, colour)."""
+
+    items: Sequence[tuple[str, str]]
+    kind: str = field(default="key", init=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Plot:
     """A figure with its caption."""
 
@@ -230,7 +238,7 @@ class Columns:
     kind: str = field(default="columns", init=False)
 
 
-Block = Table | Text | Heading | Items | Facts | Checks | Plot | Scene3D | Diff | Code | Picture | Tabs | Columns
+Block = Table | Text | Heading | Items | Facts | Checks | Key | Plot | Scene3D | Diff | Code | Picture | Tabs | Columns
 
 
 @dataclass(frozen=True, slots=True)

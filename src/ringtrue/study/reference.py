@@ -91,7 +91,7 @@ def left_out(modes: ModeSet, count: int, least: float) -> Int:
     count = min(count, max(sure.size - 2, 0))
     if not count:
         return np.zeros(0, dtype=np.int64)
-    at = np.linspace(1, sure.size - 2, count).round().astype(np.int64)
+    at = np.linspace(0, sure.size - 1, count + 2)[1:-1].round().astype(np.int64)
     return sure[np.unique(at)]
 
 

@@ -249,3 +249,4 @@ class Provenance:
     inputs: dict[str, str]  # file -> SHA-256
     settings: str  # the resolved study.toml
     timings: dict[str, float]  # stage -> s
+    home: str = "."  # the folder of study.toml, seen from that of the store

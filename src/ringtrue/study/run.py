@@ -211,6 +211,7 @@ def provenance(desk: Workbench, files: Iterable[Path], study: Path, timings: Map
         _digests([study, *files], desk.base),
         study.read_text(encoding="utf-8"),
         {**before, **timings},
+        os.path.relpath(desk.base.resolve(), desk.out.resolve()),
     )
 
 
@@ -228,7 +229,7 @@ def load_study(store: Path) -> StudyRun:
     made = held.load("provenance")
     assert isinstance(made, Provenance)
     config = parse_config(made.settings, store)
-    desk = Workbench(config, store.parent, store.parent, held)
+    desk = Workbench(config, store.parent / made.home, store.parent, held)
     there = held.stages()
     results = {s.name: held.load(s.name) for s in STAGES if s.name in there and s.applies(desk)}
     return StudyRun(store.parent, desk, results | {"provenance": made}, made.timings, tuple(results))

@@ -27,7 +27,7 @@ _LINES = {
     "CBEAM": ("GA", "GB"),
     "CROD": ("G1", "G2"),
     "CTUBE": ("G1", "G2"),
-    "CBUSH": ("GA", "GB"),
+    "CBUSH": ("GA", "GA"),  # a bush has no length worth drawing: a point
 }
 
 
@@ -55,8 +55,7 @@ def _faces(model: Model) -> tuple[Int, Int]:
 def _lines(model: Model) -> tuple[Int, Int]:
     parts = [np.column_stack([model[c].stack(a, b), model[c]["PID"]]) for c, (a, b) in _LINES.items() if c in model]
     every = np.concatenate(parts) if parts else np.zeros((0, 3), dtype=np.int64)
-    ends = np.where(every[:, :2] > 0, every[:, :2], every[:, :1])  # a bush to ground is a line without length
-    return ends, every[:, 2]
+    return every[:, :2], every[:, 2]
 
 
 def _groups(pids: Int, regions: Mapping[str, Sequence[int]]) -> tuple[Int, tuple[str, ...]]:

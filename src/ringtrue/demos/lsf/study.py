@@ -111,7 +111,7 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         "[identify]",
         "ambient_fmax = 40.0",
         "hammer_fmin = 8.0",
-        "hammer_fmax = 46.0",
+        "hammer_fmax = 44.0",
         "",
         "[remodel]",
         'file = "deck/frame.bdf"',

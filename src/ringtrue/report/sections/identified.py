@@ -13,6 +13,7 @@ from ringtrue.report.parts import (
     Cell,
     Columns,
     Heading,
+    Key,
     Plot,
     Section,
     Table,
@@ -32,7 +33,7 @@ def section(data: Stages) -> Section | None:
     tabs = [(r.record, _diagrams(r.record, r.diagrams, r.modes)) for r in ident.ambient_records if r.diagrams]
     if ident.hammer is not None and ident.hammer_diagrams:
         tabs.append(("hammer", _diagrams("hammer", ident.hammer_diagrams, ident.hammer)))
-    blocks: list[Block] = [Heading("Stabilisation diagrams"), Tabs(tabs)] if tabs else []
+    blocks: list[Block] = [Heading("Stabilisation diagrams"), Key(plots.POLE_COLORS), Tabs(tabs)] if tabs else []
     sides: list[list[Block]] = []
     if len(ident.ambient):
         modes, std = ident.ambient, ident.ambient_uncertainty
@@ -51,7 +52,7 @@ def section(data: Stages) -> Section | None:
 def _diagrams(name: str, diagrams: Sequence[StableDiagram], modes: ModeSet) -> list[Block]:
     telling = [d for d in diagrams if (d.cluster >= 0).any()] or list(diagrams)
     drawn: list[Block] = [Plot(plots.stabilisation(d, modes), f"{name}, {_span(d)}.") for d in telling]
-    out: list[Block] = [Columns([drawn[::2], drawn[1::2]]) if len(drawn) > 1 else drawn[0]]
+    out: list[Block] = [Columns([drawn[k : k + 1], drawn[k + 1 : k + 2]]) for k in range(0, len(drawn), 2)]
     if len(telling) < len(diagrams):
         rest = ", ".join(_span(d) for d in diagrams if not (d.cluster >= 0).any())
         out.append(Text(f"Not drawn, without a mode: {rest}.", "note"))

@@ -20,7 +20,7 @@ def section(data: Stages) -> Section | None:
         Fact("Channels chosen", f"{len(plan.test.channels)} of {plan.candidates}"),
         Fact("Worst auto-MAC", fixed(100 * plan.worst_off_diagonal, 1), "%"),
         Fact("Frequency step", number(plan.frequency_step, 3), "Hz"),
-        Fact("Block", number(plan.block, 3), "s"),
+        Fact("Block", number(plan.block, 4), "s"),
         Fact("Ambient record", number(plan.record_length / 60, 3), "min"),
     ]
     blocks: list[Block] = [

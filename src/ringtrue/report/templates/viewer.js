@@ -337,16 +337,15 @@
       if (!modes) this.uploadDots(add);
     }
 
-    // Springs have no skin: a line without length (or nearly) is a dot, seen through the skin where it is coloured.
+    // Springs have no skin: a line without length is a dot, seen through the skin where it is coloured.
     uploadDots(add) {
       const seen = this.data.kind === "regions";
       for (const solid of [false, true]) {
         const at = [], color = [];
         for (let k = 0; k < this.lines.length / 2; k++) {
-          const [a, b] = [3 * this.lines[2 * k], 3 * this.lines[2 * k + 1]], c = this.colors[this.lgroup[k]];
-          const d = [0, 1, 2].map((i) => this.xyz[b + i] - this.xyz[a + i]);
-          if (Math.hypot(...d) > 0.02 * this.size || (c[3] >= 1) !== solid) continue;
-          at.push(...d.map((v, i) => this.xyz[a + i] + v / 2));
+          const a = this.lines[2 * k], c = this.colors[this.lgroup[k]];
+          if (a !== this.lines[2 * k + 1] || (c[3] >= 1) !== solid) continue;
+          at.push(...this.xyz.slice(3 * a, 3 * a + 3));
           color.push(...c.slice(0, 3).map((v) => v * (seen ? 1 : 0.7)), 1);
         }
         const n = at.length / 3, zero = new Float32Array(3 * n);
@@ -483,6 +482,6 @@
   window.ringtrueStill = (width) => all.forEach((v) => {
     if (!v.ctx) return;
     if (width) v.sheet();
-    v.paint(width);
+    v.paint(width && v.div.closest(".columns") ? (width - 34) / 2 : width);
   });
 })();
