@@ -23,6 +23,7 @@ def pair_modes(
     *,
     visible_b: Float | None = None,
     names: tuple[str, str] = ("test", "FE"),
+    first_b: int = 0,
 ) -> Pairing:
     """Pair the modes of two sets by one global assignment over MAC and frequency.
 
@@ -39,6 +40,8 @@ def pair_modes(
         Share of each mode's motion that takes place where sensors sit, 0..1.
     names : tuple of str
         What A and B are called in the reasons.
+    first_b : int
+        Number of modes that stand before those of B in the whole set; the reasons count them.
 
     Raises
     ------
@@ -54,7 +57,7 @@ def pair_modes(
     rows, cols = assign(s, settings, sure, np.array([not why for why in hidden], dtype=np.bool_))
     lone_a = np.setdiff1d(np.arange(len(a)), rows)
     lone_b = np.setdiff1d(np.arange(len(b)), cols)
-    why = _Reasons(s, settings, rows, cols, names)
+    why = _Reasons(s, settings, rows, cols, names, first_b)
     return Pairing(
         a=rows,
         b=cols,
@@ -100,20 +103,23 @@ class _Reasons:
     rows: Int
     cols: Int
     names: tuple[str, str]
+    first_b: int
 
     def of_a(self, i: int) -> str:
-        return self._of(self.score.merged[i], self.score.error[i], self.names[1], self.cols, self.rows, self.names[0])
+        macs, errors = self.score.merged[i], self.score.error[i]
+        return self._of(macs, errors, self.names[1], self.cols, self.rows, self.names[0], self.first_b, 0)
 
     def of_b(self, j: int, a: ModeSet, b: ModeSet) -> str:
         f = float(b.frequencies[j])
         gate = self.settings.frequency_gate
         if len(a) and not a.frequencies.min() * (1 - gate) <= f <= a.frequencies.max() * (1 + gate):
             return f"outside of the {self.names[0]} band {a.frequencies.min():.4g} to {a.frequencies.max():.4g} Hz"
-        return self._of(
-            self.score.merged[:, j], self.score.error[:, j], self.names[0], self.rows, self.cols, self.names[1]
-        )
+        macs, errors = self.score.merged[:, j], self.score.error[:, j]
+        return self._of(macs, errors, self.names[0], self.rows, self.cols, self.names[1], 0, self.first_b)
 
-    def _of(self, macs: Float, errors: Float, theirs: str, taken: Int, by: Int, mine: str) -> str:
+    def _of(
+        self, macs: Float, errors: Float, theirs: str, taken: Int, by: Int, mine: str, their_first: int, my_first: int
+    ) -> str:
         gate, least = self.settings.frequency_gate, self.settings.mac_gate
         near = np.flatnonzero(np.abs(errors) <= gate)
         if not near.size:
@@ -122,14 +128,14 @@ class _Reasons:
         if macs[best] < least:
             return (
                 f"no {theirs} mode within {100 * gate:.3g} % has MAC >= {100 * least:.3g} %: "
-                f"best {theirs} {best + 1} with {100 * macs[best]:.0f} %"
+                f"best {theirs} {best + 1 + their_first} with {100 * macs[best]:.0f} %"
             )
         owner = np.flatnonzero(taken == best)
         if owner.size:
             return (
                 f"{theirs} {best + 1} (MAC {100 * macs[best]:.0f} %) is already taken by {mine} {int(by[owner[0]]) + 1}"
             )
-        return f"{theirs} {best + 1} (MAC {100 * macs[best]:.0f} %) was set aside for another reason"
+        return f"{theirs} {best + 1 + their_first} (MAC {100 * macs[best]:.0f} %) was set aside for another reason"
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,7 +121,7 @@ def elastic_table(
     edge = elastic_edge(fe.frequencies, config)
     first = int((fe.frequencies < edge).sum()) if len(reference.rigid) or config.correlate.rigid_below else 0
     elastic = fe.take(np.arange(first, len(fe)))
-    pairing = pair_modes(reference.elastic, elastic, gates)
+    pairing = pair_modes(reference.elastic, elastic, gates, first_b=first)
     table = correlation_table(reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out)
     return replace(
         table,

@@ -81,7 +81,7 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
     """Write study.toml and the remodelling cards."""
     (folder / "remodel").mkdir(parents=True, exist_ok=True)
     (folder / BRACES).write_text(braces(b))
-    regions = {r: [pid] for r, pid in (S.CONCRETE | S.STEEL).items()}
+    regions = {r: [pid] for r, pid in (S.CONCRETE | S.STEEL | S.BUSHES).items()}
     lines = [
         "# A validation campaign: deck, tests, and what is uncertain",
         "[study]",
