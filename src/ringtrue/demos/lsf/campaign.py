@@ -32,7 +32,7 @@ Progress = Callable[[float, str], None]
 EXCITATIONS = ("ambient", "jumping", "drop", "sledge")
 QUIET, LOUD = 0.3e-6, 3e-6  # m/s rms, bounds of the site's ground motion
 FULL_HOURS, SEGMENT_S, FADE_S = 11.4, 1800.0, 60.0
-FAST_S, FAST_HITS = 480.0, 3
+FAST_S, FAST_HITS = 600.0, 3
 FMAX, GEOPHONE_FMIN = 95.0, 2.5  # Hz, between them the modes that the ratio is taken over
 
 

@@ -117,7 +117,7 @@ def _haunches(b: Builder, number: Int, x: Float, j0: int, j1: int, k: int) -> No
 def springs(b: Builder) -> None:
     """32 air springs under the slab, to ground."""
     m = b.mesh
-    for x in np.linspace(1.4, S.LENGTH - 1.4, 8).tolist():
+    for x in np.linspace(3.0, S.LENGTH - 3.0, 8).tolist():
         for y in (0.9, 3.5, 6.5, 9.1):
             (node,) = m.nearest("foundation", (x, y, 0.0))
             m.part = "springs"

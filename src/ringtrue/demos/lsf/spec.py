@@ -122,7 +122,7 @@ class Spec:
             "motor mounts": (3.0e9, 3.0e9, 5.0e9, 0.0, 0.0, 0.0),
             "gearbox mounts": (2.0e9, 2.0e9, 3.5e9, 0.0, 0.0, 0.0),
             "bearing mounts": (1.0e9, 4.0e9, 5.0e9, 0.0, 0.0, 0.0),
-            "air springs": (7.2e5, 9.6e5, 2.6e6, 0.0, 0.0, 0.0),
+            "air springs": (7.45e5, 9.6e5, 2.6e6, 0.0, 0.0, 0.0),
         }
     )
     loss: Mapping[str, float] = field(default_factory=dict)  # region -> structural loss factor

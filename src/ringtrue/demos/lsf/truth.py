@@ -82,7 +82,7 @@ def as_built(seed: int) -> Spec:
         density={k: v * (0.985 if k in S.CONCRETE else 1.0) for k, v in deck.density.items()},
         bush={k: tuple(x * r[k] for x in v) for k, v in deck.bush.items()},
         loss=loss,
-        dashpot=(1.4e4, 1.4e4, 3.0e4),
+        dashpot=(1.2e4, 1.2e4, 2.2e4),
         scatter=0.04,
         bush_scatter=0.07,
         extra_braces=True,

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
@@ -122,12 +123,15 @@ def corrected(history: TimeHistory, sensors: dict[str, Any]) -> tuple[TimeHistor
 
 
 def summary(record: Logged, history: TimeHistory, notes: Sequence[str]) -> RecordSummary:
-    """What the report shows of a record."""
-    show = history.data[:SHOWN]
-    step = max(1, show.shape[1] // POINTS)
-    psd = csd(TimeHistory(show, history.rate, history.channels[:SHOWN]), Welch(0.05))
+    """What the report shows of a record: channels of one unit, thinned so that no peak is lost."""
+    unit = history.channels[0].unit
+    at = [i for i, c in enumerate(history.channels) if c.unit == unit][:SHOWN]
+    shown = tuple(history.channels[i] for i in at)
+    show = np.asarray(history.data[at], dtype=np.float64)
+    psd = csd(TimeHistory(show, history.rate, shown), Welch(0.05))
     power = np.real(np.einsum("fii->if", psd.data))
     thin = max(1, psd.freqs.size // 2000)
+    step = max(1, show.shape[1] // POINTS)
     return RecordSummary(
         record.name,
         record.test,
@@ -136,14 +140,21 @@ def summary(record: Logged, history: TimeHistory, notes: Sequence[str]) -> Recor
         len(history.channels),
         history.rate,
         history.duration,
-        np.arange(show.shape[1])[::step] / history.rate,
-        np.asarray(show[:, ::step], dtype=np.float64),
-        tuple(c.id for c in history.channels[:SHOWN]),
+        np.arange(show.shape[1] // step) * step / history.rate,
+        _peaks(show, step),
+        tuple(c.id for c in shown),
         psd.freqs[::thin],
         power[:, ::thin],
         tuple(notes),
-        history.channels[0].unit,
+        unit,
     )
+
+
+def _peaks(data: Float, step: int) -> Float:
+    """The value of largest modulus in each run of `step` samples, (channel, runs)."""
+    runs = data[:, : data.shape[1] // step * step].reshape(len(data), -1, step)
+    best = np.abs(runs).argmax(axis=2)
+    return np.asarray(np.take_along_axis(runs, best[:, :, None], axis=2)[:, :, 0])
 
 
 def ambient(
