@@ -10,8 +10,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.pairing import Pairing
 from ringtrue.correlate.assign import PairingSettings, assign, scores
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
@@ -189,28 +187,3 @@ def shared_cost(r: Residual, others: Residual) -> float | None:
     k = mine.size
     cost = square[:k] + square[k:].reshape(k, -1).sum(axis=1) if k else square
     return float(cost[np.isin(mine, theirs)].sum())
-
-
-def as_target(
-    modes: ModeSet, shapes: Float, std_hz: Float, used: Bool, weights: Weights, pairing: PairingSettings
-) -> Target:
-    """A target from identified modes with real shapes."""
-    return Target(modes.frequencies, shapes, std_hz / modes.frequencies, used, weights, pairing)
-
-
-def pairing_of(r: Residual) -> Pairing:
-    """The pairs as a `Pairing` without reasons."""
-    none = np.zeros(0, dtype=np.int64)
-    k = len(r.pairs)
-    return Pairing(
-        r.pairs[:, 0],
-        r.pairs[:, 1],
-        r.mac,
-        r.frequency_error,
-        np.ones(k),
-        np.zeros(k, dtype=bool),
-        none,
-        (),
-        none,
-        (),
-    )
