@@ -72,8 +72,10 @@ class PlanStage:
     frequency_step: float  # Hz
     block: float  # s
     record_length: float  # s
-    expected_std_frequency: Float  # (target,) relative, 1 sigma
-    expected_std_damping: Float  # (target,) relative
+    damping: float  # assumed ratio
+    expected_modes: Int  # positions in the deck's modes: rigid-body and first elastic ones, of the ambient tests
+    expected_std_frequency: Float  # (expected,) relative, 1 sigma
+    expected_std_damping: Float  # (expected,) relative
     rule: str  # the selection rule in words
 
 
@@ -232,8 +234,6 @@ class FinalStage:
     frf_test: Complex  # (f, k)
     frf_initial: Complex
     frf_final: Complex
-    checks: dict[str, bool]  # what must hold -> held
-    facts: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.plan.resolution import ambient_std
 from ringtrue.study.results import (
     CompareStage,
     CorrelateStage,
     FinalStage,
+    IdentifyStage,
     ModelStage,
+    PlanStage,
     TuneStage,
     UpdateStage,
 )
@@ -62,6 +65,21 @@ def unpaired(table: CorrelationTable) -> list[dict[str, Any]]:
     ]
 
 
+def precision(plan: PlanStage, found: IdentifyStage) -> list[dict[str, float]]:
+    """Relative standard deviations of the ambient modes, %: as planned at their frequency, and as found."""
+    modes, std = found.ambient, found.ambient_uncertainty
+    planned = ambient_std(modes.frequencies, plan.damping, plan.record_length)
+    columns = (
+        modes.frequencies,
+        100 * planned[0],
+        100 * std.frequency / modes.frequencies,
+        100 * planned[1],
+        100 * std.damping / modes.damping,
+    )
+    names = ("frequency_hz", "planned_frequency", "found_frequency", "planned_damping", "found_damping")
+    return [dict(zip(names, row, strict=True)) for row in np.stack(columns, axis=1).tolist()]
+
+
 def correlation_json(table: CorrelationTable) -> dict[str, Any]:
     """A table with its unpaired modes and mean values."""
     return {
@@ -93,6 +111,9 @@ def summarise(run: StudyRun) -> dict[str, Any]:
     model: ModelStage | None = r.get("model")
     if model is not None:
         out |= {"mass_t": model.mass / (1e3 if model.units == "SI" else 1.0), "dof": model.dof}
+    plan, identify = r.get("plan"), r.get("identify")
+    if plan is not None and identify is not None:
+        out["std_percent"] = precision(plan, identify)
     compare: CompareStage | None = r.get("compare")
     if compare is not None:
         out["ambient_vs_hammer"] = pairs(compare.table)

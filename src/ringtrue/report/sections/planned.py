@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from ringtrue.core.arrays import Float, Int
 from ringtrue.plots import correlation, identification
-from ringtrue.report.parts import Block, Columns, Fact, Facts, Plot, Section, Text, fixed, number, sentence
+from ringtrue.report.parts import Block, Columns, Fact, Facts, Plot, Section, Table, Text, fixed, number, sentence
 from ringtrue.report.stages import Stages
-from ringtrue.study.results import PlanStage
+from ringtrue.study.results import IdentifyStage, PlanStage
+from ringtrue.study.summary import precision
 
 
 def section(data: Stages) -> Section | None:
@@ -31,19 +29,23 @@ def section(data: Stages) -> Section | None:
     auto = correlation.matrix(plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False)
     left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]
     right: list[Block] = []
-    if data.model is not None and np.isfinite(plan.expected_std_frequency).any():
-        modes = data.model.modes.take(_ambient_modes(plan, data.model.modes.frequencies))
+    if data.model is not None and plan.expected_modes.size:
+        modes = data.model.modes.take(plan.expected_modes)
         fig = identification.precision(modes, plan.expected_std_frequency, plan.expected_std_damping)
         fig.update_layout(height=430)
         right.append(Plot(fig, "Standard deviations to expect from the planned length of the ambient record."))
     blocks.append(Columns([left, right])) if right else blocks.extend(left)
+    if data.identify is not None and len(data.identify.ambient):
+        blocks.append(_verified(plan, data.identify))
     return Section("plan", "Test plan", blocks)
 
 
-def _ambient_modes(plan: PlanStage, frequencies: Float) -> Int:
-    """Positions of the modes whose precision was planned: the targets, or rigid-body modes and the first targets."""
-    if plan.expected_std_frequency.size == plan.target_modes.size:
-        return plan.target_modes
-    first = int(plan.target_modes[0]) if plan.target_modes.size else frequencies.size
-    low = np.flatnonzero(frequencies[:first] > 1e-3 * frequencies.max(initial=0.0))
-    return np.concatenate([low, plan.target_modes])[: plan.expected_std_frequency.size]
+def _verified(plan: PlanStage, found: IdentifyStage) -> Table:
+    """Planned precision against that of the modes found."""
+    rows = [(fixed(r.pop("frequency_hz"), 3), *(number(v, 2) for v in r.values())) for r in precision(plan, found)]
+    heads = ("f, Hz", "planned σ of f, %", "found, %", "planned σ of ζ, %", "found, %")
+    caption = (
+        f"The plan verified: standard deviations of one ambient record with {100 * plan.damping:g} % damping as "
+        "planned, and those of the merged ambient modes."
+    )
+    return Table(heads, rows, caption)

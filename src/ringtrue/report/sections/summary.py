@@ -7,7 +7,6 @@ from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import Block, Checks, Columns, Fact, Facts, Heading, Plot, Section, Table, fixed, number
 from ringtrue.report.sections import shapes
 from ringtrue.report.stages import Stages
-from ringtrue.study.summary import Check
 
 
 def section(data: Stages) -> Section | None:
@@ -64,14 +63,10 @@ def _outcome(data: Stages) -> list[Block]:
     final = data.final
     assert final is not None
     before = data.correlate.initial if data.correlate is not None else None
-    held = data.checks or tuple(Check(name, "", "", ok) for name, ok in final.checks.items())
-    left: list[Block] = [Heading("What must hold"), Checks(held)] if held else []
+    left: list[Block] = [Heading("What must hold"), Checks(data.checks)] if data.checks else []
     blocks: list[Block] = [_facts(final.table, before)]
     blocks += _beside(left, shapes.first(data))
     blocks += [_deviations(data), _stages_table(data)]
-    if final.facts:
-        rows = [(k, number(v, 4)) for k, v in final.facts.items()]
-        blocks.append(Table(("|Fact", "Value"), rows, "Facts of the run."))
     return blocks
 
 

@@ -100,8 +100,6 @@ def run(desk: Workbench, progress: Progress) -> FinalStage:
         zeta,
         source,
         *shown,
-        {},
-        {},
     )
 
 

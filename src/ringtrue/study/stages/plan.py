@@ -77,6 +77,8 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         need.step,
         need.block,
         every.record,
+        plan.damping,
+        first,
         every.std_frequency,
         every.std_damping,
         f"triaxial points by effective independence (backward elimination) of {targets.size} target modes, at least "

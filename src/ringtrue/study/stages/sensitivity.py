@@ -37,7 +37,7 @@ def mac_slope(psi: Float, point: Linearisation, fe: int) -> Float:
 def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     """Linearise at the remodelled deck and choose sets by three rules."""
     aim = target(desk)
-    model = desk.candidates(progress)
+    model = desk.candidates(lambda f, t: progress(0.6 * f, t))
     names = model.parameters.names
     point = model.linearise(np.zeros(len(names)))
     pairs, _, _ = match(aim, point)
