@@ -9,6 +9,7 @@ RingtrueError
 │   └── UnsupportedCard                a card that carries stiffness, mass or constraint
 ├── NumericalError(ArithmeticError)
 │   ├── SingularModel                  names the degrees of freedom
+│   ├── OutOfMemory                    foreseen: nothing was begun
 │   └── NotConverged                   carries the outcome
 └── SolverError(RuntimeError)
     ├── SolverMissing
@@ -74,6 +75,14 @@ class SingularModel(NumericalError):
         self.dofs = tuple(dofs)
         shown = " ".join(self.dofs[:12]) + (f" and {len(self.dofs) - 12} more" if len(self.dofs) > 12 else "")
         super().__init__(f"the model is singular at {shown or 'unknown DOFs'}: {why}")
+
+
+class OutOfMemory(NumericalError, MemoryError):
+    """A step needs more memory than there is: `needed` and `available`, bytes (0 if unknown)."""
+
+    def __init__(self, message: str, *, needed: int = 0, available: int = 0) -> None:
+        self.needed, self.available = needed, available
+        super().__init__(message)
 
 
 class NotConverged(NumericalError):

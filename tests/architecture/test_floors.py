@@ -21,10 +21,11 @@ FLOORS = [
 ]
 SIDEWAYS = {("core", "errors"), ("reduce", "fem"), ("identify", "signal"), ("plan", "virtual")}
 THIRD_PARTY = {  # above numpy and scipy, which every floor may use
-    "io": {"h5py", "pyuff", "openpyxl"},
+    "io": {"h5py", "nptdms", "openpyxl", "pyuff"},
     "eigen": {"pymklpardiso", "rslab"},
     "signal": {"h5py"},
     "virtual": {"h5py"},
+    "backends": {"mpi4py", "petsc4py", "slepc4py"},
     "study": {"h5py", "pydantic"},
     "plots": {"plotly"},
     "report": {"jinja2", "plotly"},

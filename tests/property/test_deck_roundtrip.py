@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ringtrue.errors import RingtrueError
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.io.nastran.lexer import integers, real
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.nastran.reader import read_deck, survey
 from ringtrue.io.nastran.writer import format_card, format_field, format_real
 from ringtrue.model.cards import columns
 from ringtrue.model.edit import FieldChange
@@ -90,3 +92,42 @@ def test_edits_read_back_and_leave_the_rest(style: str, values: dict[str, float]
     for name in FIELDS:
         want = real(format_real(values[name], width)) if name in values else old["PBAR"][name][0]
         np.testing.assert_array_equal(new["PBAR"][name][0], want, err_msg=f"{name} in {text}")
+
+
+SEED = (
+    "SOL 103\nCEND\nMETHOD=1\nK2GG=KA\nBEGIN BULK\nEIGRL,1,,,5\nGRDSET,,,,,,,6\nGRID,1,,0.,0.,0.\n=,*(1),=,*(.5),==\n"
+    "=(2)\nCORD2R  5               0.      0.      0.      0.      0.      1.      +A\n+A      1.      0.      0.\n"
+    "CQUAD4,1,1,1,2,3,4\nPCOMP,1,-.2,,,,,,SYM\n,8,.1,45.,YES,,,-45.\nMAT8,8,1.+11,9.+9,.3,5.+9\n"
+    "MAT1*   1               2.1+11                          .3              *\n*       7850.\n"
+    "PBEAM,1,1,4.,1.,2.\n,\n,NO,1.,3.\nCBAR,2,1,1,2,0.,1.,0.\nPBARL,1,1,,ROD\n,2.\nBAROR,,1\n"
+    "RBE3,10,,4,123,1.,123,1,2\nRBE1,11,1,123456\n,UM,3,123\nSPC1,1,123,1,THRU,4\nMPC,1,1,1,1.,2,1,-1.\n"
+    "DMIG,KA,0,6,1\nDMIG,KA,1,1,,1,1,2.\nCELAS4,4,5.,11,12\nPELAS,1,5.\nPARAM,WTMASS,.5\nENDDATA\n"
+)
+MUTATION = st.tuples(
+    st.floats(0, 1),
+    st.integers(0, 12),
+    st.sampled_from(["", "=", "*(2)", ",", "\t", "*", "+", "$", "-1", ".", "\n", "\r"])
+    | st.text(st.characters(max_codepoint=255), max_size=6),
+)  # where, how many characters go, what comes instead
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(MUTATION, min_size=1, max_size=6))
+def test_a_mangled_deck_is_read_or_refused(changes: list[tuple[float, int, str]]) -> None:
+    text = SEED
+    for where, gone, new in changes:
+        at = int(where * len(text))
+        text = text[:at] + new + text[at + gone :]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.bdf"
+        path.write_bytes(text.encode("latin-1"))
+        for read in (read_deck, survey):
+            with suppress(RingtrueError):  # any other error fails the test
+                read(path)
+
+
+def test_the_deck_that_is_mangled_is_sound() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.bdf"
+        path.write_text(SEED)
+        assert len(read_deck(path)["GRID"]) == 4

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from ringtrue.checks.deck import DeckReport, check_deck
-from ringtrue.checks.mass import from_rigid_body_mass, mass_properties, whole_mass
+from ringtrue.checks.edges import free_edges_in_words, shell_edges
+from ringtrue.checks.ground import GroundCheck, ground_check, ground_findings
+from ringtrue.checks.mass import from_rigid_body_mass, mass_properties, unconstrained, whole_mass
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.nastran.reader import read_deck, survey
@@ -52,13 +54,19 @@ def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
         ("GRID,9,,1.,1.,0.\nCELAS2,2,1.,9,1\n", "warning", 3, "GRID 3: at one place with another node"),
         ("PROD,7,1,1.\nGRID,9,,1.,1.,0.\nCROD,2,7,3,9\n", "error", 10, "CROD 2: has no length"),
         ("CELAS2,2,1.,1,1\nMAT1,2,1.,,.6\n", "error", 9, "MAT1 2: Poisson's ratio 0.6"),
+        ("MAT8,2,1.,1.,1.,1.\n", "error", 8, "MAT8 2: NU12 1 is not below sqrt(E1/E2) = 1"),
+        ("MAT8,2,1.,,.3,1.\n", "error", 8, "MAT8 2: E1 and E2 must be over 0"),
+        ("MAT2,2,1.,2.,,1.,,1.\n", "error", 8, "MAT2 2: its elasticity matrix has a negative"),
+        ("GRID,9,,.51,.51,0.\nCQUAD4,2,1,1,2,9,4\n", "warning", 9, "CQUAD4 2: has corner Jacobians"),
+        ("GRID,9,,.1,0.,0.\nCTRIA6,2,1,1,2,3,9\n", "error", 9, "CTRIA6 2: has a mid-side node outside"),
+        ("CTRIA3,2,1,1,2,3\n", "info", 0, "2 shell edges between elements of opposite normals, at nodes 1 2 3"),
     ],
 )  # fmt: skip
 def test_each_fault_is_found(tmp_path: Path, extra: str, severity: str, line: int, text: str) -> None:
     found = report(tmp_path, SOUND + extra, "").findings
     hits = [f for f in found if f.text.startswith(text)]
     assert len(hits) == 1, found
-    assert (hits[0].severity, hits[0].line, hits[0].file) == (severity, line, str(tmp_path / "a.bdf"))
+    assert (hits[0].severity, hits[0].line, hits[0].file) == (severity, line, str(tmp_path / "a.bdf") if line else "")
 
 
 def test_coincident_nodes_that_are_joined_are_meant(tmp_path: Path) -> None:
@@ -71,6 +79,7 @@ def test_coincident_nodes_that_are_joined_are_meant(tmp_path: Path) -> None:
     [
         ("CHEXA", [1, 2, 3, 4, 5, 6, 7, 8], [5, 6, 7, 8, 1, 2, 3, 4]),
         ("CPENTA", [1, 2, 3, 5, 6, 7], [5, 6, 7, 1, 2, 3]),
+        ("CPYRAM", [1, 2, 3, 4, 5], [4, 3, 2, 1, 5]),
         ("CTETRA", [1, 2, 3, 5], [2, 1, 3, 5]),
     ],
 )
@@ -152,3 +161,57 @@ def test_mass_against_the_recorded_grid_point_weight_generator() -> None:
     assert got.mass == pytest.approx(6.635254e3, rel=1e-6)
     np.testing.assert_allclose(got.cg, [1.860574e3, -180.0, 0.0], rtol=1e-6, atol=1e-9)
     assert got.inertia[0, 0] == pytest.approx(2.151230e8, rel=1e-6)
+
+
+def ground(folder: Path, text: str) -> tuple[GroundCheck, list[str]]:
+    """The ground check of a deck, and the severities of its findings."""
+    (folder / "a.bdf").write_text(text)
+    model = read_deck(folder / "a.bdf")
+    check = ground_check(assemble(unconstrained(model)))
+    return check, [f.severity for f in ground_findings(model, check)]
+
+
+def test_a_free_structure_passes_the_ground_check_far_from_the_origin(tmp_path: Path) -> None:
+    far = SOUND.replace("1.,", "9.+4,")
+    check, found = ground(tmp_path, "CEND\nSPC=1\nBEGIN BULK\n" + far + "SPC1,1,123456,1\n")
+    assert check.ok
+    assert not found
+    assert check.worst == ((),) * 6
+
+
+def test_the_energy_of_a_grounded_spring(tmp_path: Path) -> None:
+    """k/2 for a unit shift; the arm about the centre of the nodes is half a side: k/8 for a unit turn."""
+    check, found = ground(tmp_path, SOUND + "CELAS2,2,1.+6,2,3\n")
+    np.testing.assert_allclose(check.energy, [0, 0, 0.5e6, 0.125e6, 0.125e6, 0], rtol=1e-6, atol=1e-3)
+    assert found == ["info"] * 3
+    assert check.worst[2][0] == "2+Z"
+
+
+def test_a_spring_between_nodes_apart_is_no_rigid_link(tmp_path: Path) -> None:
+    """It joins z of nodes one side apart: k/2 for a unit turn about y, of which x and z shifts know nothing."""
+    check, found = ground(tmp_path, SOUND + "CELAS2,2,1.+6,1,3,2,3\n")
+    np.testing.assert_allclose(check.energy, [0, 0, 0, 0, 0.5e6, 0], rtol=1e-6, atol=1e-3)
+    assert found == ["warning"]
+
+
+def test_free_edges_and_their_chains(tmp_path: Path) -> None:
+    """A ring of eight quads around a hole: 12 outer and 4 inner free edges, 8 shared."""
+    grid = [f"GRID,{10 * i + j + 11},,{i}.,{j}.,0.\n" for i in range(4) for j in range(4)]
+    cells = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    quads = [
+        f"CQUAD4,{k},1,{10 * i + j + 11},{10 * i + j + 21},{10 * i + j + 22},{10 * i + j + 12}\n"
+        for k, (i, j) in enumerate(cells, 1)
+    ]
+    (tmp_path / "a.bdf").write_text("".join([*grid, *quads, "PSHELL,1,1,.01,1\nMAT1,1,2.1+11,,.3,7850.\n"]))
+    edges = shell_edges(read_deck(tmp_path / "a.bdf"))
+    assert edges.number == 24
+    assert len(edges.free) == 16
+    assert sorted(np.bincount(edges.part).tolist()) == [4, 12]
+    assert not len(edges.flipped)
+    words = "16 of 24 shell edges are free, in 2 chains; the shortest has 4, at nodes 22 23 32 33"
+    assert free_edges_in_words(edges) == words
+
+
+def test_a_folded_brick(tmp_path: Path) -> None:
+    text = CUBE.replace("GRID,7,,1.,1.,1.", "GRID,7,,.3,.3,.3") + "CHEXA,1,1,1,2,3,4,5,6\n,7,8\n"
+    assert any("is folded" in f.text for f in report(tmp_path, text).findings)

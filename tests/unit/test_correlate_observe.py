@@ -8,7 +8,8 @@ import pytest
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.comac import comac, ecomac, suspect_channels
+from ringtrue.correlate.comac import comac, ecomac
+from ringtrue.correlate.faults import suspect_channels
 from ringtrue.correlate.frf import fdac, frac, magnitude_deviation, relative_deviation
 from ringtrue.correlate.observe import observe
 from ringtrue.correlate.pairing import pair_modes

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from ringtrue.eigen import engines, memory
+from ringtrue.eigen.engines import installed
 from ringtrue.eigen.factor import Pencil, factorise
-from ringtrue.errors import InputError, SingularModel
+from ringtrue.eigen.solve import solve_modes
+from ringtrue.errors import InputError, OutOfMemory, SingularModel
+
+ENGINES = installed()
+COUNTING = [m for m in ENGINES if m != "superlu"]
 
 
 def chain(n: int) -> sparse.csr_array:
@@ -16,7 +22,7 @@ def chain(n: int) -> sparse.csr_array:
     return sparse.csr_array(sparse.diags_array([2 * np.ones(n), side, side], offsets=[0, 1, -1]))
 
 
-@pytest.mark.parametrize("method", ["pardiso", "dense", "superlu"])
+@pytest.mark.parametrize("method", ENGINES)
 def test_solve_many_right_hand_sides(method):
     k = chain(200)
     x = np.random.default_rng(1).standard_normal((200, 5))
@@ -24,7 +30,7 @@ def test_solve_many_right_hand_sides(method):
     assert np.allclose(factorise(k, method=method).solve(k @ x[:, 0]), x[:, 0], atol=1e-9)
 
 
-@pytest.mark.parametrize("method", ["pardiso", "dense"])
+@pytest.mark.parametrize("method", COUNTING)
 def test_inertia_counts_eigenvalues_below_the_shift(method):
     n = 120
     pencil = Pencil(chain(n), sparse.csr_array(sparse.eye_array(n)), method=method)
@@ -39,7 +45,7 @@ def test_superlu_has_no_inertia():
     assert factorise(chain(10), method="superlu").negatives == -1
 
 
-@pytest.mark.parametrize("method", ["pardiso", "dense", "superlu"])
+@pytest.mark.parametrize("method", ENGINES)
 def test_singular_matrix_is_named(method):
     k = chain(400).tolil()
     k[7, :] = 0
@@ -55,3 +61,48 @@ def test_bad_input():
         factorise(chain(3) * np.nan)
     with pytest.raises(InputError, match="square"):
         factorise(sparse.csr_array(np.ones((2, 3))))
+
+
+@pytest.mark.parametrize("method", ENGINES)
+def test_modes_are_those_of_any_engine(method):
+    """Chain with every second mass missing; only SuperLU cannot prove it."""
+    n = 500
+    k = chain(n)
+    m = sparse.csr_array(sparse.diags_array(np.where(np.arange(n) % 2, 0.0, 1.0), format="csr"))
+    got = solve_modes(Pencil(k, m, method=method), 8)
+    heavy = np.arange(0, n, 2)
+    light = np.arange(1, n, 2)
+    d = k.toarray()
+    small = d[np.ix_(heavy, heavy)] - d[np.ix_(heavy, light)] @ (d[np.ix_(light, heavy)] / 2)
+    assert np.allclose(got.values, np.linalg.eigvalsh(small)[:8], rtol=1e-8)
+    assert got.residuals.max() < 1e-8
+    assert got.complete == (method != "superlu")
+
+
+def test_lack_of_memory_is_foreseen():
+    pencil = Pencil(chain(1000), sparse.csr_array(sparse.eye_array(1000)), method=COUNTING[0], limit=20_000)
+    with pytest.raises(OutOfMemory, match=r"factorisation of 1000 DOFs needs .* MB of memory; 0\.0 MB are free") as e:
+        pencil.at(-1.0)
+    assert e.value.needed > e.value.available == 20_000
+    pencil = Pencil(chain(1000), sparse.csr_array(sparse.eye_array(1000)), limit=1_000_000)
+    pencil.at(-1.0)
+    assert 0 < pencil.factor_bytes < 1_000_000
+    with pytest.raises(OutOfMemory, match="basis of 290 vectors of 1000 DOFs"):
+        solve_modes(pencil, 50)
+
+
+def test_memory_of_this_machine():
+    assert 1e7 < memory.available() < 1e15
+    memory.require(1, "nothing")
+
+
+@pytest.mark.parametrize(
+    ("missing", "then"), [((), "pardiso"), (("pymklpardiso",), "rslab"), (("pymklpardiso", "rslab"), "superlu")]
+)
+def test_auto_takes_the_first_that_is_installed(monkeypatch, missing, then):
+    monkeypatch.setattr(engines, "find_spec", lambda name: None if name in missing else object())
+    assert engines.choose("auto", 1000) == then
+    assert engines.choose("auto", 10) == "dense"
+    if missing:
+        with pytest.raises(InputError, match="needs the package pymklpardiso"):
+            engines.choose("pardiso", 1000)

@@ -189,3 +189,69 @@ def test_an_absolute_include_would_miss_the_change(tmp_path: Path) -> None:
     (tmp_path / "main.bdf").write_text(f"INCLUDE '{tmp_path}/common.bdf'\n")
     with pytest.raises(DeckError, match="make the path of that INCLUDE relative"):
         edit_fields(read_deck(tmp_path / "main.bdf"), [FieldChange("MAT1", 1, "E", 2.0)], tmp_path / "new")
+
+
+LAMINATE = b"PCOMP   1       -.2                                             SYM     comment\r\n"
+PLIES = b"        8       .125    45.             8       .125    -45.\r\n" + b"+,8,,0.,NO,,.3,9.$\r\n"
+MAT8 = b"MAT8           8  1.4+11    9.+9      .3    5.+9\r\n"
+
+
+@pytest.mark.parametrize(
+    ("changes", "new"),
+    [
+        ([("T1", 0.1375)], PLIES.replace(b"8       .125    45.", b"8       0.1375  45.")),
+        ([("THETA2", 31.5)], PLIES.replace(b"-45.", b"    31.5")),
+        ([("T4", 0.4), ("THETA4", 10.0)], PLIES.replace(b".3,9.", b"0.4,10.0")),
+        # the third ply has no T of its own: it keeps that of the second
+        ([("T2", 0.2)], PLIES.replace(b".125    -45.", b"0.2     -45.").replace(b"8,,0.", b"8,0.125,0.")),
+    ],
+    ids=str,
+)
+def test_plies_are_edited_one_by_one(tmp_path: Path, changes: list[tuple[str, float]], new: bytes) -> None:
+    path = tmp_path / "a.bdf"
+    path.write_bytes(LAMINATE + PLIES + MAT8)
+    old = read_deck(path)
+    written = edit_fields(old, [FieldChange("PCOMP", 1, f, v) for f, v in changes], tmp_path / "new")
+    assert written[0].read_bytes() == LAMINATE + new + MAT8
+    again = read_deck(written[0])
+    for name in ("T", "THETA"):
+        want = old["PCOMP"].ragged(name).row(0).copy()
+        for f, v in changes:
+            if f[:-1] == name:
+                want[int(f[-1]) - 1] = v
+        np.testing.assert_array_equal(again["PCOMP"].ragged(name).row(0), want)
+
+
+def test_factors_on_plies_and_orthotropic_moduli(tmp_path: Path) -> None:
+    path = tmp_path / "a.bdf"
+    path.write_bytes(LAMINATE + PLIES + MAT8)
+    model = read_deck(path)
+    ply = Parameter("ply", tuple(Target("PCOMP", 1, f"T{k}") for k in (1, 2, 3)))
+    parameters = ParameterSet((ply, Parameter("E1", (Target("MAT8", 8, "E1"),))))
+    factors = np.array([1.2, 0.5])
+    changed = apply_factors(model, parameters, factors)
+    np.testing.assert_allclose(changed["PCOMP"].ragged("T").row(0), [0.15, 0.15, 0.15, 0.3], rtol=1e-14)
+    assert changed["MAT8"]["E1"][0] == 0.7e11
+    again = read_deck(edit_fields(model, field_changes(model, parameters, factors), tmp_path / "new")[0])
+    np.testing.assert_allclose(again["PCOMP"].ragged("T").row(0), [0.15, 0.15, 0.15, 0.3], rtol=1e-14)
+    assert again["MAT8"]["E1"][0] == 0.7e11
+    with pytest.raises(InputError, match="PCOMP 1 has no T5: it has 4 plies"):
+        resolve_target(model, Target("PCOMP", 1, "T5"))
+
+
+def test_several_rows_of_one_card(tmp_path: Path) -> None:
+    text = "PVISC,9,1.,2.,,10,3.\nPDAMP,6,.1,7,.2\n"
+    (tmp_path / "a.bdf").write_text(text)
+    changes = [FieldChange("PVISC", 10, "CE", 4.0), FieldChange("PDAMP", 7, "B", 0.5)]
+    written = edit_fields(read_deck(tmp_path / "a.bdf"), changes, tmp_path / "new")
+    assert written[0].read_text() == text.replace("10,3.", "10,4.0").replace("7,.2", "7,0.5")
+
+
+@pytest.mark.parametrize("id", [1, 2, 3])
+def test_replicated_cards_are_not_edited(tmp_path: Path, id: int) -> None:
+    (tmp_path / "a.bdf").write_text("MAT1,1,1.,,.3\n=,*(1),*(1.),==\n=(1)\nMAT1,4,9.,,.3\n")
+    model = read_deck(tmp_path / "a.bdf")
+    assert model["MAT1"]["E"].tolist() == [1.0, 2.0, 3.0, 9.0]
+    with pytest.raises(DeckError, match=rf"a\.bdf:{id}: MAT1 {id} field E: it is written by replication"):
+        edit_fields(model, [FieldChange("MAT1", id, "E", 5.0)], tmp_path / "new")
+    edit_fields(model, [FieldChange("MAT1", 4, "E", 5.0)], tmp_path / "new")

@@ -27,6 +27,7 @@ from ringtrue.shapes.scale import realise
 from ringtrue.study.store import Store
 
 pytestmark = [pytest.mark.demo, pytest.mark.timeout(1500)]
+FROZEN = "a4ec80fc6f0513a2f14b7ce4c0696a7d9cad09fd4c63fc49e29bc6acc897ece8"  # of version 1
 RIGID_BELOW = 2.5  # Hz, rigid-body and hung modes
 
 
@@ -82,6 +83,19 @@ def test_the_twin_is_another_model(example: Example) -> None:
     assert s["best_possible_percent"] >= 0.3
     seen = np.abs(example.twin.modal.poles) < 2 * np.pi * 40
     assert mpc(example.twin.modal.shapes[:, seen]).min() > 0.85
+
+
+def test_the_twin_is_frozen() -> None:
+    assert (truth.VERSION, truth.twin_hash()) == (1, FROZEN)
+
+
+def test_the_first_correlation_looks_like_the_published_one(example: Example) -> None:
+    first = example.summary["initial"]
+    deviation = np.array([p["deviation_percent"] for p in first])
+    assert ((deviation[:4] > -32) & (deviation[:4] < -27)).all()
+    assert deviation.min() > -33
+    assert deviation.max() < -6
+    assert 17 < np.abs(deviation).mean() < 21
 
 
 def test_ratios_are_physical() -> None:

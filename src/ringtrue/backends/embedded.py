@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from types import TracebackType
 from typing import Literal, Self
 
@@ -15,18 +16,23 @@ from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.eigen import damped
 from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
-from ringtrue.eigen.factor import Method, Pencil
+from ringtrue.eigen.dynamic import DynamicStiffness
+from ringtrue.eigen.engines import Method
+from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes, eigenvalue
+from ringtrue.eigen.residual import residual_vectors
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.derivatives import matrix_derivatives
+from ringtrue.fem.derivatives import system_derivatives
+from ringtrue.fem.response import coupled, direct
 from ringtrue.fem.response import frf as superpose
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
 Progress = Callable[[float, str], None]
 Kind = Literal["receptance", "mobility", "accelerance"]
+LOCAL = 200  # DOFs with dashpots, up to which each gets a residual vector
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 
 
@@ -80,11 +86,15 @@ class EmbeddedAnalysis:
             Norm.MASS,
             "embedded",
         )
-        return ModesResult(modes, found.residuals[:n], found.complete, found.proof)
+        return ModesResult(modes, found.residuals[:n], found.complete, found.proof, found.orthogonality)
+
+    def slopes(self, parameters: ParameterSet) -> Sequence[Slope]:
+        """∂K/∂a, ∂M/∂a and the derivatives of the damping at a = 1, in the free DOFs."""
+        return system_derivatives(self.model, parameters.parameters, self.system)
 
     def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
         """∂λ/∂a (m, p) and ∂φ/∂a (dof, m, p) at a = 1 of modes of this model."""
-        slopes = [Slope(*matrix_derivatives(self.model, p, self.system)) for p in parameters.parameters]
+        slopes = self.slopes(parameters)
         phi = np.asarray(self.system.local @ modes.shapes)
         top = float(modes.frequencies.max(initial=0.0))
         lowest = self._lowest_up_to(top, len(modes))
@@ -118,23 +128,89 @@ class EmbeddedAnalysis:
         loads = np.asarray(loads, dtype=np.float64).reshape(len(self.dofs), -1)
         return np.asarray(self.system.transform @ self.pencil.at(0.0).solve(self.system.transform.T @ loads))
 
-    def complex_modes(self, request: ModesRequest, *, extra: float = 1.5) -> ModeSet:
-        """Complex modes by projection on `extra` times as many real modes; unit modal A."""
+    @cached_property
+    def dynamic(self) -> DynamicStiffness:
+        """s²M + sD + K + iH with the model's damping."""
+        a = self.system
+        return DynamicStiffness(a.stiffness, a.mass, a.viscous, a.structural, method=self.pencil.method)
+
+    def complex_modes(
+        self, request: ModesRequest, *, extra: float = 1.5, problem: Literal["projected", "full"] = "projected"
+    ) -> ModeSet:
+        """Complex modes in unit modal A, see `damped_modes`; those without oscillation are left out."""
+        return self.damped_modes(request, extra=extra, problem=problem).modes
+
+    def damped_modes(
+        self, request: ModesRequest, *, extra: float = 1.5, problem: Literal["projected", "full"] = "projected"
+    ) -> ModesResult:
+        """Complex modes with their residuals ‖Q(s)φ‖ relative to the sum of its terms.
+
+        Parameters
+        ----------
+        request : ModesRequest
+            The lowest `count`, or all with |s|/2π in the band.
+        extra : float
+            Projected: times as many real modes make the basis, with the static answers to the dampers.
+        problem : {"projected", "full"}
+            The full quadratic problem costs a complex factorisation more, and holds for any damping.
+        """
+        if problem not in ("projected", "full"):
+            raise InputError(f"problem {problem!r}; allowed are projected, full")
+        real, found = self._projected(request, extra)
+        keep = np.arange(min(request.count, found.poles.size))
+        if request.band is not None:
+            keep = np.flatnonzero((found.frequencies >= request.band[0]) & (found.frequencies <= request.band[1]))
+        poles, shapes = found.poles[keep], real @ found.shapes[:, keep]
+        proof = f"projected on {real.shape[1]} real modes and static answers"
+        residuals = self.dynamic.residuals(poles, shapes)
+        if problem == "full":
+            poles, shapes, residuals, proof = self._full(request, np.abs(poles))
+        modes = ModeSet(
+            np.abs(poles) / (2 * np.pi),
+            -poles.real / np.abs(poles),
+            np.asarray(self.system.transform @ shapes),
+            self.dofs,
+            Norm.MODAL_A,
+            "embedded, complex",
+        )
+        return ModesResult(modes, residuals, problem == "full", proof)
+
+    def _projected(self, request: ModesRequest, extra: float) -> tuple[Float, damped.ComplexModes]:
+        """Real modes and residual vectors of the dampers (f, n), and the complex modes in them."""
         count = request.count
         if request.band is not None:
             count = int((self.eigen(ModesRequest(request.count)).frequencies <= request.band[1]).sum()) or 1
             while self.eigen(ModesRequest(count)).frequencies[-1] <= request.band[1] and count < self.pencil.size:
                 count *= 2
         real = self.eigen(ModesRequest(min(int(np.ceil(extra * count)) + 2, self.pencil.size)))
-        d, h = damped.project(real.vectors, self.system.viscous, self.system.structural)
-        found = damped.complex_modes(real.values, d, h)
-        keep = np.arange(min(count, found.poles.size))
-        if request.band is not None:
-            keep = np.flatnonzero((found.frequencies >= request.band[0]) & (found.frequencies <= request.band[1]))
-        shapes = np.asarray(self.system.transform @ (real.vectors @ found.shapes[:, keep]))
-        return ModeSet(
-            found.frequencies[keep], found.damping[keep], shapes, self.dofs, Norm.MODAL_A, "embedded, complex"
-        )
+        values, vectors = real.values, real.vectors
+        loads = self._damper_loads()
+        if loads.shape[1]:
+            values, vectors = residual_vectors(self.pencil, real, loads)
+        d, h = damped.project(vectors, self.system.viscous, self.system.structural)
+        return vectors, damped.complex_modes(values, d, h)
+
+    def _damper_loads(self) -> Float:
+        """Unit loads (f, k) along the DOFs that dashpots touch, none if they are too many to be local."""
+        touched = np.flatnonzero(np.diff(self.system.viscous.indptr))
+        loads = np.zeros((self.pencil.size, touched.size if touched.size <= LOCAL else 0))
+        loads[touched[: loads.shape[1]], np.arange(loads.shape[1])] = 1.0
+        return loads
+
+    def _full(self, request: ModesRequest, near: Float) -> tuple[Complex, Complex, Float, str]:
+        """Poles, shapes (f, m), residuals and a word on the search; `near` are the moduli from the projection."""
+        top = 2 * np.pi * request.band[1] if request.band is not None else 1.02 * float(near.max(initial=1.0))
+        for _ in range(4):
+            found = damped.full_modes(self.dynamic, top, expected=max(near.size, 4))
+            f = found.modes.frequencies
+            keep = np.arange(min(request.count, f.size))
+            if request.band is not None:
+                keep = np.flatnonzero(f >= request.band[0])
+            if request.band is not None or f.size >= min(request.count, near.size):
+                break
+            top *= 1.3  # the projection put them too low
+        proof = f"all poles within {found.radius:.6g} rad/s of {found.shift:.6g} rad/s, by Arnoldi on the full problem"
+        return found.modes.poles[keep], found.modes.shapes[:, keep], found.residuals[keep], proof
 
     def frf(
         self,
@@ -143,11 +219,14 @@ class EmbeddedAnalysis:
         freqs: Float,
         request: ModesRequest,
         *,
-        damping: float | Float = 0.0,
+        damping: float | Float | None = 0.0,
         kind: Kind = "receptance",
         residual: bool = True,
     ) -> Complex:
         """Frequency responses (freq, out, in) complex128 by modal superposition.
+
+        With the model's own damping the modes are coupled, and the residual vectors of inputs, outputs and dashpots
+        stand beside them: as exact as the direct solution well above the band of the modes, too.
 
         Parameters
         ----------
@@ -156,8 +235,8 @@ class EmbeddedAnalysis:
         freqs : (freq,) float64, Hz
         request : ModesRequest
             The lowest `count` modes; a band means all modes up to its upper end.
-        damping : float or (m,) float64
-            Modal damping ratios; the model's own damping matrices are not used here.
+        damping : float or (m,) float64, or None
+            Modal damping ratios in place of the model's own damping; None: the model's own, modes coupled.
         residual : bool
             Add the residual flexibility of the modes above, exact at the shift (near 0 Hz).
         """
@@ -165,6 +244,8 @@ class EmbeddedAnalysis:
             request = ModesRequest(band=(-1.0, request.band[1]))
         modes = self.eigen(request)
         out, into = self._rows(outputs), self._rows(inputs)
+        if damping is None:
+            return self._coupled_frf(modes, out, into, freqs, kind, residual)
         zeta = np.broadcast_to(np.asarray(damping, dtype=np.float64), modes.values.shape)
         a, b = out @ modes.vectors, into @ modes.vectors
         rest = None
@@ -172,6 +253,33 @@ class EmbeddedAnalysis:
             flexible = out @ self.pencil.at(modes.shift).solve(into.T.toarray())
             rest = np.asarray(flexible - (a / (modes.values - modes.shift)) @ b.T)
         return superpose(freqs, modes.frequencies, zeta, a, b, kind, residual=rest)
+
+    def _coupled_frf(
+        self, modes: EigenModes, out: sparse.csr_array, into: sparse.csr_array, freqs: Float, kind: Kind, residual: bool
+    ) -> Complex:
+        values, vectors = modes.values, modes.vectors
+        if residual:
+            loads = np.hstack([into.T.toarray(), out.T.toarray(), self._damper_loads()])
+            values, vectors = residual_vectors(self.pencil, modes, loads)
+        d, h = damped.project(vectors, self.system.viscous, self.system.structural)
+        return coupled(freqs, values, d, h, out @ vectors, into @ vectors, kind=kind)
+
+    def frf_direct(self, outputs: DofSet, inputs: DofSet, freqs: Float, *, kind: Kind = "receptance") -> Complex:
+        """Frequency responses (freq, out, in) complex128 of the full model with its own damping, a solve a line.
+
+        Parameters
+        ----------
+        outputs, inputs : DofSet
+            Signed; a negative direction turns the sign.
+        freqs : (freq,) float64, Hz
+
+        Raises
+        ------
+        SingularModel
+            If an undamped mode stands at one of the frequencies.
+        """
+        rows = self._rows(outputs), self._rows(inputs)
+        return direct(self.dynamic, freqs, *rows, kind=kind, progress=self._progress)
 
     def _rows(self, dofs: DofSet) -> sparse.csr_array:
         index, sign = self.dofs.align(dofs)
@@ -184,6 +292,8 @@ class EmbeddedAnalysis:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.pencil.close()
+        if "dynamic" in self.__dict__:
+            self.dynamic.close()
 
 
 class EmbeddedSolver:
@@ -191,7 +301,7 @@ class EmbeddedSolver:
 
     Parameters
     ----------
-    method : {"auto", "pardiso", "superlu", "dense"}
+    method : {"auto", "pardiso", "rslab", "superlu", "dense"}
         The factorisation.
     progress : callable, optional
         Called with (share done, what).

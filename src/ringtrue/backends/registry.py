@@ -6,11 +6,19 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 
 from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.backends.mystran import MystranSolver
+from ringtrue.backends.nastran import NastranSolver
+from ringtrue.backends.slepc import SlepcSolver
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.model.ports import ModalSolver
 
 GROUP = "ringtrue.solvers"
-BUILT_IN: dict[str, Callable[[], ModalSolver]] = {"embedded": EmbeddedSolver}
+BUILT_IN: dict[str, Callable[[], ModalSolver]] = {
+    "embedded": EmbeddedSolver,
+    "mystran": MystranSolver,
+    "nastran": NastranSolver,
+    "slepc": SlepcSolver,
+}
 
 
 def names() -> tuple[str, ...]:
@@ -18,14 +26,24 @@ def names() -> tuple[str, ...]:
     return tuple(sorted({*BUILT_IN, *_plugins()}))
 
 
-def solver(name: str = "embedded") -> ModalSolver:
+def solver(name: str = "embedded", *, ranks: int | None = None) -> ModalSolver:
     """The solver of that name, with its default settings.
+
+    Parameters
+    ----------
+    name : str
+    ranks : int, optional
+        Processes; only for a solver that takes them.
 
     Raises
     ------
     ConfigError
-        If there is none, or a plug-in's object is not a solver.
+        If there is none, a plug-in's object is not a solver, or it takes no ranks.
     """
+    if ranks is not None:
+        if name != "slepc":
+            raise ConfigError(f"solver {name!r} runs in one process; ranks are for 'slepc'")
+        return SlepcSolver(ranks=ranks)
     if name in BUILT_IN:
         return BUILT_IN[name]()
     plugins = _plugins()

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
+from ringtrue.checks.edges import edge_findings
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.checks.geometry import check_geometry
+from ringtrue.checks.materials import check_materials
 from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged
-from ringtrue.model.references import NODES, REFERENCES, missing
+from ringtrue.model.references import NODES, REFERENCES, missing, unused
 
 NEAR = 1e-6  # of the model's size: closer nodes are coincident
 _NOT_ELEMENTS = frozenset(("GRID", "SPC", "SPC1"))
@@ -67,19 +69,19 @@ def check_deck(model: Model, units: str = "", *, unsupported: Sequence[str] = ()
     checks = [*lost, *_unconnected(model)]
     if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
         checks += [*check_geometry(model), *_coincident(model), *check_units(model, units)]
-    checks += [*_unused(model), *_poisson(model)]
+    checks += [*_unused(model), *check_materials(model), *edge_findings(model)]
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
     return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), tuple(unsupported), found)
 
 
 def _missing(model: Model) -> Iterator[Finding]:
+    idle = unused(model)
     for lost in missing(model):
         ref = lost.reference
-        of = " or ".join(ref.of) if len(ref.of) < 3 else "frame"
-        yield at_rows(
-            model, ref.card, np.unique(lost.rows), "error", f"{ref.field} names {of} {lost.ids[0]}: not there"
-        )
+        harmless = np.isin(lost.rows, idle.get(ref.card, ())).all()
+        what = f"{ref.field} names {ref.names} {lost.ids[0]}: not there"
+        yield at_rows(model, ref.card, np.unique(lost.rows), "warning" if harmless else "error", what)
 
 
 def _used_nodes(model: Model) -> Int:
@@ -152,28 +154,4 @@ def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool
 
 
 def _unused(model: Model) -> list[Finding]:
-    found = []
-    targets: dict[str, list[Int]] = {}
-    for ref in REFERENCES:
-        for card in ref.of:
-            if card.startswith(("P", "MAT")) and card in model:
-                targets.setdefault(card, [])
-                if ref.card in model:
-                    targets[card].append(model[ref.card][ref.field])
-    for card, ids in sorted(targets.items()):
-        rows = np.flatnonzero(~np.isin(model[card].ids, np.concatenate([np.empty(0, dtype=np.int64), *ids])))
-        if rows.size:
-            found.append(at_rows(model, card, rows, "info", "nothing uses it"))
-    return found
-
-
-def _poisson(model: Model) -> list[Finding]:
-    """Poisson's ratio, given or from E and G, must lie between -1 and 0.5."""
-    if "MAT1" not in model:
-        return []
-    table = model["MAT1"]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a blank or zero G gives no ratio
-        implied = table["E"] / (2 * table["G"]) - 1
-    ratio = np.where(np.isnan(table["NU"]), implied, table["NU"])
-    rows = np.flatnonzero((ratio <= -1) | (ratio > 0.5))
-    return [at_rows(model, "MAT1", rows, "error", f"Poisson's ratio {ratio[rows[0]]:g}")] if rows.size else []
+    return [at_rows(model, card, rows, "info", "nothing uses it") for card, rows in sorted(unused(model).items())]

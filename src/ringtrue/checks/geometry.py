@@ -11,6 +11,8 @@ from ringtrue.model.model import Model
 
 WARP = 0.05  # out-of-plane height of a corner over the mean side
 ASPECT = 20.0  # longest over shortest side
+JACOBIAN = 0.1  # smallest over largest determinant at the corners
+MIDDLE = 0.25  # a mid-side node must project between this and 1 - this of its edge
 FLAT = 1e-8  # area or volume over that of the square or cube on the longest side
 _LINES = {
     "CROD": ("G1", "G2"),
@@ -19,7 +21,25 @@ _LINES = {
     "CBAR": ("GA", "GB"),
     "CBEAM": ("GA", "GB"),
 }
-_CORNERS = {"CTRIA3": 3, "CQUAD4": 4, "CTETRA": 4, "CPENTA": 6, "CHEXA": 8}
+_SURFACES = {"CTRIA3": 3, "CTRIAR": 3, "CTRIA6": 3, "CQUAD4": 4, "CQUADR": 4, "CQUAD8": 4}
+_SOLIDS = {"CTETRA": 4, "CPYRAM": 5, "CPENTA": 6, "CHEXA": 8}
+_SPOKES = {  # the corners that edges join to each corner, right-handed; the apex of a pyramid has four: left out
+    "CTETRA": ((1, 2, 3), (2, 0, 3), (0, 1, 3), (0, 2, 1)),
+    "CPYRAM": ((1, 3, 4), (2, 0, 4), (3, 1, 4), (0, 2, 4)),
+    "CPENTA": ((1, 2, 3), (2, 0, 4), (0, 1, 5), (5, 4, 0), (3, 5, 1), (4, 3, 2)),
+    "CHEXA": ((1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)),
+}
+_MIDDLES = {  # corners that each mid-side node stands between, in the order of the nodes behind the corners
+    "CTRIA6": ((0, 1), (1, 2), (2, 0)),
+    "CQUAD8": ((0, 1), (1, 2), (2, 3), (3, 0)),
+    "CTETRA": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+    "CPYRAM": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
+    "CPENTA": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)),
+    "CHEXA": (
+        *((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5), (2, 6), (3, 7)),
+        *((4, 5), (5, 6), (6, 7), (7, 4)),
+    ),
+}
 
 
 def check_geometry(model: Model) -> list[Finding]:
@@ -33,11 +53,29 @@ def check_geometry(model: Model) -> list[Finding]:
             x, rows = _points(model, xyz, card, names)
             length = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
             found += _report(model, card, rows[length == 0], "error", "has no length")
-    for card, count in _CORNERS.items():
+    for card, count in (_SURFACES | _SOLIDS).items():
         if card in model:
             x, rows = _points(model, xyz, card, tuple(f"G{i + 1}" for i in range(count)))
-            found += _surface(model, card, x, rows) if count < 5 and card != "CTETRA" else _solid(model, card, x, rows)
+            found += _surface(model, card, x, rows) if card in _SURFACES else _solid(model, card, x, rows)
+            found += _middles(model, xyz, card, count) if card in _MIDDLES else []
     return found
+
+
+def _middles(model: Model, xyz: Float, card: str, corners: int) -> list[Finding]:
+    """Mid-side nodes outside the middle half of their edge: the mapping folds over (Zienkiewicz, Taylor, 2000)."""
+    table, grid = model[card], model["GRID"]
+    wrong = np.zeros(len(table), dtype=bool)
+    for k, (a, b) in enumerate(_MIDDLES[card]):
+        at = grid.find(table.stack(f"G{a + 1}", f"G{b + 1}", f"G{corners + k + 1}"))
+        rows = np.flatnonzero((at >= 0).all(axis=1))
+        p, q, mid = xyz[at[rows]].swapaxes(0, 1)
+        edge = q - p
+        length = np.einsum("ij,ij->i", edge, edge)
+        along = np.einsum("ij,ij->i", mid - p, edge) / np.where(length > 0, length, 1.0)
+        wrong[rows] |= (length > 0) & ((along < MIDDLE) | (along > 1 - MIDDLE))
+    return _report(
+        model, card, np.flatnonzero(wrong), "error", "has a mid-side node outside the middle half of its edge"
+    )
 
 
 def _points(model: Model, xyz: Float, card: str, names: tuple[str, ...]) -> tuple[Float, Int]:
@@ -80,7 +118,9 @@ def _quads(model: Model, card: str, x: Float, rows: Int, normal: Float, good: Bo
     warped = good & (height > WARP * _sides(x).mean(axis=1))
     found = _report(model, card, rows[warped], "warning", f"is warped by more than {WARP:g} of its mean side")
     before, after = np.roll(x, 1, axis=1) - x, np.roll(x, -1, axis=1) - x
-    turn = np.einsum("ekj,ej->ek", np.cross(after, before), unit)
+    turn = np.einsum("ekj,ej->ek", np.cross(after, before), unit)  # Jacobian at the corners, times 4
+    skew = good & (turn > 0).all(axis=1) & (turn.min(axis=1) < JACOBIAN * turn.max(axis=1))
+    found += _report(model, card, rows[skew], "warning", f"has corner Jacobians of a ratio under {JACOBIAN:g}")
     reentrant = good & (turn <= 0).any(axis=1)
     return found + _report(model, card, rows[reentrant], "error", "has a corner of 180 degrees or more")
 
@@ -91,13 +131,33 @@ def _solid(model: Model, card: str, x: Float, rows: Int) -> list[Finding]:
     size = np.ptp(x, axis=1).max(axis=1)
     flat = abs(volume) <= FLAT * size**3
     found = _report(model, card, rows[flat], "error", "is collapsed: no volume")
-    return found + _report(model, card, rows[~flat & (volume < 0)], "error", "is inside out: negative volume")
+    good = ~flat & (volume > 0)
+    found += _report(model, card, rows[~flat & (volume < 0)], "error", "is inside out: negative volume")
+    return found + _corners(model, card, x, rows, good)
+
+
+def _corners(model: Model, card: str, x: Float, rows: Int, good: Bool) -> list[Finding]:
+    """Jacobians at the corners, and the ratio of the edges."""
+    spokes = np.array(_SPOKES[card])
+    edges = x[:, spokes] - x[:, : len(spokes), None]
+    corner = np.linalg.det(edges)
+    size = np.ptp(x, axis=1).max(axis=1)
+    folded = good & (corner.min(axis=1) <= FLAT * size**3)
+    found = _report(model, card, rows[folded], "error", "is folded: no positive Jacobian at a corner")
+    skew = good & ~folded & (corner.min(axis=1) < JACOBIAN * corner.max(axis=1))
+    found += _report(model, card, rows[skew], "warning", f"has corner Jacobians of a ratio under {JACOBIAN:g}")
+    length = np.linalg.norm(edges, axis=3).reshape(len(x), -1)
+    slender = good & (length.max(axis=1) > ASPECT * length.min(axis=1))
+    return found + _report(model, card, rows[slender], "warning", f"has an aspect ratio over {ASPECT:g}")
 
 
 def _middle(x: Float) -> Float:
     """Three vectors (e, 3, 3) through the middle of solids, a right-handed set if the solid is valid."""
     if x.shape[1] == 4:
         return x[:, 1:] - x[:, :1]
+    if x.shape[1] == 5:
+        base = x[:, :4]
+        return np.stack([base[:, 1] - base[:, 3], base[:, 2] - base[:, 0], 2 * (x[:, 4] - base.mean(axis=1))], axis=1)
     if x.shape[1] == 6:
         low, high = x[:, :3], x[:, 3:]
         mid = (low + high) / 2

@@ -35,6 +35,7 @@ UNIT_SYSTEMS: Mapping[str, UnitSystem] = MappingProxyType(
 )
 MODULI = (1e6, 1.3e12)  # Pa: soft rubber to diamond
 DENSITIES = (10.0, 2.3e4)  # kg/m3: foam to osmium
+_MODULUS = {"MAT1": "E", "MAT2": "G11", "MAT8": "E1", "MAT9": "G11"}
 SIZES = (1e-3, 2e3)  # m
 
 
@@ -43,7 +44,7 @@ def _inside(x: Float, limits: tuple[float, float]) -> Bool:
 
 
 def check_units(model: Model, units: str = "") -> list[Finding]:
-    """Findings on MAT1 and on the size of the model.
+    """Findings on the materials and on the size of the model.
 
     Parameters
     ----------
@@ -61,22 +62,24 @@ def check_units(model: Model, units: str = "") -> list[Finding]:
 
 
 def _materials(model: Model, units: str) -> list[Finding]:
-    if "MAT1" not in model:
-        return []
-    table = model["MAT1"]
-    modulus, density = table["E"], table["RHO"] * model.param("WTMASS", 1.0)
-    fits = {name: _fits(modulus, density, s) for name, s in UNIT_SYSTEMS.items()}
+    return [f for card, name in _MODULUS.items() if card in model for f in _of_card(model, card, name, units)]
+
+
+def _of_card(model: Model, card: str, name: str, units: str) -> list[Finding]:
+    table = model[card]
+    modulus, density = table[name], table["RHO"] * model.param("WTMASS", 1.0)
+    fits = {system: _fits(modulus, density, s) for system, s in UNIT_SYSTEMS.items()}
     nowhere = ~np.any(list(fits.values()), axis=0)
     wrong = ~fits[units] if units else nowhere
     found = []
     for row in np.flatnonzero(wrong):
-        other = [name for name, f in fits.items() if f[row]]
+        other = [system for system, f in fits.items() if f[row]]
         hint = f"they would be in {' or '.join(other)}" if other else "they are so in no unit system"
         what = (
-            f"E {modulus[row]:g} with RHO {density[row]:g} (WTMASS applied) are not plausible"
+            f"{name} {modulus[row]:g} with RHO {density[row]:g} (WTMASS applied) are not plausible"
             f"{f' in {units}' if units else ''}; {hint}"
         )
-        found.append(at_rows(model, "MAT1", np.array([row]), "warning", what))
+        found.append(at_rows(model, card, np.array([row]), "warning", what))
     return found
 
 

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import degrees
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from scipy import sparse
 
 from ringtrue.cli.show import json_target, out, progress, rows, write_json
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes
+from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
+from ringtrue.correlate.gates import Gate
+from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError, about
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs
-from ringtrue.io.modes_json import modes_to_json, read_modes
+from ringtrue.io.matrices import read_matrices
+from ringtrue.io.modes_json import modes_to_json, read_frequency_std, read_modes
 from ringtrue.io.records import read_record
 from ringtrue.study.summary import correlation_json
 
@@ -109,19 +114,92 @@ def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, Mode
     return one.rows(common), two.rows(common)
 
 
+def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], ...]:
+    """Pairs such as 3:4, modes from one, as positions from zero."""
+    out = []
+    for text in texts or []:
+        left, _, right = text.partition(":")
+        if not (left.isdigit() and right.isdigit() and int(left) > 0 and int(right) > 0):
+            raise ConfigError(f"{option} {text!r}: must be a mode of A and one of B, from 1, such as 3:4")
+        out.append((int(left) - 1, int(right) - 1))
+    return tuple(out)
+
+
+def _mass(path: Path, channels: int) -> sparse.csr_array:
+    """The one matrix of a file, or that named M, over the channels."""
+    found = read_matrices(path)
+    mass = next(iter(found.matrices.values())) if len(found.matrices) == 1 else found["M"]
+    if mass.shape != (channels, channels):
+        raise DataError(f"{path}: mass {mass.shape}; there are {channels} common channels, in the order of A")
+    return mass
+
+
+def _show_complete(c: CompleteCorrelation) -> None:
+    def line(text: str) -> None:
+        out.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    for check in c.checks:
+        line(f"{check.name}: {check.verdict}")
+    line(f"largest off-diagonal auto-MAC: A {100 * c.auto_mac[0]:.1f} %, B {100 * c.auto_mac[1]:.1f} %")
+    worst = c.comac.argsort(kind="stable")[:5].tolist()
+    line("lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst))
+    left_out = zip(c.elimination.order[:5].tolist(), c.elimination.mac[1:6], strict=True)
+    for i, (channel, mac) in enumerate(left_out):
+        line(f"{'then' if i else 'first'} left out {c.channels[channel]}: mean MAC {100 * mac.mean():.2f} %")
+    for group in c.subspaces:
+        modes = (" ".join(str(i + 1) for i in side) for side in (group.a, group.b))
+        angles = " ".join(f"{degrees(x):.1f}" for x in group.angles)
+        line("close modes A {} and B {}: principal angles {}°".format(*modes, angles))
+    line(f"lowest phase collinearity of A: {100 * c.mpc.min(initial=1.0):.1f} %")
+    for s in c.suspects:
+        line(f"channel {s.channel} looks {s.fault}: {s.message}")
+    total, count, p = c.significance.chi_square
+    if count:
+        beyond = int(c.significance.significant.sum())
+        line(f"{beyond} of {count} deviations are beyond their uncertainty (chi-square {total:.3g}, p {p:.2g})")
+    for note in c.notes:
+        line(note)
+
+
 def correlate(
     a: Annotated[Path, typer.Argument(help="Reference modes (test): .json, .h5 or .uff")],
     b: Annotated[Path, typer.Argument(help="Modes to judge: .json, .h5 or .uff")],
+    lock: Annotated[
+        list[str] | None, typer.Option("--lock", metavar="A:B", help="Modes that belong together, such as 3:4.")
+    ] = None,
+    forbid: Annotated[
+        list[str] | None, typer.Option("--forbid", metavar="A:B", help="Modes that do not belong together.")
+    ] = None,
+    everything: Annotated[
+        bool, typer.Option("--complete", help="Orthogonality, CoMAC, channels, complexity, significance.")
+    ] = False,
+    mass: Annotated[
+        Path | None, typer.Option("--mass", metavar="FILE", help="Mass at the common channels, in the order of A.")
+    ] = None,
+    diagonal: Annotated[
+        float, typer.Option("--diagonal", metavar="%", help="Gate: least cross-orthogonality of a pair.")
+    ] = 90.0,
+    off_diagonal: Annotated[
+        float, typer.Option("--off-diagonal", metavar="%", help="Gate: largest between different modes.")
+    ] = 10.0,
     json: Json = None,
 ) -> int:
     """Pair two sets of modes on their common channels: deviation, MAC, and why the rest have no partner.
 
-    Example: ringtrue correlate test.json fe.json --json -
+    Example: ringtrue correlate test.json fe.json --complete --json -
     """
+    gate = Gate(diagonal / 100, off_diagonal / 100, f"{diagonal:g} % / {off_diagonal:g} %")
+    locks = Locks(_pair_list("--lock", lock), _pair_list("--forbid", forbid))
     one, two = _common(read_modes(a), read_modes(b), a, b)
     names = ("A", "B")
-    table = correlation_table(one, two, pair_modes(one, two, PairingSettings(), names=names), names=names)
+    table = correlation_table(one, two, pair_modes(one, two, PairingSettings(), names=names, locks=locks), names=names)
     value: dict[str, Any] = correlation_json(table)
+    full: CompleteCorrelation | None = None
+    if everything or mass is not None:
+        weight = _mass(mass, len(one.channels)) if mass is not None else None
+        std_a, std_b = read_frequency_std(a), read_frequency_std(b)
+        full = complete(one, two, table.pairing, mass=weight, gate=gate, std_a=std_a, std_b=std_b)
+        value["complete"] = complete_json(full, table.pairing)
     if json:
         write_json(value, json)
     if json != "-":
@@ -139,6 +217,8 @@ def correlate(
         rows(f"{a} against {b}", ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
         for u in value["unpaired"]:
             out.print(f"{u['set']} {u['mode']}: {u['reason']}", markup=False, highlight=False, soft_wrap=True)
+        if full is not None:
+            _show_complete(full)
     return 0 if value["pairs"] else 1
 
 

@@ -16,11 +16,56 @@ Scale = Literal["log", "linear"]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A field of a card: `Target("MAT1", 7, "E")`, `Target("PBUSH", 3, "K3")`."""
+    """A field of a card: `Target("MAT1", 7, "E")`, `Target("PBUSH", 3, "K3")`, `Target("PCOMP", 2, "T3")` (ply 3).
+
+    Attributes
+    ----------
+    card : str
+    id : int
+    field : str
+    elements : tuple of int
+        Only as these elements (EID) see it; empty: all that use the card.
+    step : float
+        If not 0, the field is value + step·(a − 1) in place of value·a: for places, which may be 0.
+    """
 
     card: str
     id: int
     field: str
+    elements: tuple[int, ...] = ()
+    step: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Nodes that move by (a − 1) times a vector each.
+
+    Attributes
+    ----------
+    nodes : tuple of int
+        Ids of GRID.
+    vectors : tuple of (x, y, z)
+        In the basic frame, length; one a node.
+    """
+
+    nodes: tuple[int, ...]
+    vectors: tuple[tuple[float, float, float], ...]
+
+    def __post_init__(self) -> None:
+        if len(self.nodes) != len(self.vectors) or len(set(self.nodes)) != len(self.nodes):
+            raise InputError(f"shape: {len(self.vectors)} vectors for {len(set(self.nodes))} different nodes")
+
+
+@dataclass(frozen=True, slots=True)
+class Substructure:
+    """A common factor on one matrix of some elements (EID): `Substructure("stiffness", (4, 5, 6))`."""
+
+    matrix: Literal["stiffness", "mass", "damping"]
+    elements: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        if self.matrix not in ("stiffness", "mass", "damping") or not self.elements:
+            raise InputError(f"substructure of {len(self.elements)} elements, matrix {self.matrix!r}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +83,20 @@ class Parameter:
     scale : {"log", "linear"}
     std : float
         Prior standard deviation of x.
+    shapes : tuple of Shape
+        Nodes that move with the factor.
+    substructures : tuple of Substructure
+        Element matrices that the factor multiplies.
     """
 
     name: str
-    targets: tuple[Target, ...]
+    targets: tuple[Target, ...] = ()
     lower: float = 0.1
     upper: float = 10.0
     scale: Scale = "log"
     std: float = 1.0
+    shapes: tuple[Shape, ...] = ()
+    substructures: tuple[Substructure, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 < self.lower < 1 < self.upper:

@@ -10,9 +10,10 @@ from scipy.optimize import linear_sum_assignment
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import ConfigError
 from ringtrue.shapes.mac import mac, paired_mac
-from ringtrue.shapes.subspace import close_groups, rotation
+from ringtrue.shapes.subspace import close_groups, rotation, subspace_mac
 
 TIE = 1e-3
+LOCKED = 1e6  # worth of a forced pair, above that of all others together
 SOFT = 0.02  # 1 − MAC below this brings no further gain: it is noise
 
 
@@ -58,6 +59,52 @@ class PairingSettings:
             )
 
 
+@dataclass(frozen=True, slots=True)
+class Locks:
+    """Pairs that the user decides; positions count from 0.
+
+    Attributes
+    ----------
+    forced : tuple of (int, int)
+        (mode of A, mode of B) that belong together, whatever the gates say.
+    forbidden : tuple of (int, int)
+        That do not belong together.
+    """
+
+    forced: tuple[tuple[int, int], ...] = ()
+    forbidden: tuple[tuple[int, int], ...] = ()
+
+    def __post_init__(self) -> None:
+        for side in (0, 1):
+            modes = [pair[side] for pair in self.forced]
+            if len(set(modes)) != len(modes):
+                raise ConfigError(f"locks: mode {_twice(modes) + 1} of {'AB'[side]} is forced into two pairs")
+        both = sorted(set(self.forced) & set(self.forbidden))
+        if both:
+            raise ConfigError(f"locks: pair {both[0][0] + 1}:{both[0][1] + 1} is both forced and forbidden")
+
+    def mask(self, shape: tuple[int, int]) -> tuple[Bool, Bool]:
+        """Which pairs (ma, mb) are forced, and which of all may be taken at all."""
+        for i, j in (*self.forced, *self.forbidden):
+            if not (0 <= i < shape[0] and 0 <= j < shape[1]):
+                raise ConfigError(f"locks: no pair {i + 1}:{j + 1}; A has {shape[0]} modes, B {shape[1]}")
+        forced, free = np.zeros(shape, dtype=np.bool_), np.ones(shape, dtype=np.bool_)
+        for i, j in self.forced:
+            free[i, :] = free[:, j] = False
+        for i, j in self.forbidden:
+            free[i, j] = False
+        for i, j in self.forced:
+            forced[i, j] = free[i, j] = True
+        return forced, free
+
+
+def _twice(modes: list[int]) -> int:
+    return next(m for m in modes if modes.count(m) > 1)
+
+
+NO_LOCKS = Locks()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
     """All that the assignment rests on.
@@ -93,9 +140,12 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
     error = (fb[None, :] - fa[:, None]) / scale
     groups_b = close_groups(fb, settings.close, settings.largest_group)
     merged = single.copy()
-    for ga in close_groups(fa, settings.close, settings.largest_group):
-        for gb in (g for g in groups_b if 1 < len(g) >= len(ga)):
-            _merge(merged, single, error, np.array(ga), np.array(gb), a, b, settings)
+    groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
+    for gb in (np.array(g) for g in groups_b if len(g) > 1):
+        share = subspace_mac(a, b[:, gb])  # no rotation inside the group reaches more
+        for ga in (g for g in groups_a if g.size <= gb.size):
+            if (share[ga] > single[np.ix_(ga, gb)].max(axis=1) + SOFT - TIE).any():
+                _merge(merged, single, error, ga, gb, a, b, settings)
     return Scores(single, merged, error, groups_b)
 
 
@@ -112,11 +162,13 @@ def _merge(
     merged[block] = np.where(gain[:, None], turned[:, None], single[block])
 
 
-def assign(score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: Bool) -> tuple[Int, Int]:
+def assign(
+    score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: Bool, locks: Locks = NO_LOCKS
+) -> tuple[Int, Int]:
     """The one-to-one assignment of greatest total worth among the pairs inside both gates.
 
     The worth of a pair is log((1 − gate)/(1 − MAC)), lowered with the square of the frequency error: two poor pairs
-    never outvote a good one, which a sum of MACs allows.
+    never outvote a good one, which a sum of MACs allows. Forced pairs come before all others, forbidden ones never.
 
     Returns
     -------
@@ -127,7 +179,9 @@ def assign(score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: B
     worth += TIE * score.mac  # decides between the members of a rotated group
     allowed = (score.merged >= settings.mac_gate) & (np.abs(score.error) <= settings.frequency_gate)
     allowed &= usable_a[:, None] & usable_b[None, :]
-    worth = np.where(allowed, worth, 0.0)
+    forced, free = locks.mask((allowed.shape[0], allowed.shape[1]))
+    allowed = (allowed & free) | forced
+    worth = np.where(forced, LOCKED, np.where(allowed, worth, 0.0))
     rows, cols = linear_sum_assignment(-worth)
     keep = allowed[rows, cols]
     return rows[keep].astype(np.int64), cols[keep].astype(np.int64)

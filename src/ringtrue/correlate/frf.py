@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
 
 
@@ -61,3 +64,146 @@ def relative_deviation(a: Complex, b: Complex) -> Float:
     _same(a, b)
     size = np.linalg.norm(a, axis=0)
     return np.asarray(np.linalg.norm(b - a, axis=0) / np.where(size > 0, size, 1.0), dtype=np.float64)
+
+
+def shape_correlation(a: Complex, b: Complex) -> Float:
+    """Global shape correlation, (freq, in) 0..1: |Σ a* b|²/(Σ|a|² Σ|b|²) over the outputs of a line; blind to scale.
+
+    Source: Zang, Grafe and Imregun (2001).
+
+    Parameters
+    ----------
+    a, b : (freq, out, in) complex128
+    """
+    _same(a, b)
+    below = (np.abs(a) ** 2).sum(axis=1) * (np.abs(b) ** 2).sum(axis=1)
+    return np.asarray(np.abs((a.conj() * b).sum(axis=1)) ** 2 / np.where(below > 0, below, 1.0), dtype=np.float64)
+
+
+def amplitude_correlation(a: Complex, b: Complex) -> Float:
+    """Global amplitude correlation, (freq, in) 0..1: 2|Σ a* b|/(Σ|a|² + Σ|b|²); 1 only where also the size agrees."""
+    _same(a, b)
+    below = (np.abs(a) ** 2).sum(axis=1) + (np.abs(b) ** 2).sum(axis=1)
+    return np.asarray(2 * np.abs((a.conj() * b).sum(axis=1)) / np.where(below > 0, below, 1.0), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Levels:
+    """Mean response levels in bands.
+
+    Attributes
+    ----------
+    centre : (band,) float64, Hz
+    difference : (band, in) float64, dB
+        Of b over a: mean square over the outputs and the lines of a band.
+    """
+
+    centre: Float
+    difference: Float
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, centre=np.float64, difference=np.float64)
+
+
+def band_levels(a: Complex, b: Complex, freqs: Float, *, per_octave: int = 3) -> Levels:
+    """How much louder b is than a, in fractions of an octave; for bands too dense for modes.
+
+    Parameters
+    ----------
+    a, b : (freq, out, in) complex128
+    freqs : (freq,) float64, Hz, ascending
+    per_octave : int
+        3: third-octave bands, with centres 1000·2^(k/3) Hz.
+
+    Raises
+    ------
+    InputError
+        If the sizes do not fit.
+    """
+    _same(a, b)
+    f = np.asarray(freqs, dtype=np.float64)
+    if f.shape != a.shape[:1] or per_octave < 1:
+        raise InputError(f"{f.size} lines for FRFs of {a.shape[0]}; {per_octave} bands an octave (1 or more)")
+    live = f > 0
+    number = np.rint(per_octave * np.log2(f[live] / 1000)).astype(np.int64)
+    names, band = np.unique(number, return_inverse=True)
+    power = np.zeros((2, names.size, a.shape[2]))
+    for i, h in enumerate((a, b)):  # of two
+        np.add.at(power[i], band, (np.abs(h[live]) ** 2).sum(axis=1))
+    heard = (power > 0).all(axis=0)
+    ratio = np.where(heard, power[1], 1.0) / np.where(heard, power[0], 1.0)
+    return Levels(1000 * 2.0 ** (names / per_octave), np.where(heard, 10 * np.log10(ratio), np.nan))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrfComparison:
+    """Two sets of FRFs on their common outputs, inputs and lines.
+
+    Attributes
+    ----------
+    freqs : (freq,) float64, Hz
+    outputs, inputs : tuple of str
+    frac : (out, in) float64
+    deviation : (out, in) float64, dB
+        Root mean square of the level difference.
+    shape, amplitude : (freq, in) float64
+        Global shape and amplitude correlation.
+    levels : Levels
+        In third octaves.
+    """
+
+    freqs: Float
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    frac: Float
+    deviation: Float
+    shape: Float
+    amplitude: Float
+    levels: Levels
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, freqs=f, frac=f, deviation=f, shape=f, amplitude=f)
+
+
+def compare_frfs(a: FrfSet, b: FrfSet) -> FrfComparison:
+    """All measures of two sets of FRFs of one kind.
+
+    Raises
+    ------
+    InputError
+        If the kinds differ, or no output, input or line is common. FRFs are not interpolated: near a resonance that
+        would compare the interpolation. Synthesise those of the model on the lines of the test.
+    """
+    if a.kind != b.kind:
+        raise InputError(f"FRFs are {a.kind} and {b.kind}; convert one of them")
+    step = float(np.median(np.diff(a.freqs))) if a.freqs.size > 1 else 1.0
+    at = np.searchsorted(b.freqs, a.freqs - 1e-4 * step).clip(max=max(b.freqs.size - 1, 0))
+    line = np.flatnonzero(np.abs(b.freqs[at] - a.freqs) < 1e-4 * step) if b.freqs.size else np.zeros(0, np.int64)
+    outs = _common([c.id for c in a.outputs], [c.id for c in b.outputs])
+    ins = _common([c.id for c in a.inputs], [c.id for c in b.inputs])
+    if not (line.size and outs[0] and ins[0]):
+        raise InputError(
+            f"FRFs have {line.size} lines, {len(outs[0])} outputs and {len(ins[0])} inputs in common; "
+            "synthesise those of the model on the lines of the test"
+        )
+    left = a.data[np.ix_(line, outs[1], ins[1])]
+    right = b.data[np.ix_(at[line], outs[2], ins[2])]
+    f = a.freqs[line]
+    return FrfComparison(
+        f,
+        outs[0],
+        ins[0],
+        frac(left, right),
+        magnitude_deviation(left, right),
+        shape_correlation(left, right),
+        amplitude_correlation(left, right),
+        band_levels(left, right, f),
+    )
+
+
+def _common(a: list[str], b: list[str]) -> tuple[tuple[str, ...], Int, Int]:
+    here = {name: i for i, name in enumerate(b)}
+    both = [(name, i, here[name]) for i, name in enumerate(a) if name in here]
+    at = np.array([(i, j) for _, i, j in both], dtype=np.int64).reshape(-1, 2)
+    return tuple(n for n, _, _ in both), at[:, 0], at[:, 1]

@@ -7,13 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.pairing import Pairing
-from ringtrue.correlate.assign import PairingSettings, Scores, assign, scores
+from ringtrue.correlate.assign import NO_LOCKS, Locks, PairingSettings, Scores, assign, scores
 from ringtrue.errors import InputError
+from ringtrue.shapes.subspace import close_groups, rotation
 
-__all__ = ["CorrelationRow", "CorrelationTable", "PairingSettings", "correlation_table", "pair_modes"]
+__all__ = [
+    "CorrelationRow",
+    "CorrelationTable",
+    "Locks",
+    "PairingSettings",
+    "correlation_table",
+    "pair_modes",
+    "paired_shapes",
+]
 
 
 def pair_modes(
@@ -24,6 +33,7 @@ def pair_modes(
     visible_b: Float | None = None,
     names: tuple[str, str] = ("test", "FE"),
     first_b: int = 0,
+    locks: Locks = NO_LOCKS,
 ) -> Pairing:
     """Pair the modes of two sets by one global assignment over MAC and frequency.
 
@@ -42,6 +52,8 @@ def pair_modes(
         What A and B are called in the reasons.
     first_b : int
         Number of modes that stand before those of B in the whole set; the reasons count them.
+    locks : Locks
+        Pairs forced and forbidden by the user; positions in A and B as given here.
 
     Raises
     ------
@@ -54,10 +66,10 @@ def pair_modes(
     hidden = _hidden(b, settings, visible_b)
     sure = a.confidence >= settings.min_confidence
     s = scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings)
-    rows, cols = assign(s, settings, sure, np.array([not why for why in hidden], dtype=np.bool_))
+    rows, cols = assign(s, settings, sure, np.array([not why for why in hidden], dtype=np.bool_), locks)
     lone_a = np.setdiff1d(np.arange(len(a)), rows)
     lone_b = np.setdiff1d(np.arange(len(b)), cols)
-    why = _Reasons(s, settings, rows, cols, names, first_b)
+    why = _Reasons(s, settings, rows, cols, names, first_b, locks)
     return Pairing(
         a=rows,
         b=cols,
@@ -73,6 +85,33 @@ def pair_modes(
         lone_b=lone_b,
         why_b=tuple(hidden[j] or why.of_b(j, a, b) for j in lone_b.tolist()),
     )
+
+
+def paired_shapes(
+    a: ModeSet,
+    b: ModeSet,
+    pairing: Pairing,
+    settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
+) -> tuple[Any_, Any_]:
+    """The shapes (n, k) of the pairs; those of B turned inside their close group where the pairing did so.
+
+    Parameters
+    ----------
+    a, b : ModeSet
+        As they were paired.
+    settings : PairingSettings
+        Those of the pairing.
+    """
+    b = b if b.channels == a.channels else b.rows(a.channels)
+    left, right = a.shapes[:, pairing.a], np.array(b.shapes[:, pairing.b])
+    for group in close_groups(b.frequencies, settings.close, settings.largest_group):
+        at = np.flatnonzero(np.isin(pairing.b, group) & pairing.subspace)
+        if at.size:
+            space = b.shapes[:, list(group)]
+            turned = space @ rotation(left[:, at], space)
+            right = right.astype(np.result_type(right, turned), copy=False)
+            right[:, at] = turned
+    return left, right
 
 
 def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
@@ -104,10 +143,11 @@ class _Reasons:
     cols: Int
     names: tuple[str, str]
     first_b: int
+    locks: Locks
 
     def of_a(self, i: int) -> str:
-        macs, errors = self.score.merged[i], self.score.error[i]
-        return self._of(macs, errors, self.names[1], self.cols, self.rows, self.names[0], self.first_b, 0)
+        macs, errors, barred = self.score.merged[i], self.score.error[i], [q for p, q in self.locks.forbidden if p == i]
+        return self._of(macs, errors, barred, self.names[1], self.cols, self.rows, self.names[0], self.first_b, 0)
 
     def of_b(self, j: int, a: ModeSet, b: ModeSet) -> str:
         f = float(b.frequencies[j])
@@ -115,10 +155,20 @@ class _Reasons:
         if len(a) and not a.frequencies.min() * (1 - gate) <= f <= a.frequencies.max() * (1 + gate):
             return f"outside of the {self.names[0]} band {a.frequencies.min():.4g} to {a.frequencies.max():.4g} Hz"
         macs, errors = self.score.merged[:, j], self.score.error[:, j]
-        return self._of(macs, errors, self.names[0], self.rows, self.cols, self.names[1], 0, self.first_b)
+        barred = [p for p, q in self.locks.forbidden if q == j]
+        return self._of(macs, errors, barred, self.names[0], self.rows, self.cols, self.names[1], 0, self.first_b)
 
     def _of(
-        self, macs: Float, errors: Float, theirs: str, taken: Int, by: Int, mine: str, their_first: int, my_first: int
+        self,
+        macs: Float,
+        errors: Float,
+        barred: list[int],
+        theirs: str,
+        taken: Int,
+        by: Int,
+        mine: str,
+        their_first: int,
+        my_first: int,
     ) -> str:
         gate, least = self.settings.frequency_gate, self.settings.mac_gate
         near = np.flatnonzero(np.abs(errors) <= gate)
@@ -130,6 +180,8 @@ class _Reasons:
                 f"no {theirs} mode within {100 * gate:.3g} % has MAC >= {100 * least:.3g} %: "
                 f"best {theirs} {best + 1 + their_first} with {100 * macs[best]:.0f} %"
             )
+        if best in barred:
+            return f"{theirs} {best + 1 + their_first} (MAC {100 * macs[best]:.0f} %) is forbidden by the user"
         owner = np.flatnonzero(taken == best)
         if owner.size:
             return (

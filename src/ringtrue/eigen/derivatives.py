@@ -1,34 +1,36 @@
 """Derivatives of eigenvalues and mass-normalised eigenvectors with respect to parameters.
 
 (K − λM) φ' = −(K' − λM' − λ'M) φ with φᵀMφ = 1: the part in the computed modes is modal superposition, the rest
-(in their M-orthogonal complement) comes from conjugate gradients preconditioned by the factor of K − σM.
-Sources: Fox, Kapoor (1968); Nelson (1976); Alvin (1997, preconditioned iteration on the complement).
+(in their M-orthogonal complement) is iterated with the factor of K − σM that the modes came from.
+Sources: Fox, Kapoor (1968); Nelson (1976); Alvin (1997, iteration on the complement); Dailey (1989, repeated roots).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.eigen.complement import Complement
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
-from ringtrue.errors import InputError, NotConverged
+from ringtrue.errors import InputError
 
 CLOSE = 1e-6  # relative distance under which eigenvalues are treated as one repeated root
-CHUNK = 64  # right-hand sides solved together
-MAX_ITERATIONS = 400
+CHUNK = 40  # right-hand sides solved together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slope:
-    """K' and M' of one parameter, (f, f) csr_array each."""
+    """K' and M' of one parameter, and D' (viscous) and H' (structural damping) if there are any; (f, f) csr_array."""
 
     stiffness: sparse.csr_array
     mass: sparse.csr_array
+    viscous: sparse.csr_array | None = None
+    structural: sparse.csr_array | None = None
 
 
 def groups(values: Float, close: float = CLOSE) -> Int:
@@ -78,7 +80,9 @@ def modal_coefficients(stiffness: Float, mass: Float, values: Float, close: floa
         In a group of repeated roots −½ΦᵀM'Φ: normalisation is kept and the rotation inside the group is zero.
     """
     m = stiffness.shape[-1]
-    at = groups(values, close)
+    size = np.abs(values)
+    top = max(1e4 * size[:m].max(initial=0.0), 1e-6 * size.max(initial=0.0))
+    at = groups(np.minimum(values, top), close)  # motions almost without mass must not set the noise of the low modes
     same = at[:, None] == at[:m]
     gap = np.where(same, 1.0, values[:m] - values[:, None])
     return np.where(same, -0.5 * mass, (stiffness - mass * values[:m]) / gap)
@@ -90,8 +94,9 @@ def eigenvector_derivatives(
     slopes: Sequence[Slope],
     *,
     count: int | None = None,
-    tolerance: float = 1e-8,
+    tolerance: float = 1e-7,
     close: float = CLOSE,
+    progress: Callable[[float, str], None] | None = None,
 ) -> Float:
     """∂φ/∂a (f, count, p) of the lowest `count` mass-normalised modes.
 
@@ -105,65 +110,81 @@ def eigenvector_derivatives(
     count : int, optional
         All if not given.
     tolerance : float
-        Relative residual in the norm of the preconditioner.
+        Relative residual ‖(K − λM)φ' + (K' − λM')φ − λ'Mφ‖ / ‖(K' − λM')φ‖.
+    progress : callable, optional
+        Called with (share done, what).
 
     Raises
     ------
     InputError
         If more modes are asked for than are given.
     NotConverged
-        If conjugate gradients do not converge: a mode above the last one given lies too close. Give more modes.
+        If a mode below the last one is not given, or one above lies too close. Give more modes.
     """
     n = modes.values.size
     m = n if count is None else count
     if m > n:
         raise InputError(f"derivatives of {m} modes asked for; {n} are given")
     phi, lam = modes.vectors, modes.values
-    out = np.empty((phi.shape[0], m, len(slopes)))
-    loads = []
+    out, space = np.empty((phi.shape[0], m, len(slopes))), Complement.of(pencil, modes)
     for i, s in enumerate(slopes):  # over parameters
         dk, dm = s.stiffness @ phi[:, :m], s.mass @ phi[:, :m]
         out[:, :, i] = phi @ modal_coefficients(phi.T @ dk, phi.T @ dm, lam, close)
-        loads.append(dm * lam[:m] - dk)
-    flat, mode = np.concatenate(loads, axis=1), np.tile(np.arange(m), len(slopes))
-    rest = np.empty_like(flat)
-    for start in range(0, flat.shape[1], CHUNK):  # bounds the memory
-        cut = slice(start, start + CHUNK)
-        rest[:, cut] = _complement(pencil, modes, flat[:, cut], lam[mode[cut]], tolerance)
-    return np.asarray(out + rest.reshape(phi.shape[0], len(slopes), m).transpose(0, 2, 1))
+        load = dm * lam[:m] - dk
+        for start in range(0, m, CHUNK):
+            cut = slice(start, min(start + CHUNK, m))
+            out[:, cut, i] += space.solve(load[:, cut], lam[cut], tolerance)
+        if progress is not None:
+            progress((i + 1) / len(slopes), "eigenvector derivatives")
+    return out
 
 
-def _complement(pencil: Pencil, modes: EigenModes, load: Float, lam: Float, tolerance: float) -> Float:
-    """Solve (K − λ_j M) z_j = load_j in the M-orthogonal complement of the modes, where it is definite."""
-    factor, phi = pencil.at(modes.shift), modes.vectors
-    mphi = pencil.mass @ phi
+def branch_derivatives(
+    pencil: Pencil,
+    modes: EigenModes,
+    slope: Slope,
+    group: Sequence[int],
+    *,
+    second: Slope | None = None,
+    tolerance: float = 1e-8,
+) -> tuple[Float, Float, Float]:
+    """The vectors that leave a repeated root along one parameter, with their derivatives (Dailey 1989).
 
-    def precondition(r: Float) -> Float:
-        z = factor.solve(r)
-        return np.asarray(z - phi @ (mphi.T @ z))
+    Parameters
+    ----------
+    pencil : Pencil
+    modes : EigenModes
+        All from the lowest up, some above the group.
+    slope : Slope
+    group : sequence of int
+        Positions of the modes of the root.
+    second : Slope, optional
+        K'' and M'', where they are not zero.
 
-    r = load - mphi @ (phi.T @ load)
-    x = np.zeros_like(r)
-    z = precondition(r)
-    p, rz = z.copy(), np.einsum("ij,ij->j", r, z)
-    target = tolerance**2 * np.maximum(rz, 0)
-    for _ in range(MAX_ITERATIONS):
-        on = rz > np.maximum(target, np.finfo(float).tiny)
-        if not on.any():
-            return x
-        ap = pencil.stiffness @ p - (pencil.mass @ p) * lam
-        ap -= mphi @ (phi.T @ ap)
-        curvature = np.einsum("ij,ij->j", p, ap)
-        if (curvature[on] <= 0).any():
-            break
-        alpha = np.where(on, rz / np.where(on, curvature, 1.0), 0.0)
-        x += p * alpha
-        r -= ap * alpha
-        z = precondition(r)
-        new = np.einsum("ij,ij->j", r, z)
-        p = z + p * np.where(on, new / np.where(on, rz, 1.0), 0.0)
-        rz = np.where(on, new, rz)
-    raise NotConverged(
-        f"eigenvector derivatives: {int(on.sum())} of {lam.size} right-hand sides did not converge; "
-        "compute more modes above those whose derivatives are needed"
-    )
+    Returns
+    -------
+    vectors : (f, g) float64
+        In the order of their derivatives, ascending.
+    d_lambda : (g,) float64
+    d_vectors : (f, g) float64
+        Where two branches have equal derivatives, too, the rotation between them is set to zero.
+    """
+    at, phi = np.asarray(group), modes.vectors
+    lam = float(modes.values[at].mean())
+    own = phi[:, at]
+    block = own.T @ (slope.stiffness @ own - (slope.mass @ own) * lam)
+    d_lambda, turn = np.linalg.eigh((block + block.T) / 2)
+    own = own @ turn
+    dk, dm = np.asarray(slope.stiffness @ own), np.asarray(slope.mass @ own)
+    load = dm * lam - dk
+    others = np.delete(np.arange(modes.values.size), at)
+    rest = phi[:, others] @ ((phi[:, others].T @ load) / (modes.values[others, None] - lam))
+    rest += Complement.of(pencil, modes).solve(load, np.full(at.size, lam), tolerance)
+    same = own.T @ dm
+    mixed = -load.T @ rest - same * d_lambda
+    if second is not None:
+        mixed += own.T @ (second.stiffness @ own - (second.mass @ own) * lam) / 2
+    gap = d_lambda - d_lambda[:, None]
+    apart = np.abs(gap) > CLOSE * max(float(np.abs(d_lambda).max()), np.finfo(float).tiny)
+    c = np.where(apart, mixed / np.where(apart, gap, 1.0), -0.5 * same)
+    return own, d_lambda, np.asarray(rest + own @ c)

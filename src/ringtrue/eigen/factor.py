@@ -1,28 +1,31 @@
-"""A sparse symmetric factorisation with inertia, behind one small port.
+"""The pencil K − σM: one sparsity pattern, one factorisation with inertia that moves with the shift.
 
-PARDISO's LDLᵀ is the engine; a dense LDLᵀ serves small matrices; SuperLU is the last resort (no inertia).
+PARDISO's LDLᵀ is the engine, rslab's where there is no MKL; a dense one serves small matrices; SuperLU is the last
+resort (no inertia). `engines` holds them.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
-from scipy import linalg, sparse
-from scipy.sparse.linalg import splu
+from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.eigen import memory
+from ringtrue.eigen.engines import Engine, Method, choose
+from ringtrue.eigen.engines import factorise as engine
+from ringtrue.eigen.pattern import Pattern
 from ringtrue.errors import InputError, SingularModel
 
-Method = Literal["auto", "pardiso", "superlu", "dense"]
 Labels = Callable[[Int], list[str]]
-DENSE_LIMIT = 300  # rows up to which a dense LDLᵀ is as fast as a sparse one
 RESIDUAL_LIMIT = 1e-4  # of a probing solve (LDLᵀ without full pivoting reaches 1e-8 on ill-scaled shells)
+MASSLESS = 1e-9  # share of the usual mass of a DOF under which a motion counts as without mass
+NO_ENERGY = 1e-13  # of the energy that its DOFs would have alone: a motion is without stiffness
 LOST = 0.1  # error of a probing solve (solution of order 1) on perturbed pivots: they were zero
-# METIS; perturb pivots below 1e-13; no scaling or matching, so that one analysis serves every shift; Bunch-Kaufman
-_IPARM = {1: 2, 9: 13, 10: 0, 12: 0, 20: 1}
+HINT = "look for a mechanism without mass or a DOF without stiffness there, and hold it or give it inertia"
 log = logging.getLogger(__name__)
 
 
@@ -43,103 +46,8 @@ class Factor(Protocol):
         ...
 
 
-class _Dense:
-    def __init__(self, pattern: _Pattern, values: Float) -> None:
-        upper = pattern.matrix(values).toarray()
-        full = upper + np.triu(upper, 1).T
-        size = np.sqrt(np.abs(full).max(axis=1))  # scaled first: rotations and translations differ by decades
-        self._scale = 1 / np.where(size > 0, size, 1.0)
-        scaled = full * self._scale * self._scale[:, None]
-        spectrum = linalg.eigvalsh(scaled)
-        self.negatives = int((spectrum < 0).sum())
-        self.singular = bool(np.abs(spectrum).min() <= 1e-15 * np.abs(spectrum).max())
-        self._lu = linalg.lu_factor(scaled, check_finite=False) if not self.singular else None
-
-    def solve(self, rhs: Any_) -> Float:
-        d = self._scale if rhs.ndim == 1 else self._scale[:, None]
-        assert self._lu is not None
-        return np.asarray(d * linalg.lu_solve(self._lu, d * rhs))
-
-    def close(self) -> None:
-        self._lu = None
-
-
-class _SuperLu:
-    negatives = -1
-    singular = False
-
-    def __init__(self, pattern: _Pattern, values: Float) -> None:
-        upper = pattern.matrix(values)
-        full = sparse.csc_array(upper + sparse.triu(upper, 1).T)
-        try:
-            self._lu = splu(full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.1, options={"SymmetricMode": True})
-        except RuntimeError:  # "Factor is exactly singular"
-            self.singular = True
-
-    def solve(self, rhs: Any_) -> Float:
-        return np.asarray(self._lu.solve(np.ascontiguousarray(rhs, dtype=np.float64)))
-
-    def close(self) -> None:
-        del self._lu
-
-
-class _Pardiso:
-    singular = False
-
-    def __init__(self, pattern: _Pattern, values: Float) -> None:
-        from pymklpardiso import MTYPE_REAL_SYM_INDEF, PardisoSolver
-
-        self._solver = PardisoSolver(pattern.matrix(values), MTYPE_REAL_SYM_INDEF, iparms=_IPARM)
-
-    @property
-    def negatives(self) -> int:
-        return int(self._solver.get_iparm_value(22)) if not self._solver.get_iparm_value(13) else -1
-
-    def refactor(self, values: Float) -> None:
-        self._solver.refactor(values)
-
-    def strengthen(self, values: Float) -> None:
-        """Once more with scaling and weighted matching: slower, for matrices that plain pivoting cannot treat."""
-        self._solver.set_iparm(10, 1)
-        self._solver.set_iparm(12, 1)
-        self._solver.factor(values)
-
-    def solve(self, rhs: Any_) -> Float:
-        return np.asarray(self._solver.solve(np.asfortranarray(rhs, dtype=np.float64)))
-
-    def close(self) -> None:
-        self._solver.release()
-
-
-class _Pattern:
-    """The upper triangle, with a full diagonal, of the union of the patterns of some symmetric matrices."""
-
-    def __init__(self, *matrices: sparse.csr_array) -> None:
-        self.size = int(matrices[0].shape[0])
-        union = sparse.eye_array(self.size, format="csr")
-        for a in matrices:
-            upper = sparse.csr_array(sparse.triu(a, format="csr"))
-            union = union + sparse.csr_array((np.ones(upper.data.size), upper.indices, upper.indptr), shape=a.shape)
-        union.sort_indices()
-        self.indices, self.indptr = union.indices.astype(np.int32), union.indptr.astype(np.int32)
-        row = np.repeat(np.arange(self.size), np.diff(self.indptr))
-        self._all = row * self.size + self.indices
-
-    def values(self, a: sparse.csr_array) -> Float:
-        """The entries of `a` on this pattern."""
-        coo = sparse.triu(a, format="coo")
-        coo.sum_duplicates()
-        out = np.zeros(self._all.size)
-        out[np.searchsorted(self._all, coo.row.astype(np.int64) * self.size + coo.col)] = coo.data
-        return out
-
-    def matrix(self, values: Float) -> sparse.csr_array:
-        """Upper triangle with these entries."""
-        return sparse.csr_array((values, self.indices, self.indptr), shape=(self.size, self.size))
-
-
 def _symmetric(a: sparse.csr_array, name: str) -> sparse.csr_array:
-    a = sparse.csr_array(a).astype(np.float64)
+    a = sparse.csr_array(a).astype(np.float64, copy=False)
     if a.shape[0] != a.shape[1]:
         raise InputError(f"{name} is {a.shape}: it must be square")
     if not np.isfinite(a.data).all():
@@ -154,9 +62,11 @@ class Pencil:
     ----------
     stiffness, mass : (f, f) scipy.sparse.csr_array float64
         Symmetric, both triangles; the mass may be singular.
-    method : {"auto", "pardiso", "superlu", "dense"}
+    method : {"auto", "pardiso", "rslab", "superlu", "dense"}
     labels : callable, optional
         Names of rows for errors, (k,) int64 -> list of str.
+    limit : int, optional
+        Bytes of memory that a step may take; what is free on the machine if not given.
     """
 
     def __init__(
@@ -166,15 +76,18 @@ class Pencil:
         *,
         method: Method = "auto",
         labels: Labels | None = None,
+        limit: int | None = None,
     ) -> None:
         self.stiffness, self.mass = _symmetric(stiffness, "the stiffness"), _symmetric(mass, "the mass")
         if self.mass.shape != self.stiffness.shape:
             raise InputError(f"stiffness {self.stiffness.shape} and mass {self.mass.shape} differ in size")
-        self.method = _choose(method, self.size)
+        self.method, self._limit = choose(method, self.size), limit
+        if self.method == "superlu":
+            log.warning("neither pymklpardiso nor rslab is used: SuperLU is slower and cannot prove completeness")
         self.labels: Labels = labels or (lambda rows: [f"row {i}" for i in rows.tolist()])
-        self._pattern = _Pattern(self.stiffness, self.mass)
-        self._k, self._m = self._pattern.values(self.stiffness), self._pattern.values(self.mass)
-        self._factor: _Dense | _SuperLu | _Pardiso | None = None
+        self._pattern = Pattern(self.stiffness, self.mass)
+        self._k, self._m = self._pattern.values(self.stiffness), self._pattern.entries(self.mass)
+        self._factor: Engine | None = None
         self.shift = np.nan
 
     @property
@@ -192,42 +105,73 @@ class Pencil:
         """
         if self._factor is not None and shift == self.shift:
             return self._factor
-        values = self._k - shift * self._m
+        values = self._k.copy()
+        values[self._m[0]] -= shift * self._m[1]
         factor = self._make(values)
         self._factor, self.shift = factor, shift
         error, moved = self._probe(factor, shift)
-        if isinstance(factor, _Pardiso) and not (error < RESIDUAL_LIMIT and factor.negatives >= 0):
-            factor.strengthen(values)
+        if not (error < RESIDUAL_LIMIT and factor.negatives >= 0) and factor.strengthen(values):
             error, moved = self._probe(factor, shift)
-        lost = not error < RESIDUAL_LIMIT or (factor.negatives < 0 and moved.max(initial=0.0) > LOST)
-        if lost:
+        if not error < RESIDUAL_LIMIT or (factor.negatives < 0 and moved.max(initial=0.0) > LOST):
             self._factor = None
             raise SingularModel(
                 self.labels(np.argsort(-moved)[:6]),
                 f"a solve with K - ({shift:.3g}) M left a residual of {error:.1e}, an error of {moved.max():.1e}; "
-                "look for a mechanism without mass, or a DOF without stiffness",
+                f"{HINT}",
             )
+        if (rows := self._mechanism(factor, shift)).size:
+            self._factor = None
+            raise SingularModel(self.labels(rows), f"a motion has neither stiffness nor mass (a mechanism): {HINT}")
         return factor
 
-    def _make(self, values: Float) -> _Dense | _SuperLu | _Pardiso:
-        if isinstance(self._factor, _Pardiso):
-            self._factor.refactor(values)
-            return self._factor
-        if self.method == "dense":
-            return _Dense(self._pattern, values)
-        return _Pardiso(self._pattern, values) if self.method == "pardiso" else _SuperLu(self._pattern, values)
+    def _make(self, values: Float) -> Engine:
+        if self._factor is None:
+            return engine(self.method, self._pattern, values, self._limit)
+        self._factor.refactor(values)
+        return self._factor
 
-    def _probe(self, factor: _Dense | _SuperLu | _Pardiso, shift: float) -> tuple[float, Float]:
+    @property
+    def factor_bytes(self) -> int:
+        """Memory of the factor, as predicted by the analysis; 0 before the first one or if unknown."""
+        return 0 if self._factor is None else self._factor.bytes
+
+    def reserve(self, columns: int) -> None:
+        """Foresee the memory of so many vectors.
+
+        Raises
+        ------
+        OutOfMemory
+        """
+        memory.require(8 * self.size * columns, f"the basis of {columns} vectors of {self.size} DOFs", self._limit)
+
+    def _probe(self, factor: Engine, shift: float) -> tuple[float, Float]:
         """The residual of a solve with a known random solution, relative, and its error (f,)."""
         if factor.singular:
             rows, self._factor = self._empty_rows(), None
-            raise SingularModel(self.labels(rows), f"K - ({shift:.3g}) M cannot be factorised")
+            rows = rows if rows.size else factor.weak
+            raise SingularModel(self.labels(rows), f"K - ({shift:.3g}) M cannot be factorised: {HINT}")
         x = np.random.default_rng(0).standard_normal(self.size)
         rhs = self.stiffness @ x - shift * (self.mass @ x)
         y = factor.solve(rhs)
         rest = self.stiffness @ y - shift * (self.mass @ y) - rhs
         size = np.abs(rhs).max(initial=np.finfo(float).tiny)
         return float(np.abs(rest).max(initial=0.0) / size), np.abs(np.nan_to_num(y - x))
+
+    def _mechanism(self, factor: Engine, shift: float) -> Int:
+        """Rows of a motion without stiffness and mass, found by one inverse iteration; empty if there is none.
+
+        Rounding may leave such a matrix a tiny pivot of either sign, which neither a residual nor the inertia shows.
+        """
+        x = factor.solve(np.random.default_rng(1).standard_normal(self.size))
+        x = x / np.abs(x).max(initial=np.finfo(float).tiny)
+        k, m = self.stiffness.diagonal(), self.mass.diagonal()
+        usual = float(np.median(m[m > 0])) if (m > 0).any() else 0.0
+        if x @ (self.mass @ x) > MASSLESS * usual * (x @ x):
+            return np.empty(0, dtype=np.int64)
+        energy = abs(x @ (self.stiffness @ x)) + abs(shift) * (x @ (self.mass @ x))
+        loose = energy <= NO_ENERGY * float(x**2 @ (np.abs(k) + abs(shift) * m))
+        order = np.argsort(-np.abs(x), kind="stable")[:6]
+        return order[np.abs(x[order]) > 0.1] if loose else order[:0]
 
     def _empty_rows(self) -> Int:
         k = abs(self.stiffness).sum(axis=1)
@@ -238,22 +182,6 @@ class Pencil:
         if self._factor is not None:
             self._factor.close()
         self._factor, self.shift = None, np.nan
-
-
-def _choose(method: Method, size: int) -> Method:
-    allowed = ("auto", "pardiso", "superlu", "dense")
-    if method not in allowed:
-        raise InputError(f"factorisation method {method!r}; allowed are {', '.join(allowed)}")
-    if method != "auto":
-        return method
-    if size <= DENSE_LIMIT:
-        return "dense"
-    try:
-        import pymklpardiso  # noqa: F401
-    except ImportError:
-        log.warning("pymklpardiso is not installed: SuperLU is slower and cannot prove completeness")
-        return "superlu"
-    return "pardiso"
 
 
 def factorise(matrix: sparse.csr_array, *, method: Method = "auto") -> Factor:

@@ -17,7 +17,8 @@ from ringtrue.eigen.factor import Factor
 from ringtrue.errors import NotConverged
 
 BLOCK = 4
-TOLERANCE = 1e-10  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
+TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
+WELL = 1e-8  # condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
 MAX_STEPS = 1000
 Progress = Callable[[float, str], None]
 
@@ -56,6 +57,7 @@ class Krylov:
     def __init__(self, factor: Factor, mass: sparse.csr_array, capacity: int, rng: np.random.Generator) -> None:
         self.factor, self.mass, self.rng = factor, mass, rng
         rows = int(mass.shape[0])
+        self.capacity = capacity
         self.basis = np.zeros((rows, capacity + 2 * BLOCK), order="F")
         self.projected = np.zeros((capacity + 2 * BLOCK,) * 2)
         self.held = 0  # columns of V; the block Q stands right behind them
@@ -114,6 +116,9 @@ class Krylov:
         """Gram-Schmidt in the block, in M, each column twice: q, M q and R with w = q R but for norms below
         `floor`."""
         mw = self.mass @ w
+        quick = _cholesky_twice(w, mw, floor)
+        if quick is not None:
+            return quick
         q, mq = np.zeros((w.shape[0], 0)), np.zeros((w.shape[0], 0))
         r = np.zeros((w.shape[1], w.shape[1]))
         for j in range(w.shape[1]):  # at most BLOCK columns
@@ -167,6 +172,26 @@ class Krylov:
         self.held = keep
 
 
+def _cholesky_twice(w: Float, mw: Float, floor: float) -> tuple[Float, Float, Float] | None:
+    """q, M q, R with w = q R by two Cholesky factorisations of the Gram matrix; None if w is not far from singular."""
+    q, mq, r = w, mw, np.eye(w.shape[1])
+    for first in (True, False):
+        gram = q.T @ mq
+        gram = (gram + gram.T) / 2
+        size = np.sqrt(np.abs(np.diag(gram)))
+        if first and (not w.shape[1] or size.min() <= max(floor, 1e-8 * size.max())):
+            return None
+        values = np.linalg.eigvalsh(gram / (size * size[:, None]))
+        if values[0] < WELL * values[-1]:
+            return None
+        upper = np.linalg.cholesky(gram).T
+        turn = linalg.solve_triangular(upper, np.eye(size.size))
+        q, mq, r = q @ turn, mq @ turn, upper @ r
+    if floor > 0 and np.abs(np.diag(r)).min() <= floor:
+        return None
+    return q, mq, r
+
+
 def solve(
     factor: Factor,
     mass: sparse.csr_array,
@@ -176,6 +201,7 @@ def solve(
     locked: tuple[Float, Float] | None = None,
     tolerance: float = TOLERANCE,
     progress: Progress | None = None,
+    begun: Krylov | None = None,
 ) -> RitzPairs:
     """Pairs of the largest |θ|, until `enough(theta)` holds for the leading converged ones.
 
@@ -190,6 +216,8 @@ def solve(
         How many pairs that will be, about; sets the size of the basis.
     locked : (theta (k,), vectors (f, k)), optional
         Pairs known already; the start block is orthogonal to them.
+    begun : Krylov, optional
+        A space of the same operator, without locked pairs, to go on with.
 
     Raises
     ------
@@ -198,19 +226,19 @@ def solve(
     """
     rows = int(mass.shape[0])
     known = 0 if locked is None else locked[0].size
-    capacity = min(known + 2 * expected + 48, rows)
-    rng = np.random.default_rng(known)
-    krylov = Krylov(factor, mass, capacity, rng)
-    empty = (np.zeros(0), np.zeros((rows, 0)))
-    theta, vectors = locked or empty
-    krylov.start(vectors, theta)
+    if begun is None:
+        krylov = Krylov(factor, mass, capacity(rows, expected, known), np.random.default_rng(known))
+        theta, vectors = locked or (np.zeros(0), np.zeros((rows, 0)))
+        krylov.start(vectors, theta)
+    else:
+        krylov = begun
     fresh_needed = known  # a repeated root shows only when the new directions have come down to its θ
     for step in range(MAX_STEPS):
         if not krylov.ahead:
             return _pairs(krylov, krylov.held, exhausted=True)
         krylov.step()
         exhausted = krylov.ahead == 0
-        if step % 2 and not exhausted and krylov.held < capacity:
+        if step % 2 and not exhausted and krylov.held < min(krylov.capacity, 2 * expected):
             continue
         theta, _y, error = krylov.ritz()
         good = error <= tolerance * np.abs(theta)
@@ -220,9 +248,14 @@ def solve(
         grown = step + 1 >= 4 if fresh_needed else True
         if exhausted or (grown and enough(theta[:count])):
             return _pairs(krylov, count, exhausted=exhausted)
-        if krylov.held + 2 * BLOCK > capacity:
+        if krylov.held + 2 * BLOCK > krylov.capacity:
             krylov.restart(min(max(count, expected) + 2 * BLOCK, krylov.held - 2 * BLOCK))
     raise NotConverged(f"Lanczos stopped after {MAX_STEPS} blocks with {count} of about {expected} modes")
+
+
+def capacity(rows: int, expected: int, known: int = 0) -> int:
+    """Most basis vectors held in a search for `expected` pairs beyond the `known` ones."""
+    return min(known + 2 * expected + 32, rows)
 
 
 def _pairs(krylov: Krylov, count: int, *, exhausted: bool) -> RitzPairs:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Float, freeze_fields
+
+PIECE = 8  # modes treated together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,19 +71,38 @@ def polish(
     -------
     values (m,), vectors (f, m), residuals (m,), orthogonality
     """
+    vectors = vectors[:, np.argsort(values, kind="stable")]
+    for cut in _pieces(values.size):
+        v = vectors[:, cut]
+        top = np.take_along_axis(v, np.abs(v).argmax(axis=0)[None], axis=0)[0]
+        v *= np.where(top < 0, -1.0, 1.0) / np.sqrt(np.einsum("ij,ij->j", v, mass @ v))
+    values, residuals = np.empty(values.size), np.empty(values.size)
+    gram = np.empty((values.size, values.size))
+    for cut in _pieces(values.size):
+        values[cut], residuals[cut], gram[:, cut] = _judged(stiffness, mass, vectors, cut)
     order = np.argsort(values, kind="stable")
-    vectors = vectors[:, order]
-    top = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0)[None], axis=0)[0]
-    mv = mass @ vectors
-    scale = np.where(top < 0, -1.0, 1.0) / np.sqrt(np.einsum("ij,ij->j", vectors, mv))
-    vectors, mv = vectors * scale, mv * scale
-    kv = stiffness @ vectors
-    values = np.einsum("ij,ij->j", vectors, kv)
-    order = np.argsort(values, kind="stable")
-    values, vectors, mv, kv = values[order], vectors[:, order], mv[:, order], kv[:, order]
+    if (np.diff(order) < 0).any():
+        values, vectors, residuals = values[order], vectors[:, order], residuals[order]
+    gram[np.diag_indices(values.size)] -= 1
+    return values, vectors, residuals, float(np.abs(gram).max(initial=0.0))
+
+
+def _pieces(count: int) -> Iterator[slice]:
+    """A few modes at a time: what is computed of each is as large as the mode."""
+    for first in range(0, count, PIECE):
+        yield slice(first, first + PIECE)
+
+
+def _judged(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, vectors: Float, cut: slice
+) -> tuple[Float, Float, Float]:
+    """Rayleigh quotients and residuals of some of the vectors, and ΦᵀM times them."""
+    v = vectors[:, cut]
+    kv, mv = stiffness @ v, mass @ v
+    values = np.einsum("ij,ij->j", v, kv)
     size = np.linalg.norm(kv, axis=0)
-    floor = 1e-8 * np.linalg.norm(abs(stiffness) @ np.abs(vectors), axis=0)
+    sizes = sparse.csr_array((np.abs(stiffness.data), stiffness.indices, stiffness.indptr), shape=stiffness.shape)
+    floor = 1e-8 * np.linalg.norm(sizes @ np.abs(v), axis=0)
     rest = np.linalg.norm(kv - mv * values, axis=0)
     residuals = rest / np.where(size > floor, size, np.maximum(floor * 1e8, np.finfo(float).tiny))
-    gram = vectors.T @ mv - np.eye(values.size)
-    return values, vectors, residuals, float(np.abs(gram).max(initial=0.0))
+    return values, residuals, vectors.T @ mv

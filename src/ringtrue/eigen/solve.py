@@ -16,6 +16,9 @@ from ringtrue.errors import InputError, NumericalError, SingularModel
 
 EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
 GAP = 1e-4  # a gap below this share of λ is too narrow for a count
+NEAR = 1e-5  # share of λ: no shift nearer to zero
+FINE = 1e-3  # share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined once
+PROBE = 4  # Lanczos blocks that judge a shift
 ROUNDS = 6  # searches for missing modes before the result is given as incomplete
 
 
@@ -110,30 +113,37 @@ def _suitable(values: Float) -> float:
     return max(0.3 * first, 1e-3 * top) or 1.0
 
 
-def _find_shift(pencil: Pencil, count: int) -> float:
-    """Probe with a few Lanczos blocks and move the shift until it suits the modes that are asked for."""
-    shift = _start_shift(pencil)
-    for _ in range(4):
-        factor = pencil.at(shift)
-        krylov = lanczos.Krylov(factor, pencil.mass, 24, np.random.default_rng(0))
+def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
+    """Probe with a few Lanczos blocks and move the shift until it suits the modes that are asked for.
+
+    The probe of the last shift is the beginning of the solution.
+    """
+    shift, columns = _start_shift(pencil), lanczos.capacity(pencil.size, count + EXTRA)
+    for last in (False, False, False, False, True):
+        krylov = lanczos.Krylov(pencil.at(shift), pencil.mass, columns, np.random.default_rng(0))
         krylov.start(np.zeros((pencil.size, 0)), np.zeros(0))
-        for _ in range(4):
+        if last:
+            break
+        for _ in range(PROBE):
             if krylov.ahead:
                 krylov.step()
         theta = krylov.ritz()[0]
         values = shift + 1 / theta[theta > 1e-12 * theta.max()][: max(2, min(count, 10))]
         better = -_suitable(values)
-        far = 2 * float(np.abs(values).max()) * max(count / 10, 1.0)  # of the order of the highest mode asked for
-        if 0.02 * better > shift > -far:
-            return shift
+        top = float(np.abs(values).max())
+        far = 2 * top * max(count / 10, 1.0)  # of the order of the highest mode asked for
+        if -NEAR * top > shift > -far:
+            break
         shift = better
-    return shift
+    return shift, krylov
 
 
 def _lowest(
     pencil: Pencil, count: int, shift: float | None, prove: bool, progress: Callable[[float, str], None] | None
 ) -> EigenModes:
-    shift = _find_shift(pencil, count) if shift is None else shift
+    pencil.reserve(lanczos.capacity(pencil.size, count + EXTRA) + 3 * count)
+    _say(progress, pencil)
+    shift, begun = (shift, None) if shift is not None else _find_shift(pencil, count)
     factor = pencil.at(shift)
     start = _Count(factor.negatives, shift)
 
@@ -141,7 +151,10 @@ def _lowest(
         values = np.sort(shift + 1 / theta)
         return (values.size > count and _gap_after(values, count) is not None) or values.size >= count + 40
 
-    pairs = lanczos.solve(factor, pencil.mass, enough, expected=count + EXTRA, progress=progress)
+    pairs = lanczos.solve(factor, pencil.mass, enough, expected=count + EXTRA, progress=progress, begun=begun)
+    del begun
+    if -shift < FINE * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0)) and not pairs.exhausted:
+        pairs = _refined(pencil, pairs, shift)
     complete, proof = False, "no inertia count was asked for"
     for _ in range(ROUNDS):
         values = np.sort(shift + 1 / pairs.theta)
@@ -162,6 +175,18 @@ def _lowest(
         missing = counted - at
         pairs = _again(pencil, shift, pairs, missing)
     return _finish(pencil, pairs, shift, slice(0, count), complete, proof)
+
+
+def _say(progress: Callable[[float, str], None] | None, pencil: Pencil) -> None:
+    if progress is not None:
+        progress(0.0, f"factorising {pencil.size} DOFs")
+
+
+def _refined(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.RitzPairs:
+    """One step of subspace iteration with the factor at the shift."""
+    x = pencil.at(shift).solve(pencil.mass @ pairs.vectors) / pairs.theta
+    values, vectors = _rayleigh_ritz(pencil, x)
+    return lanczos.RitzPairs(1 / (values - shift), vectors, pairs.exhausted)
 
 
 def _again(pencil: Pencil, shift: float, pairs: lanczos.RitzPairs, missing: int) -> lanczos.RitzPairs:
@@ -198,6 +223,7 @@ def _band(
     progress: Callable[[float, str], None] | None,
 ) -> EigenModes:
     low, high = eigenvalue(band[0]), eigenvalue(band[1])
+    _say(progress, pencil)
     top = _counted(pencil, high, 1)
     bottom = _counted(pencil, low, -1) if band[0] > 0 else _Count(0, -np.inf)
     wanted = top.below - bottom.below
@@ -223,6 +249,7 @@ def _band(
         values = sigma + 1 / theta
         return int(((values < top.shift) & (values > (-np.inf if few else bottom.shift))).sum())
 
+    pencil.reserve(lanczos.capacity(pencil.size, expected + EXTRA) + 3 * expected)
     factor = pencil.at(sigma)
     pairs = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
     for _ in range(ROUNDS):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Int
 
 
 def skew(r: Any_) -> Any_:
@@ -15,9 +15,9 @@ def skew(r: Any_) -> Any_:
     return out
 
 
-def unit(v: Float) -> Float:
-    """Vectors (..., 3) divided by their length."""
-    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
+def unit(v: Any_) -> Any_:
+    """Vectors (..., 3) divided by their length, analytic."""
+    return np.asarray(v / np.sqrt((v * v).sum(axis=-1, keepdims=True)))
 
 
 def arm(r: Any_) -> Any_:
@@ -42,10 +42,10 @@ def nodal(blocks: Any_) -> Any_:
     return out.reshape(e, 6 * k, 6 * k)
 
 
-def rotation(R: Float, k: int) -> Float:
+def rotation(R: Any_, k: int) -> Any_:
     """Basic motion (6k) to local: local axes R (e, 3, 3) as rows -> (e, 6k, 6k)."""
     e = len(R)
-    out = np.zeros((e, 2 * k, 3, 2 * k, 3))
+    out = np.zeros((e, 2 * k, 3, 2 * k, 3), dtype=R.dtype)
     at = np.arange(2 * k)
     out[:, at, :, at, :] = R
     return out.reshape(e, 6 * k, 6 * k)

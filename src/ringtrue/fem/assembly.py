@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +12,14 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.fem.algebra import arm
-from ringtrue.fem.constraints import eliminate, singular_dofs
+from ringtrue.fem.constraints import EPZERO, eliminate, singular_dofs
+from ringtrue.fem.elements import dmig
 from ringtrue.fem.kinds import batches, refuse
 from ringtrue.fem.mesh import Matrices, Mesh, mesh
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
+_PIECE = 8192  # elements whose matrices are held at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,30 +67,82 @@ class System:
         return np.asarray(self.local @ full)
 
 
-def sum_up(n: int, parts: Iterable[tuple[Int, Any_]]) -> sparse.csr_array:
-    """Add element matrices: dofs (e, d), -1 for none, with values (e, d) or (e, d, d), into (n, n) csr."""
-    rows, columns, values = [], [], []
-    for dofs, block in parts:
+class Sum:
+    """A running sum of symmetric element matrices, kept as lower triangles.
+
+    Triangles of like size are merged as the digits of a binary counter are carried, so that an entry moves as often
+    as the logarithm of the number of pieces, and the entries of all elements are never held at once.
+    """
+
+    __slots__ = ("_digits", "_size")
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._digits: list[sparse.csr_array | None] = []
+
+    def add(self, dofs: Int, block: Any_) -> None:
+        """Add dofs (e, d), -1 for none, with values (e, d), diagonal, or (e, d, d), symmetric."""
         i = np.asarray(dofs, dtype=np.int32)
         j = i
+        keep = block != 0
         if block.ndim == 3:
             i, j = np.broadcast_arrays(i[:, :, None], i[:, None, :])
-        keep = block != 0
+            keep &= i >= j
         if dofs.min(initial=0) < 0:
-            keep &= (i >= 0) & (j >= 0)
-        rows.append(i[keep])
-        columns.append(j[keep])
-        values.append(block[keep])
-    if not values:
-        return sparse.csr_array((n, n))
-    at = (np.concatenate(rows), np.concatenate(columns))
-    return sparse.coo_array((np.concatenate(values), at), shape=(n, n)).tocsr()
+            keep &= j >= 0
+            keep &= i >= 0
+        carry: sparse.csr_array = _csr(block[keep], i[keep], j[keep], self._size)
+        for k, digit in enumerate(self._digits):
+            if digit is None:
+                self._digits[k] = carry
+                return
+            carry, self._digits[k] = sparse.csr_array(digit + carry), None
+        self._digits.append(carry)
+
+    def total(self) -> sparse.csr_array:
+        """The sum (n, n) csr, exactly symmetric, both halves stored."""
+        lower = sparse.csr_array((self._size, self._size))
+        for digit in self._digits:
+            lower = lower if digit is None else sparse.csr_array(lower + digit)
+        self._digits = []
+        return mirrored(lower)
+
+
+def _csr(values: Any_, i: Any_, j: Any_, n: int) -> sparse.csr_array:
+    return sparse.coo_array((values, (i, j)), shape=(n, n)).tocsr()
+
+
+def mirrored(lower: sparse.csr_array) -> sparse.csr_array:
+    """The symmetric matrix whose lower triangle is given."""
+    upper = lower.T.tocsr()
+    strict = upper.indices != np.repeat(np.arange(upper.shape[0], dtype=upper.indices.dtype), np.diff(upper.indptr))
+    kept = np.concatenate([[0], np.cumsum(strict)]).astype(upper.indptr.dtype)[upper.indptr]
+    upper = sparse.csr_array((upper.data[strict], upper.indices[strict], kept), shape=upper.shape)
+    return sparse.csr_array(lower + upper)
+
+
+def sum_up(n: int, parts: Iterable[tuple[Int, Any_]]) -> sparse.csr_array:
+    """Add symmetric element matrices: dofs (e, d), -1 for none, with values (e, d) or (e, d, d), into (n, n) csr."""
+    total = Sum(n)
+    for dofs, block in parts:
+        total.add(dofs, block)
+    return total.total()
 
 
 def reduced(T: sparse.csr_array, A: sparse.csr_array) -> sparse.csr_array:
-    """TᵀAT, exactly symmetric."""
+    """TᵀAT for a symmetric A, exactly symmetric."""
+    if (rows := _selected(T)) is not None:
+        return sparse.csr_array(A[rows][:, rows])
     B = sparse.csr_array(T.T.tocsr() @ A @ T)
     return sparse.csr_array((B + B.T) * 0.5)
+
+
+def _selected(T: sparse.csr_array) -> Int | None:
+    """The row that each column of T picks, in order, if T is nothing but such a selection."""
+    if T.nnz != T.shape[1] or (T.data != 1).any() or (np.diff(T.indptr) > 1).any():
+        return None
+    rows = np.flatnonzero(np.diff(T.indptr))
+    return rows if (T.indices == np.arange(T.shape[1])).all() else None
 
 
 def full_matrices(m: Mesh, parts: list[Matrices]) -> tuple[sparse.csr_array, sparse.csr_array]:
@@ -118,17 +172,21 @@ def assemble(model: Model) -> System:
     """
     refuse(model)
     m = mesh(model)
-    parts = [build(m, card, at) for card, build, at in batches(model)]
-    K, M = full_matrices(m, parts)
+    K, M, B, S = _totals(m)
     T_local, free = eliminate(m)
     rotation = turn(m)
+    if (direct := dmig.given(m)) is not None:
+        K, M, B = (sparse.csr_array(A + rotation @ D @ rotation.T) for A, D in zip((K, M, B), direct, strict=True))
     T = sparse.csr_array(rotation @ T_local)
+    T.eliminate_zeros()
     stiffness = reduced(T, K)
+    del K
     drop = np.zeros(free.size, dtype=bool)
     if str(model.params.get("AUTOSPC", "YES")).upper() != "NO":
-        drop = singular_dofs(stiffness, free, len(m.xyz))
+        drop = singular_dofs(stiffness, free, len(m.xyz), m.model.param("EPZERO", EPZERO))
     keep = np.flatnonzero(~drop)
-    T, stiffness = T[:, keep], stiffness[keep][:, keep]
+    if drop.any():
+        T, stiffness = T[:, keep], stiffness[keep][:, keep]
     names = m.dofs
     held = DofSet(names.node[free[drop]], names.direction[free[drop]])
     if len(held):
@@ -136,8 +194,8 @@ def assemble(model: Model) -> System:
     return System(
         stiffness,
         reduced(T, M),
-        reduced(T, sum_up(m.size, ((p.dofs, p.viscous) for p in parts if len(p.viscous)))),
-        _structural(m, T, stiffness, parts),
+        reduced(T, B),
+        sparse.csr_array(reduced(T, S) + stiffness * g) if (g := m.model.param("G", 0.0)) else reduced(T, S),
         T,
         sparse.csr_array(rotation.T.tocsr()[free[keep]]),
         names,
@@ -147,11 +205,21 @@ def assemble(model: Model) -> System:
     )
 
 
-def _structural(m: Mesh, T: sparse.csr_array, stiffness: sparse.csr_array, parts: list[Matrices]) -> sparse.csr_array:
-    own = []
-    for p in parts:
-        at = np.flatnonzero(p.loss)
-        if at.size:
-            own.append((p.dofs[at], p.loss[at][:, None, None] * p.stiffness[at]))
-    S = reduced(T, sum_up(m.size, own))
-    return sparse.csr_array(S + stiffness * m.model.param("G", 0.0))
+def _pieces(m: Mesh) -> Iterator[Matrices]:
+    """The element matrices, of so many elements at a time that they never fill the memory."""
+    for card, build, at in batches(m.model):
+        for first in range(0, at.size, _PIECE):
+            yield build(m, card, at[first : first + _PIECE])
+
+
+def _totals(m: Mesh) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array, sparse.csr_array]:
+    """Stiffness, mass, viscous damping and Σ g_e K_e (n, n) over the full basic DOFs, each element computed once."""
+    K, M, B, S = (Sum(m.size) for _ in range(4))
+    for p in _pieces(m):
+        K.add(p.dofs, p.stiffness)
+        M.add(p.dofs, p.mass)
+        if len(p.viscous):
+            B.add(p.dofs, p.viscous)
+        if (at := np.flatnonzero(p.loss)).size:
+            S.add(p.dofs[at], p.loss[at][:, None, None] * p.stiffness[at])
+    return K.total(), sparse.csr_array(M.total() * m.model.param("WTMASS", 1.0)), B.total(), S.total()

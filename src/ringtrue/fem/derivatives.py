@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Int
-from ringtrue.core.parameters import Parameter
-from ringtrue.errors import InputError, UnsupportedError, did_you_mean
-from ringtrue.fem.assembly import System, full_matrices, reduced
-from ringtrue.fem.kinds import affected, batches
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.parameters import Parameter, Target
+from ringtrue.eigen.derivatives import Slope
+from ringtrue.errors import UnsupportedError
+from ringtrue.fem.assembly import System, full_matrices, reduced, sum_up, turn
+from ringtrue.fem.change import changed, rows_of, scaled, within
+from ringtrue.fem.constraints import eliminate
+from ringtrue.fem.kinds import batches
 from ringtrue.fem.mesh import Mesh, mesh
+from ringtrue.fem.slopes import CENTRAL, SMALL, ElementSlopes, displaced, element_slopes, is_place, moves_nodes
 from ringtrue.model.model import Model
 
-STEP = 1e-40  # of the complex step; nothing is subtracted, so it costs no digits
+__all__ = ["PowerTerm", "bilinear", "matrix_derivatives", "scaled", "system_derivatives", "terms"]
+
 CHECK = 1.37  # a factor at which the polynomial must hold
 EXACT, NOISE = 1e-10, 1e-13  # relative: not polynomial above, no such power below
-_PLACES = """X1 X2 X3 W1A W2A W3A W1B W2B W3B S S1 S2 S3 N1A N2A N1B N2B M1A M2A M1B M2B"""
-_GEOMETRY = frozenset(_PLACES.split())
-_BOTH_ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "I12": "I12B", "J": "JB", "NSM": "NSMB"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,47 +35,9 @@ class PowerTerm:
     mass: sparse.csr_array
 
 
-def scaled(model: Model, parameter: Parameter, factor: float | complex) -> Model:
-    """A copy of the model with the parameter's fields times `factor` (complex for a complex step).
-
-    A PBEAM whose end B equals its end A keeps that.
-
-    Raises
-    ------
-    InputError
-        If a card, id or field is absent, blank or not a real number.
-    """
-    tables = dict(model.tables)
-    for t in parameter.targets:
-        where = f"parameter {parameter.name}: {t.card} {t.id} {t.field}"
-        if t.card not in tables or tables[t.card].find(np.array([t.id]))[0] < 0:
-            raise InputError(f"{where}: no such card in the model")
-        table, row = tables[t.card], int(tables[t.card].find(np.array([t.id]))[0])
-        if t.field not in table.columns:
-            raise InputError(f"{where}: no such field{did_you_mean(t.field, table.columns)}")
-        old = table[t.field]
-        if old.dtype.kind not in "fc" or np.isnan(old[row]):
-            raise InputError(
-                f"{where}: must hold a real number, got {'a blank' if old.dtype.kind in 'fc' else old[row]}"
-            )
-        twin = _BOTH_ENDS.get(t.field) if t.card == "PBEAM" else None
-        fields = [t.field, twin] if twin and table[twin][row] == old[row] else [t.field]
-        for name in fields:
-            column = table[name].astype(np.result_type(table[name], type(factor)))
-            column[row] = column[row] * factor
-            table = table.with_column(name, column)
-        tables[t.card] = table
-    return replace(model, tables=tables)
-
-
-def _targets(parameter: Parameter) -> dict[str, Int]:
-    cards = {t.card for t in parameter.targets}
-    return {c: np.array([t.id for t in parameter.targets if t.card == c]) for c in sorted(cards)}
-
-
-def _sample(m: Mesh, rows: dict[str, Int], parameter: Parameter, a: complex) -> list[sparse.csr_array]:
-    """Full K and M of the affected elements at the factor a."""
-    there = replace(m, model=scaled(m.model, parameter, a))
+def _sample(m: Mesh, name: str, targets: Sequence[Target], rows: dict[str, Int], a: complex) -> list[sparse.csr_array]:
+    """Full K and M of the rows at the factor a."""
+    there = Mesh(changed(m.model, name, targets, a), m.xyz, m.cd, m.scalar)
     parts = [build(there, card, at) for card, build, at in batches(there.model, rows)]
     return list(full_matrices(there, parts))
 
@@ -103,9 +68,52 @@ def terms(model: Model, parameter: Parameter, system: System) -> tuple[PowerTerm
     """
     _refuse_geometry(parameter)
     m = mesh(model)
-    rows = affected(model, _targets(parameter))
+    sums = [[sparse.csr_array((m.size, m.size)) for _ in range(2)] for _ in range(4)]  # over powers, then K and M
+    for targets, rows in _together(model, parameter):
+        for power, parts in enumerate(_cubic(m, parameter, targets, rows)):
+            sums[power] = [sparse.csr_array(a + b) for a, b in zip(sums[power], parts, strict=True)]
+    if parameter.substructures:
+        only = Parameter(parameter.name, substructures=parameter.substructures)
+        K, M, _, _ = _summed(m, list(element_slopes(model, [only])), 1)[0]
+        sums[1] = [sparse.csr_array(sums[1][0] + K), sparse.csr_array(sums[1][1] + M)]
+    found = []
+    for power in (1, 2, 3):
+        if any(_size(A) for A in sums[power]):
+            K, M = (reduced(system.transform, A) for A in sums[power])
+            found.append(PowerTerm(power, K, M))
+    return tuple(found)
+
+
+def _together(model: Model, parameter: Parameter) -> list[tuple[list[Target], dict[str, Int]]]:
+    """Targets of the same elements, and the rows that they change.
+
+    Raises
+    ------
+    UnsupportedError
+        If groups of targets meant for different elements share an element: their products are not sums.
+    """
+    groups: dict[tuple[int, ...], list[Target]] = {}
+    for t in parameter.targets:
+        groups.setdefault(t.elements, []).append(t)
+    out: list[tuple[list[Target], dict[str, Int]]] = []
+    for elements, targets in groups.items():
+        rows: dict[str, Int] = {}
+        changed(model, parameter.name, targets, 1.0)  # names a target that is not there
+        for t in targets:
+            for card, at in within(model, rows_of(model, t), elements).items():
+                rows[card] = np.union1d(rows[card], at) if card in rows else at
+        if any(np.intersect1d(at, other[c]).size for _, other in out for c, at in rows.items() if c in other):
+            raise UnsupportedError(f"parameter {parameter.name}: its targets share elements, but not all of them")
+        out.append((targets, rows))
+    return out
+
+
+def _cubic(m: Mesh, parameter: Parameter, targets: list[Target], rows: dict[str, Int]) -> list[list[sparse.csr_array]]:
+    """c0..c3 of K and M of the rows, proved at a further point."""
     with np.errstate(all="ignore"):  # a rational dependence may have its pole at one of the points; it is refused
-        samples: dict[complex, list[sparse.csr_array]] = {a: _sample(m, rows, parameter, a) for a in (1, -1, 1j, CHECK)}
+        samples: dict[complex, list[sparse.csr_array]] = {
+            a: _sample(m, parameter.name, targets, rows, a) for a in (1, -1, 1j, CHECK)
+        }
     parts = []
     for which in range(2):
         at = {a: s[which] for a, s in samples.items()}
@@ -113,15 +121,9 @@ def terms(model: Model, parameter: Parameter, system: System) -> tuple[PowerTerm
         miss = _size(c[0] + CHECK * c[1] + CHECK**2 * c[2] + CHECK**3 * c[3] - at[CHECK])
         if not miss <= EXACT * _size(at[CHECK]):
             raise UnsupportedError(_not_polynomial(parameter))
-        parts.append(c)
-    scale = [_size(s) for s in samples[1]]
-    found = []
-    for power in (1, 2, 3):
-        here = [c[power] if _size(c[power]) > NOISE * s else c[power] * 0 for c, s in zip(parts, scale, strict=True)]
-        if any(_size(A) for A in here):
-            K, M = (reduced(system.transform, A) for A in here)
-            found.append(PowerTerm(power, K, M))
-    return tuple(found)
+        noise = NOISE * _size(samples[1][which])
+        parts.append([a if _size(a) > noise else a * 0 for a in c])
+    return [list(pair) for pair in zip(*parts, strict=True)]
 
 
 def _not_polynomial(parameter: Parameter) -> str:
@@ -132,30 +134,143 @@ def _not_polynomial(parameter: Parameter) -> str:
     )
 
 
-def matrix_derivatives(model: Model, parameter: Parameter, system: System) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """∂K/∂a and ∂M/∂a at a = 1, (f, f) csr, by a complex step through the kernels (Squire and Trapp 1998).
-
-    Raises
-    ------
-    UnsupportedError
-        If a target is a place or direction, through which no complex step passes.
-    InputError
-        If a target is not in the model.
-    """
-    _refuse_geometry(parameter)
-    m = mesh(model)
-    rows = affected(model, _targets(parameter))
-    K, M = (_imaginary(A) for A in _sample(m, rows, parameter, 1 + 1j * STEP))
-    return reduced(system.transform, K), reduced(system.transform, M)
-
-
-def _imaginary(A: sparse.csr_array) -> sparse.csr_array:
-    return sparse.csr_array((A.data.imag / STEP, A.indices, A.indptr), shape=A.shape)
-
-
 def _refuse_geometry(parameter: Parameter) -> None:
-    bad = [f"{t.card} {t.field}" for t in parameter.targets if t.field in _GEOMETRY or t.card == "GRID"]
+    bad = [f"{t.card} {t.field}" for t in parameter.targets if is_place(t) or _is_arm(t)]
+    bad += [f"shape of {len(s.nodes)} nodes" for s in parameter.shapes]
     if bad:
         raise UnsupportedError(
             f"parameter {parameter.name}: {bad[0]} is a place or direction, not a section or material"
         )
+
+
+def _is_arm(t: Target) -> bool:
+    arms = "X1 X2 X3 S S1 S2 S3 N1A N2A N1B N2B M1A M2A M1B M2B"
+    return t.field in arms.split()
+
+
+def matrix_derivatives(model: Model, parameter: Parameter, system: System) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """∂K/∂a and ∂M/∂a at a = 1, (f, f) csr; see `system_derivatives`."""
+    (slope,) = system_derivatives(model, [parameter], system)
+    return slope.stiffness, slope.mass
+
+
+def system_derivatives(model: Model, parameters: Sequence[Parameter], system: System) -> list[Slope]:
+    """∂K/∂a, ∂M/∂a, ∂D/∂a and ∂H/∂a (structural damping) at a = 1 of each parameter, (f, f) csr.
+
+    Only the affected elements are computed, for as many parameters at once as do not share one. Where nodes move,
+    rigid elements and displacement frames move along.
+
+    Raises
+    ------
+    InputError
+        If a target, node or element is not in the model.
+    """
+    m, T = mesh(model), system.transform
+    slopes = list(element_slopes(model, parameters))
+    Tt, G = sparse.csr_array(T.T), m.model.param("G", 0.0)
+    out = []
+    for p, full in zip(parameters, _summed(m, slopes, len(parameters)), strict=True):
+        K, M, D, H = (_congruent(T, Tt, A) for A in full)
+        if (dT := _transform_slope(m, p, system)) is not None:
+            K, M, D, H = (A + B for A, B in zip((K, M, D, H), _carried(model, system, dT), strict=True))
+        out.append(Slope(K, M, sparse.csr_array(D), sparse.csr_array(H + G * K)))
+    return out
+
+
+def _congruent(T: sparse.csr_array, Tt: sparse.csr_array, A: sparse.csr_array) -> sparse.csr_array:
+    B = sparse.csr_array(Tt @ A @ T) if A.nnz else sparse.csr_array((T.shape[1], T.shape[1]))
+    return sparse.csr_array((B + B.T) * 0.5)
+
+
+def _summed(m: Mesh, slopes: Sequence[ElementSlopes], count: int) -> list[list[sparse.csr_array]]:
+    """Full K', M', D', H' of each parameter."""
+    mine: list[list[tuple[ElementSlopes, Int]]] = [[] for _ in range(count)]
+    for s in slopes:
+        order = np.argsort(s.owner, kind="stable")
+        present, first = np.unique(s.owner[order], return_index=True)
+        for i, at in zip(present.tolist(), np.split(order, first[1:]), strict=True):
+            mine[i].append((s, at))
+    names = ("stiffness", "mass", "viscous", "structural")
+    return [
+        [sum_up(m.size, ((s.dofs[at], getattr(s, n)[at]) for s, at in parts if getattr(s, n).size)) for n in names]
+        for parts in mine
+    ]
+
+
+def _transform_slope(m: Mesh, p: Parameter, system: System) -> sparse.csr_array | None:
+    """∂T/∂a of the motion of all nodes by the free ones, where nodes of the parameter move; None if it is zero."""
+    total = None
+    grids = [t for t in p.targets if moves_nodes(t)]
+    moves: list[tuple[Target | None, int, float]] = [(t, 0, abs(t.step) or 1.0) for t in grids]
+    moves += [(None, k, float(np.abs(s.vectors).max(initial=0.0))) for k, s in enumerate(p.shapes)]
+    for target, shape, size in moves:
+        h = SMALL * min(1.0, _reach(m) / (size or 1.0))
+        for k, c in CENTRAL:
+            for sign in (1, -1):
+                T = _transform(displaced(m.model, p, sign * k * h, target=target, shape=shape), system)
+                total = T * (sign * c / h) if total is None else total + T * (sign * c / h)
+    if total is None or _size(total) < 1e-9:
+        return None
+    return sparse.csr_array(total)
+
+
+def _reach(m: Mesh) -> float:
+    return float(np.linalg.norm(np.ptp(m.xyz, axis=0))) or 1.0
+
+
+def _transform(model: Model, system: System) -> sparse.csr_array:
+    m = mesh(model)
+    local, free = eliminate(m)
+    at = np.searchsorted(free, system.dofs.find(system.free.node, system.free.direction))
+    return sparse.csr_array(turn(m) @ local)[:, at]
+
+
+def _carried(model: Model, system: System, dT: sparse.csr_array) -> list[sparse.csr_array]:
+    """dTᵀ A T + Tᵀ A dT of the full K, M, D and Σ g K."""
+    m = mesh(model)
+    parts = [build(m, card, at) for card, build, at in batches(model)]
+    K, M = full_matrices(m, parts)
+    D = sum_up(m.size, ((p.dofs, p.viscous) for p in parts if len(p.viscous)))
+    H = sum_up(m.size, ((p.dofs, p.loss[:, None, None] * p.stiffness) for p in parts))
+    out = []
+    for A in (K, M, D, H):
+        half = sparse.csr_array(dT.T.tocsr() @ A @ system.transform)
+        out.append(sparse.csr_array(half + half.T))
+    return out
+
+
+def bilinear(
+    model: Model, parameters: Sequence[Parameter], system: System, left: Float, right: Float
+) -> tuple[Float, Float]:
+    """uᵀ(∂K/∂a)v and uᵀ(∂M/∂a)v of many vectors and parameters, from the elements, with no sparse matrix made.
+
+    Parameters
+    ----------
+    left : (s, f, m) float64
+        s vectors u for each v: eigenvalues need the modes themselves, other quantities their adjoint vectors.
+    right : (f, m) float64
+
+    Returns
+    -------
+    stiffness, mass : (s, m, p) float64
+    """
+    T = system.transform
+    u, v = np.stack([T @ x for x in left]), T @ right
+    pad = np.zeros((1, v.shape[1]))
+    u, v = np.concatenate([u, np.zeros((len(u), *pad.shape))], axis=1), np.concatenate([v, pad])
+    K, M = (np.zeros((len(parameters), *left.shape[::2])) for _ in range(2))
+    for s in element_slopes(model, parameters):
+        ve, ue = v[s.dofs], u[:, s.dofs]  # DOF -1 is the row of zeros
+        kv = s.stiffness @ ve if np.any(s.stiffness) else None
+        mv = s.mass[:, :, None] * ve if s.mass.ndim == 2 else s.mass @ ve
+        for total, av in ((K, kv), (M, mv if np.any(s.mass) else None)):
+            if av is not None:
+                np.add.at(total, s.owner, np.einsum("sedm,edm->esm", ue, av))
+    for i, p in enumerate(parameters):
+        if (p.shapes or any(moves_nodes(t) for t in p.targets)) and (
+            dT := _transform_slope(mesh(model), p, system)
+        ) is not None:
+            dK, dM, _, _ = _carried(model, system, dT)
+            for total, A in ((K, dK), (M, dM)):
+                total[i] += np.einsum("sfm,fm->sm", left, A @ right)
+    return K.transpose(1, 2, 0), M.transpose(1, 2, 0)

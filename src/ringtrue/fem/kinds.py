@@ -8,9 +8,25 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Int
 from ringtrue.errors import UnsupportedCard
-from ringtrue.fem.elements import bar, bush, hexa, mass, penta, rod, shell3, shell4, spring, tetra
+from ringtrue.fem.elements import (
+    bar,
+    bush,
+    damper,
+    hexa,
+    mass,
+    penta,
+    pyramid,
+    rod,
+    shell3,
+    shell4,
+    shell8,
+    spring,
+    tetra,
+)
+from ringtrue.fem.elements.shell_section import LAMINATES
+from ringtrue.fem.elements.solid import alike
 from ringtrue.fem.mesh import Matrices, Mesh
-from ringtrue.model.cards import is_unsupported
+from ringtrue.model.cards import columns, is_unsupported
 from ringtrue.model.model import Model, Table
 
 Build = Callable[[Mesh, str, Int], Matrices]
@@ -22,31 +38,55 @@ ELEMENTS: Mapping[str, Build] = {
     "CBAR": bar.build,
     "CBEAM": bar.build,
     "CQUAD4": shell4.build,
+    "CQUADR": shell4.build,
     "CTRIA3": shell3.build,
+    "CTRIAR": shell3.build,
+    "CQUAD8": shell8.build,
+    "CTRIA6": shell8.build,
     "CHEXA": hexa.build,
     "CPENTA": penta.build,
-    "CTETRA": tetra.build4,
+    "CPYRAM": pyramid.build,
+    "CTETRA": tetra.build,
     "CBUSH": bush.build,
     "CELAS1": spring.build,
     "CELAS2": spring.build,
+    "CELAS3": spring.build,
+    "CELAS4": spring.build,
+    "CDAMP1": damper.build,
+    "CDAMP2": damper.build,
+    "CDAMP3": damper.build,
+    "CDAMP4": damper.build,
+    "CVISC": damper.build_line,
     "CMASS1": spring.build_mass,
     "CMASS2": spring.build_mass,
+    "CMASS3": spring.build_mass,
+    "CMASS4": spring.build_mass,
+    "CONM1": mass.build_matrix,
     "CONM2": mass.build,
 }
+SOLIDS = {s.card: s for s in (hexa.HEXA, penta.PENTA, pyramid.PYRAMID, tetra.TETRA)}
+RIGID = frozenset(("RBAR", "RBE1", "RBE2", "RBE3"))  # eliminated, see `fem.constraints`
+SHELLS = ("CQUAD4", "CQUADR", "CTRIA3", "CTRIAR", "CQUAD8", "CTRIA6")
 PROPERTY = {
     "CROD": "PROD",
     "CTUBE": "PTUBE",
     "CBAR": "PBAR",
     "CBEAM": "PBEAM",
-    "CQUAD4": "PSHELL",
-    "CTRIA3": "PSHELL",
+    **dict.fromkeys(SHELLS, "PSHELL"),
     "CHEXA": "PSOLID",
     "CPENTA": "PSOLID",
+    "CPYRAM": "PSOLID",
     "CTETRA": "PSOLID",
     "CBUSH": "PBUSH",
     "CELAS1": "PELAS",
+    "CELAS3": "PELAS",
+    "CDAMP1": "PDAMP",
+    "CDAMP3": "PDAMP",
+    "CVISC": "PVISC",
     "CMASS1": "PMASS",
+    "CMASS3": "PMASS",
 }
+MATERIALS = ("MAT1", "MAT2", "MAT8", "MAT9")
 MATERIAL = {
     "PROD": ("MID",),
     "PTUBE": ("MID",),
@@ -54,7 +94,7 @@ MATERIAL = {
     "PBAR": ("MID",),
     "PBEAM": ("MID",),
     "PSOLID": ("MID",),
-    "PSHELL": ("MID1", "MID2", "MID3"),
+    "PSHELL": ("MID1", "MID2", "MID3", "MID4"),
 }
 
 
@@ -63,6 +103,11 @@ def refuse(model: Model) -> None:
     found = sorted(c for c in model.kept if is_unsupported(c))
     if found:
         raise UnsupportedCard(found[0], why=f"{model.kept[found[0]]} in the deck; replace or remove it")
+    for card, table in model.tables.items():
+        if len(table) and columns(card)[0].name == "EID" and card not in ELEMENTS and card not in RIGID:
+            known = 0 <= table.file[0] < len(model.files)
+            path, line = (model.files[table.file[0]], int(table.line[0])) if known else (None, None)
+            raise UnsupportedCard(card, path=path, line=line, why="it is read, but not assembled; replace or remove it")
 
 
 def batches(model: Model, rows: Mapping[str, Int] | None = None) -> Iterable[tuple[str, Build, Int]]:
@@ -71,11 +116,9 @@ def batches(model: Model, rows: Mapping[str, Int] | None = None) -> Iterable[tup
         if card not in model:
             continue
         at = np.arange(len(model[card])) if rows is None else rows.get(card, np.empty(0, dtype=np.int64))
-        if card == "CTETRA" and "G5" in model[card].columns:
-            high = (model[card].stack("G5", "G6", "G7", "G8", "G9", "G10")[at] > 0).any(axis=1)
-            if high.any():
-                yield card, tetra.build10, at[high]
-            at = at[~high]
+        if card in SOLIDS:
+            yield from ((card, build, group) for group in alike(SOLIDS[card], model, at))
+            continue
         if at.size:
             yield card, build, at
 
@@ -92,8 +135,8 @@ def affected(model: Model, ids: Mapping[str, Int]) -> dict[str, Int]:
 def _uses(model: Model, card: str, ids: Mapping[str, Int]) -> Bool:
     t = model[card]
     hit: Bool = np.isin(t.ids, ids.get(card, ())) | _materials(t, card, ids)
-    name = PROPERTY.get(card)
-    if name and name in model:
+    names = [PROPERTY.get(card), *(LAMINATES if card in SHELLS else ())]
+    for name in (n for n in names if n in model):
         p = model[name]
         chosen = np.isin(p.ids, ids.get(name, ())) | _materials(p, name, ids)
         hit |= np.isin(t["PID"], p.ids[chosen])
@@ -101,7 +144,11 @@ def _uses(model: Model, card: str, ids: Mapping[str, Int]) -> Bool:
 
 
 def _materials(t: Table, card: str, ids: Mapping[str, Int]) -> Bool:
-    wanted = ids.get("MAT1", ())
+    wanted = np.concatenate([np.zeros(0, dtype=np.int64), *(ids[c] for c in MATERIALS if c in ids)])
+    if card in LAMINATES:
+        mid = t.ragged("MID")
+        row = np.repeat(np.arange(len(t)), np.diff(mid.offsets))
+        return np.asarray(np.isin(np.arange(len(t)), row[np.isin(mid.values, wanted)]))
     if card not in MATERIAL:
         return np.zeros(len(t), dtype=bool)
     return np.asarray(np.isin(t.stack(*MATERIAL[card]), wanted).any(axis=1))

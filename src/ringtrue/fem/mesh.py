@@ -12,6 +12,8 @@ from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, Table
 
+SCALAR_CARDS = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4")  # they define the points that they name
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
@@ -91,8 +93,17 @@ def mesh(model: Model) -> Mesh:
     if (count > 1).any():
         raise DeckError(f"GRID {ids[count > 1][0]} occurs twice")
     xyz = positions(model)
-    scalar = np.unique(model["SPOINT"].ragged("ID").values) if "SPOINT" in model else np.empty(0, dtype=np.int64)
-    return Mesh(model, xyz, axes(model, model["GRID"]["CD"], xyz), scalar.astype(np.int64))
+    return Mesh(model, xyz, axes(model, model["GRID"]["CD"], xyz), scalar_points(model))
+
+
+def scalar_points(model: Model) -> Int:
+    """Ids of the scalar points, ascending: those of SPOINT, and those that only a scalar element names."""
+    ids = [np.empty(0, dtype=np.int64)]
+    if "SPOINT" in model:
+        ids.append(model["SPOINT"].ragged("ID").values.astype(np.int64))
+    ids += [model[card][end] for card in SCALAR_CARDS if card in model for end in ("S1", "S2")]
+    every = np.unique(np.concatenate(ids))
+    return every[every > 0]
 
 
 def error(model: Model, table: Table, row: int, message: str) -> DeckError:

@@ -1,10 +1,14 @@
-"""Frequency response by modal superposition."""
+"""Frequency response by modal superposition, with coupled modes and residual vectors, and by direct solution."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from scipy import sparse
 
 from ringtrue.core.arrays import Complex, Float
+from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.errors import InputError, did_you_mean
 
 _POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
@@ -60,3 +64,86 @@ def frf(
     if residual is not None:
         H = H + ((1j * w) ** power)[:, None, None] * residual
     return np.asarray(H, dtype=np.complex128)
+
+
+def coupled(
+    freqs: Float,
+    values: Float,
+    viscous: Float,
+    structural: Float,
+    phi_out: Float,
+    phi_in: Float,
+    *,
+    kind: str = "accelerance",
+) -> Complex:
+    """H(ω) = (iω)^n Φ_out (Λ − ω² + iωΦᵀDΦ + iΦᵀHΦ)⁻¹ Φ_inᵀ: modes coupled by the model's own damping.
+
+    Parameters
+    ----------
+    freqs : (freq,) float64, Hz
+    values : (m,) float64, (rad/s)²
+    viscous, structural : (m, m) float64
+    phi_out, phi_in : (out, m), (in, m) float64
+        Mass-normalised shapes and residual vectors at the outputs and inputs.
+    kind : {"receptance", "mobility", "accelerance"}
+
+    Returns
+    -------
+    (freq, out, in) complex128
+
+    Raises
+    ------
+    InputError
+        On an unknown kind, or a frequency at which an undamped mode stands.
+    """
+    if kind not in _POWER:
+        raise InputError(f"kind {kind!r}{did_you_mean(kind, _POWER)}")
+    w = 2 * np.pi * np.asarray(freqs, dtype=np.float64)[:, None, None]
+    q = np.diag(values) + 1j * structural - w**2 * np.eye(values.size) + 1j * w * viscous
+    try:
+        x = np.linalg.solve(q, np.broadcast_to(phi_in.T, (w.shape[0], *phi_in.T.shape)))
+    except np.linalg.LinAlgError:
+        raise InputError("an undamped mode stands at one of the frequencies; leave it out or give damping") from None
+    return np.asarray((1j * w) ** _POWER[kind] * (phi_out @ x), dtype=np.complex128)
+
+
+def direct(
+    system: DynamicStiffness,
+    freqs: Float,
+    rows_out: sparse.csr_array,
+    rows_in: sparse.csr_array,
+    *,
+    kind: str = "accelerance",
+    progress: Callable[[float, str], None] | None = None,
+) -> Complex:
+    """H(ω) = (iω)^n C_out Q(iω)⁻¹ C_inᵀ, one factorisation a frequency on one analysis.
+
+    Parameters
+    ----------
+    system : DynamicStiffness
+    freqs : (freq,) float64, Hz
+    rows_out, rows_in : (out, f), (in, f) csr_array
+        Motions and loads in the DOFs of the system.
+    kind : {"receptance", "mobility", "accelerance"}
+
+    Returns
+    -------
+    (freq, out, in) complex128
+
+    Raises
+    ------
+    InputError
+        On an unknown kind.
+    SingularModel
+        If an undamped mode stands at one of the frequencies.
+    """
+    if kind not in _POWER:
+        raise InputError(f"kind {kind!r}{did_you_mean(kind, _POWER)}")
+    loads = rows_in.T.toarray()
+    H = np.empty((len(freqs), rows_out.shape[0], rows_in.shape[0]), dtype=np.complex128)
+    for i, f in enumerate(np.asarray(freqs, dtype=np.float64).tolist()):  # each is a factorisation of its own
+        s = 2j * np.pi * f
+        H[i] = s ** _POWER[kind] * (rows_out @ system.solve(s, loads))
+        if progress is not None:
+            progress((i + 1) / len(freqs), f"direct solution at {f:g} Hz")
+    return H

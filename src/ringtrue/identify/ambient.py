@@ -6,26 +6,41 @@ four again and again; each band keeps 0.06 to 0.34 of its rate and overlaps the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify import variance as var
+from ringtrue.identify.ambient_verdict import Found, confidence, machine, reason, select, uncertainty
 from ringtrue.identify.poles import PoleSet, StableDiagram
-from ringtrue.identify.ssi import BandPoles, SsiCov, all_orders, blockwise, identify_band, subspace, unit
-from ringtrue.identify.stabilise import Candidates, candidates, half_agreement
-from ringtrue.shapes.mac import mac
+from ringtrue.identify.ssi import (
+    BandPoles,
+    SsiCov,
+    Subspace,
+    all_orders,
+    choose_references,
+    identify_band,
+    loudness_weights,
+    stretch,
+    subspace,
+    unit,
+)
+from ringtrue.identify.stabilise import Candidates, candidates, half_agreement, refined, steady
+from ringtrue.identify.whittle import SpectralBins, spectral_bins
 from ringtrue.signal.preprocess import Band, Harmonic, band_signals, harmonics, usable
-from ringtrue.signal.psd import Welch, csd
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
+SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
+BLOCKS_EACH = 4  # of one stretch of a long record
+MOST_BLOCKS = 64
 Progress = Callable[[float, str], None]
 
 
@@ -42,7 +57,7 @@ class AmbientSettings:
     block_rows : int
         Block rows, fewer in a band with few samples.
     references : tuple of str
-        Reference channels; () lets each band choose at most 16.
+        Reference channels; () lets each band choose at most 8.
     confidence_min : float
         Modes below are not reported.
     """
@@ -87,17 +102,6 @@ class AmbientResult:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """Candidates of one band with shapes in the channels' units, and their confidence."""
-
-    table: Candidates
-    shape: Complex
-    shape_std: Float
-    confidence: Float
-    diagram: StableDiagram
-
-
 def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[Band, ...]:
     """The pyramid, from the highest band.
 
@@ -121,121 +125,118 @@ def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[
     return tuple(bands)
 
 
-def _halves(r: Float, weights: Float, ssi: SsiCov, rate: float, band: Band) -> tuple[PoleSet, PoleSet]:
+def _halves(r: Float, weights: Float, ssi: SsiCov, whole: Subspace, band: Band) -> tuple[PoleSet, PoleSet]:
     """Poles of the first and of the second half of the record, every other order."""
     mid = weights.size // 2
     step = replace(ssi, order_step=2 * ssi.order_step)
 
     def half(part: slice) -> PoleSet:
         mean = np.einsum("b,bkij->kij", weights[part] / weights[part].sum(), r[part])
-        sub = subspace(mean, ssi.block_rows, ssi.order_max, rate)
+        sub = subspace(mean, ssi.block_rows, ssi.order_max, whole.rate, whole.vs * whole.s)
         return all_orders(sub, None, step, (0.97 * band.low, 1.03 * band.high))[0]
 
     return half(slice(0, mid)), half(slice(mid, None))
 
 
-def confidence(c: Candidates) -> Float:
-    """(m,) 0..1: agreement of the halves, share of the orders, certainty of the damping, collinearity."""
-    _, sz = c.stds()
-    orders = np.sqrt(c.orders[:, 0] / np.maximum(c.orders[:, 1], 1))
-    known = 1 / (1 + (2 * sz / np.maximum(c.damping, 1e-3)) ** 2)
-    return np.asarray(np.clip(c.halves * orders * known * np.sqrt(c.mpc), 0, 1))
+def _spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) -> tuple[Float, Float]:
+    """Frequencies and level (dB) of the first singular value of the spectral matrix of up to 4 channels."""
+    pick = np.unique(np.linspace(0, scale.size - 1, most).round().astype(np.int64))
+    n = bins.freqs.size // join
+    if not n:
+        return np.empty(0), np.empty(0)
+    part = bins.cross[: n * join, pick[:, None], pick] * np.outer(scale[pick], scale[pick])
+    mean = part.reshape(n, join, pick.size, pick.size).mean(1)
+    top = np.linalg.svd(mean, compute_uv=False, hermitian=True)[:, 0].astype(np.float64)
+    return bins.freqs[: n * join].reshape(n, join).mean(1), 10 * np.log10(np.maximum(top, np.finfo(np.float64).tiny))
 
 
-def _spectrum(signals: TimeHistory, most: int = 8) -> tuple[Float, Float]:
-    """Frequencies and level (dB) of the first singular value of the spectral matrix of up to 8 channels."""
-    pick = np.unique(np.linspace(0, len(signals.channels) - 1, most).round().astype(np.int64))
-    part = replace(signals, data=signals.data[pick], channels=tuple(signals.channels[i] for i in pick))
-    lines = int(min(1024, signals.data.shape[1] // 4))
-    s = csd(part, Welch(signals.rate / lines))
-    return s.freqs, 10 * np.log10(np.maximum(s.singular_values()[:, 0], np.finfo(np.float64).tiny))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sums:
+    """What one band keeps of the record, however long: blocks of correlations and binned spectra.
+
+    Attributes
+    ----------
+    band : Band
+    rate : float, Hz
+    ssi : SsiCov
+    references, eyes : (ref,), (eye,) int64
+        Channels of the correlations, and those of the spectra.
+    scale : (ch,) float64
+        Root mean squares of the first stretch.
+    r : (block, lag, ch, ref) float64
+    bins : SpectralBins
+    """
+
+    band: Band
+    rate: float
+    ssi: SsiCov
+    references: Int
+    eyes: Int
+    scale: Float
+    r: Float
+    bins: SpectralBins
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Frequencies of the spectra, Hz: a little more than the band."""
+        return _span(self.band, self.rate)
+
+    def add(self, data: Float, blocks: int) -> _Sums:
+        """With one more stretch (ch, sample) of the record; pairs of blocks are joined when they become many."""
+        r = np.concatenate([self.r, stretch(data, self.ssi, blocks, self.references, self.scale)])
+        if len(r) > MOST_BLOCKS:
+            r = r[: len(r) // 2 * 2].reshape(-1, 2, *r.shape[1:]).mean(1)
+        bins = spectral_bins(data[self.eyes] / self.scale[self.eyes, None], self.rate, self.span)
+        same = bins.freqs.shape == self.bins.freqs.shape and np.isclose(bins.duration, self.bins.duration)
+        return replace(self, r=r, bins=self.bins + bins if same else self.bins)
 
 
-def _band(history: TimeHistory, band: Band, settings: AmbientSettings, refs: Int | None) -> _Found:
-    """Identify one band of the signals `history`, already filtered and decimated."""
-    data = history.data
-    rows = int(np.clip(data.shape[1] // 60, 10, settings.block_rows))
-    ssi = SsiCov(rows, settings.order_max)
-    r, weights, rms = blockwise(data, ssi, refs)
-    scale = rms[:, None]
-    poles = identify_band(r, weights, ssi, history.rate, (band.low, band.high))
+def _span(band: Band, rate: float) -> tuple[float, float]:
+    return max(0.7 * band.low, 0.02 * rate), min(1.15 * band.high, 0.4 * rate)
+
+
+def _begin(data: Float, rate: float, band: Band, settings: AmbientSettings, refs: Int | None, blocks: int) -> _Sums:
+    """The sums of the first stretch; `blocks` 0 chooses."""
+    ssi = SsiCov(int(np.clip(data.shape[1] // 60, 10, settings.block_rows)), settings.order_max)
+    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
+    refs = choose_references(data, scale) if refs is None else refs
+    eyes = choose_references(data, scale, SPECTRAL_CHANNELS)
+    blocks = blocks or var.blocks_for(data.shape[1], 2 * ssi.block_rows - 1)
+    r = stretch(data, ssi, blocks, refs, scale)
+    bins = spectral_bins(data[eyes] / scale[eyes, None], rate, _span(band, rate))
+    return _Sums(band, rate, ssi, refs, eyes, scale, r, bins)
+
+
+def _band(sums: _Sums, settings: AmbientSettings, slope: tuple[float, float]) -> Found:
+    """Modes of one band."""
+    band, ssi, r, scale = sums.band, sums.ssi, sums.r, sums.scale[:, None]
+    weights = loudness_weights(r, sums.references)
+    poles = identify_band(r, weights, ssi, sums.rate, (band.low, band.high))
     table = candidates(poles)
     if table.pole.size:
-        table = replace(table, halves=half_agreement(table, _halves(r, weights, ssi, history.rate, band)))
+        table = replace(table, halves=half_agreement(table, _halves(r, weights, ssi, poles.subspace, band)))
+    sure = confidence(table)
+    at = np.flatnonzero(sure >= settings.confidence_min)
+    if at.size and steady(weights):
+        table = refined(table, at, sums.eyes, sums.bins, slope)
     scaled = table.shape * scale
     top = np.abs(scaled).max(0, initial=0.0)
-    return _Found(
-        table,
-        unit(scaled),
-        table.shape_std * scale / top,
-        confidence(table),
-        _diagram(poles, table, history, scale),
-    )
+    shown = _diagram(poles, table, sums)
+    return Found(table, unit(scaled), table.shape_std * scale / top, sure, shown)
 
 
-def _diagram(poles: BandPoles, table: Candidates, history: TimeHistory, scale: Float) -> StableDiagram:
+def _slope(history: TimeHistory) -> tuple[float, float]:
+    """Exponent of the frequency in the responses' spectrum under a flat force, and its standard deviation."""
+    kinds = {c.quantity for c in history.channels}
+    known = {"acceleration": 4.0, "velocity": 2.0, "displacement": 0.0, "strain": 0.0}
+    kind = kinds.pop() if len(kinds) == 1 else "unknown"
+    return (known[kind], 1.5) if kind in known else (2.0, 3.0)
+
+
+def _diagram(poles: BandPoles, table: Candidates, sums: _Sums) -> StableDiagram:
     p = poles.poles
-    shown = PoleSet(p.order, p.pole, unit(p.shape * scale), p.std_frequency, p.std_damping)
-    return StableDiagram(shown, table.stable, table.label, *_spectrum(history))
-
-
-def _select(found: list[_Found], least: float) -> list[tuple[int, int]]:
-    """(band, row) of the modes to report: confident ones, each once, ascending in frequency."""
-    rows = [(b, i) for b, x in enumerate(found) for i in np.flatnonzero(x.confidence >= least).tolist()]
-    if not rows:
-        return []
-    f = np.array([found[b].table.frequencies[i] for b, i in rows])
-    z = np.array([found[b].table.damping[i] for b, i in rows])
-    sf = np.array([found[b].table.stds()[0][i] for b, i in rows])
-    conf = np.array([found[b].confidence[i] for b, i in rows])
-    band = np.array([b for b, _ in rows])
-    psi = np.stack([found[b].shape[:, i] for b, i in rows], axis=1)
-    near = np.abs(f[:, None] - f) < np.maximum(4 * np.hypot(sf[:, None], sf), (z * f)[:, None] + z * f)
-    same = near & _alike(mac(psi, psi), band, conf)
-    keep: list[int] = []
-    for k in np.lexsort((sf / f, -conf.round(1))).tolist():  # greedy: the best first
-        if not same[k, keep].any():
-            keep.append(k)
-    return [rows[k] for k in sorted(keep, key=lambda k: float(f[k]))]
-
-
-def _alike(like: Float, band: Int, conf: Float) -> Bool:
-    """Shapes (MAC `like`) of one mode; two clusters of one band beyond doubt must be more alike to be one."""
-    sure = (np.minimum(conf[:, None], conf) > 0.6) & (band[:, None] == band)
-    return np.asarray(like > np.where(sure, 0.95, 0.8))
-
-
-def _machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: float) -> Harmonic | None:
-    """The line that a pole stands on, if its width is no more than that of a line."""
-    narrow = zeta < max(2e-3, resolution / f)
-    near = [h for h in lines if abs(h.frequency - f) < max(1.5 * resolution, 1e-3 * f)]
-    return near[0] if narrow and near else None
-
-
-def _reason(c: Candidates, i: int) -> str:
-    sf, sz = c.stds()
-    n, tried = c.orders[i].tolist()
-    thin = "; so little damping may be a machine of unsteady speed" if c.damping[i] < 2.5e-3 else ""
-    return (
-        f"found at {n} of {tried} orders, std {100 * sf[i] / c.frequencies[i]:.2g} % of frequency and "
-        f"{100 * sz[i] / c.damping[i]:.2g} % of damping, MPC {c.mpc[i]:.2f}, halves of the record agree to "
-        f"{c.halves[i]:.2f}{thin}"
-    )
-
-
-def _uncertainty(found: list[_Found], at: list[tuple[int, int]], channels: int) -> Uncertainty:
-    """Standard deviations and covariance factor; modes of different bands are taken as independent."""
-    m = len(at)
-    if not m:
-        return Uncertainty.independent(np.empty(0), np.empty(0), np.empty((channels, 0)))
-    shape = np.stack([found[b].shape_std[:, i] for b, i in at], axis=1)
-    blocks = np.cumsum([0] + [x.table.deviation.shape[1] for x in found])
-    factor = np.zeros((int(blocks[-1]), 2 * m))
-    for k, (b, i) in enumerate(at):
-        df, dz = var.frequency_damping(found[b].table.pole[[i]], found[b].table.deviation[[i]])
-        factor[blocks[b] : blocks[b + 1], k], factor[blocks[b] : blocks[b + 1], m + k] = df[0], dz[0]
-    size = np.sqrt((factor**2).sum(0))
-    return Uncertainty(size[:m], size[m:], shape, factor)
+    shown = PoleSet(p.order, p.pole, unit(p.shape * sums.scale[:, None]), p.std_frequency, p.std_damping)
+    return StableDiagram(shown, table.stable, table.label, *_spectrum(sums.bins, sums.scale[sums.eyes]))
 
 
 def _notes(history: TimeHistory, left_out: list[str], modes: int, bands: tuple[Band, ...]) -> list[str]:
@@ -264,23 +265,73 @@ def identify_ambient(
     ConfigError
         If the band of interest is empty.
     """
+    return identify_stretches((history,), settings, progress=progress)
+
+
+def identify_stretches(
+    stretches: Iterable[TimeHistory], settings: AmbientSettings | None = None, *, progress: Progress | None = None
+) -> AmbientResult:
+    """Modes from a record that comes in stretches: what is kept of each does not grow with the record.
+
+    Parameters
+    ----------
+    stretches : iterable of TimeHistory
+        Successive parts of one record, of one length (`ringtrue.io.records.record_blocks`); half an hour or more
+        each, 50 cycles of the lowest mode at least. A shorter last one counts for less. The first one decides which
+        channels are usable and where machines run.
+    settings : AmbientSettings
+    progress : callable (fraction, text)
+        The fraction stays 0 while stretches come, as their number is not known.
+
+    Raises
+    ------
+    DataError
+        If no channel is usable, the first stretch is too short or a channel fails later.
+    ConfigError
+        If the band of interest is empty.
+    """
     settings = settings or AmbientSettings()
     tell = progress or (lambda _fraction, _text: None)
-    good, states = usable(history)
+    coming = iter(stretches)
+    if (first := next(coming, None)) is None:
+        raise DataError("no stretch of a record to identify")
+    second = next(coming, None)
+    good, states = usable(first)
     refs = _references(good, settings.references)
     bands = _long_enough(bands_for(good.rate, good.duration, settings), good, settings)
     tell(0.0, "filtering into bands")
-    signals = band_signals(good.data, good.rate, bands)
-    found = []
-    for k, (band, (data, rate)) in enumerate(zip(bands, signals, strict=True)):
-        tell((k + 1) / (len(bands) + 2), f"identifying {band.low:.3g} .. {band.high:.3g} Hz")
-        found.append(_band(replace(good, data=data, rate=rate), band, settings, refs))
-    tell((len(bands) + 1) / (len(bands) + 2), "looking for machines")
     lines = tuple(h for h in harmonics(good, low=bands[-1].low) if h.frequency < bands[0].high)
+    blocks = 0 if second is None else BLOCKS_EACH
+    signals = band_signals(good.data, good.rate, bands)
+    sums = [_begin(y, rate, b, settings, refs, blocks) for b, (y, rate) in zip(bands, signals, strict=True)]
+    duration = good.duration
+    for more in chain(() if second is None else (second,), coming):
+        tell(0.0, f"filtering into bands, {duration:.4g} s done")
+        sums = _continued(sums, good, more)
+        duration += more.duration
+    found = []
+    for k, x in enumerate(sums):
+        tell((k + 1) / (len(bands) + 2), f"identifying {x.band.low:.3g} .. {x.band.high:.3g} Hz")
+        found.append(_band(x, settings, _slope(good)))
     result = _assemble(good, found, lines, bands, settings)
     tell(1.0, f"{len(result.modes)} modes")
     notes = tuple(f"channel {s.id}: {s.why}{'' if s.usable else '; left out'}" for s in states)
     return replace(result, notes=notes + result.notes)
+
+
+def _continued(sums: list[_Sums], first: TimeHistory, more: TimeHistory) -> list[_Sums]:
+    """The sums with one more stretch, unless it is too short for the lags of the lowest band."""
+    part = more.pick([c.id for c in first.channels])
+    if not np.isclose(part.rate, first.rate):
+        raise DataError(f"{more.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
+    share = part.duration / first.duration
+    if share < 0.5:  # edges of the filters would weigh too much
+        return sums
+    signals = band_signals(part.data, part.rate, [x.band for x in sums])
+    bad = [c.id for c, y in zip(part.channels, signals[0][0], strict=True) if not np.isfinite(y).all()]
+    if bad:
+        raise DataError(f"{more.source}: channels {' '.join(bad[:8])} fail later in the record; leave them out")
+    return [x.add(y, BLOCKS_EACH) for x, (y, _) in zip(sums, signals, strict=True)]
 
 
 def _references(history: TimeHistory, names: tuple[str, ...]) -> Int | None:
@@ -305,16 +356,16 @@ def _long_enough(bands: tuple[Band, ...], history: TimeHistory, settings: Ambien
 
 def _assemble(
     history: TimeHistory,
-    found: list[_Found],
+    found: list[Found],
     lines: tuple[Harmonic, ...],
     bands: tuple[Band, ...],
     settings: AmbientSettings,
 ) -> AmbientResult:
     resolution = 61 * 4 / history.duration  # main lobe of the window of `harmonics` in 120 half-overlapped segments
     at, left_out = [], []
-    for b, i in _select(found, settings.confidence_min):
+    for b, i in select(found, settings.confidence_min):
         f, z = float(found[b].table.frequencies[i]), float(found[b].table.damping[i])
-        if h := _machine(f, z, lines, resolution):
+        if h := machine(f, z, lines, resolution):
             left_out.append(f"pole at {f:.4g} Hz left out: {h.why}")
         elif z < LEAST_DAMPING:
             left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")
@@ -331,9 +382,9 @@ def _assemble(
     )
     return AmbientResult(
         modes,
-        _uncertainty(found, at, len(history.channels)),
+        uncertainty(found, at, len(history.channels)),
         tuple(x.diagram for x in found),
-        tuple(_reason(found[b].table, i) for b, i in at),
+        tuple(reason(found[b].table, i) for b, i in at),
         lines,
         tuple(_notes(history, left_out, len(at), bands)),
     )

@@ -14,7 +14,8 @@ from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.refine import Refined
 
 ABOVE = 2.0  # of the error over its surroundings
-SHARE = 0.03  # amplitude of the error against the data
+SHARE = 0.03  # amplitude of the error against the data, where the data agree no better than that
+WORSE = 3.0  # times the error at the peak of a typical mode
 
 
 def missed(lines: Lines, fit: Refined, sets: Sequence[PoleSet], decay: float, most: int) -> Candidates:
@@ -50,9 +51,23 @@ def _peaks(rest: Complex, lines: Lines, fit: Refined) -> Int:
     half = int(np.ceil(zeta * np.median(lines.s.imag) / step)) + 2
     floor = median_filter(power, size=min(20 * half + 1, power.size), mode="nearest")
     top = power >= maximum_filter1d(power, 2 * half + 1, mode="nearest")
-    seen = top & (power > ABOVE * floor) & (power > SHARE**2 * uniform_filter1d(total, 3, mode="nearest"))
+    share = power / uniform_filter1d(total, 3, mode="nearest")
+    seen = top & (power > ABOVE * floor) & (share > _usual(share, lines, fit))
     at = np.flatnonzero(seen)
     return at[np.argsort(-(power / floor)[at], kind="stable")]
+
+
+def _usual(share: Float, lines: Lines, fit: Refined) -> Float:
+    """Squared share of the error in the data that is no sign of a missed mode: measured FRFs disagree by some.
+
+    On the flank of a mode an error well above that at the peaks of the others is one: two modes taken for one.
+    """
+    usual = np.full(share.size, SHARE**2)
+    if fit.poles.size > 1:
+        far = np.abs(lines.s.imag[:, None] - fit.poles.imag)
+        flank = (far < 2 * np.abs(fit.poles.real)).any(axis=1)
+        usual[flank] = min(SHARE**2, WORSE**2 * np.median(share[far.argmin(axis=0)]))
+    return usual
 
 
 def _direction(rest: Complex) -> Complex:

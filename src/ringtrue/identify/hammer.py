@@ -8,20 +8,21 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import find_peaks
 
-from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Complex, Float, freeze_fields
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.outcome import Outcome
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.identify.deflate import missed, support
 from ringtrue.identify.judge import Candidates, Verdict, judge
-from ringtrue.identify.lsfd import Lines, Noise, driving_pairs, lsfd, noise, prepare, synthesise_windowed
-from ringtrue.identify.plscf import Clusters, Plscf, cluster_poles, order_range, plscf
+from ringtrue.identify.lsfd import POWER, Lines, Noise, driving_pairs, lsfd, noise, prepare, synthesise_windowed
+from ringtrue.identify.peaks import cmif, count_peaks
+from ringtrue.identify.plscf import Clusters, Plscf, cluster_poles, order_range, plscf, pole_shapes
 from ringtrue.identify.poles import PoleSet, StableDiagram
-from ringtrue.identify.refine import Refined, refine
+from ringtrue.identify.refine import Refined, refine, shape_deviations
 from ringtrue.shapes.mac import mac
 
 log = logging.getLogger(__name__)
@@ -31,6 +32,7 @@ RATIO = 1.8  # upper to lower edge of a band
 LEAST_LINES = 64
 MOST_PEAKS = 5
 TURNS = 6
+LAST_ITERATIONS = 60
 MOST_NEW = 6
 MOST_BANDS = 40
 MOST_BYTES = 2e9
@@ -130,7 +132,8 @@ def identify_hammer(
     used = _lines(frfs, 0.8 * low, 1.25 * high)
     sigma = noise(used)
     curve = cmif(used.data / sigma.response[:, None])
-    bands = settings.bands or choose_bands(used.freqs, curve, low, high)
+    # the refinement sees all the lines: a mode left out at their ends would be patched up by broad terms inside
+    bands = settings.bands or choose_bands(used.freqs, curve, float(used.freqs[0]), float(used.freqs[-1]))
     found, diagrams = [], []
     for i, band in enumerate(bands):
         tell(0.05 + 0.55 * i / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
@@ -147,16 +150,10 @@ def identify_hammer(
         )
     tell(0.65, f"residues of {candidates.pole.size} candidates")
     lines = prepare(used, sigma)
-    fit, rejected = _fit(lines, used, candidates, [d.poles for d in diagrams], settings, tell)
+    search = _Search(lines, driving_pairs(used), settings, [d.poles for d in diagrams], used.window_decay)
+    fit, rejected = _fit(search, candidates, tell)
     tell(0.95, "verdict")
     return _report(used, lines, fit, rejected, (low, high), tuple(diagrams), curve)
-
-
-def cmif(data: Complex) -> Float:
-    """Complex mode indicator function: singular values (freq, in), descending, of `data` (freq, out, in)."""
-    gram = data.conj().transpose(0, 2, 1) @ data
-    values = np.linalg.eigvalsh(gram)[:, ::-1]
-    return np.asarray(np.sqrt(np.maximum(values, 0)))
 
 
 def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[tuple[float, float], ...]:
@@ -179,14 +176,6 @@ def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[t
 
 def _overlap(edge: float, by: float, freqs: Float) -> float:
     return float(np.clip(edge + by, freqs[0], freqs[-1]))
-
-
-def count_peaks(curve: Float) -> Int:
-    """Positions of the peaks of the first two singular values that stand 2 dB above their surroundings."""
-    level = 20 * np.log10(np.maximum(curve[:, :2], curve.max() * 1e-9))
-    kernel = np.ones(3) / 3
-    found = [find_peaks(np.convolve(c, kernel, "same"), prominence=2.0)[0] for c in level.T]
-    return np.concatenate(found).astype(np.int64)
 
 
 def _limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
@@ -224,9 +213,12 @@ def _band(
     most = settings.damping_max + frfs.window_decay / (2 * np.pi * band[0])
     estimator = Plscf(lowest, highest, most)
     white = frfs.data[at] / (np.median(sigma.line[at]) * sigma.response[:, None] * sigma.input)
-    poles = plscf(principal(white), frfs.freqs[at], estimator)
+    strong = principal(white)
+    poles = plscf(strong, frfs.freqs[at], estimator)
+    alone = n_in == 1 and strong.shape[1] > 1 and len(poles) > 0
+    responses = pole_shapes(poles, strong, frfs.freqs[at], POWER[frfs.kind]) if alone else None
     poles = replace(poles, shape=poles.shape * sigma.input[:, None])
-    clusters = cluster_poles(poles, _step(frfs))
+    clusters = cluster_poles(poles, _step(frfs), responses=responses)
     db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
     return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
 
@@ -281,50 +273,61 @@ class _Fit:
     verdict: Verdict
 
 
-def _fit(
-    lines: Lines, frfs: FrfSet, start: Candidates, sets: Sequence[PoleSet], settings: HammerModes, tell: Progress
-) -> tuple[_Fit, list[str]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """What every turn of the fit needs."""
+
+    lines: Lines
+    pairs: Sequence[tuple[int, int, float]]
+    settings: HammerModes
+    sets: Sequence[PoleSet]
+    decay: float
+
+    def refined(self, c: Candidates) -> _Fit:
+        """The candidates refined; the verdict is still open."""
+        return _Fit(refine(self.lines, c.pole, c.participation), c, Verdict(np.abs(c.pole), np.ones(c.pole.size), ()))
+
+    def judged(self, fit: _Fit, *, strict: bool) -> _Fit:
+        """The fit with its verdict."""
+        r = fit.refined
+        held = support(r.poles, r.participation, self.sets, self.decay)
+        held = held if strict else np.maximum(held, fit.candidates.support)
+        c = replace(fit.candidates, pole=r.poles, participation=r.participation, support=held)
+        verdict = judge(self.lines, r, c, self.pairs, damping_max=self.settings.damping_max, strict=strict)
+        return _Fit(r, c, verdict)
+
+    def settle(self, fit: _Fit, turns: int, *, strict: bool) -> tuple[_Fit, list[str]]:
+        """Verdict and refinement in turns, until no mode falls out."""
+        rejected: list[str] = []
+        for _ in range(turns):
+            fit = self.judged(fit, strict=strict)
+            keep = fit.verdict.confidence >= self.settings.confidence_min
+            if keep.all():
+                break
+            rejected += [fit.verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
+            fit = self.refined(fit.candidates.take(keep))
+        return fit, rejected
+
+
+def _fit(search: _Search, start: Candidates, tell: Progress) -> tuple[_Fit, list[str]]:
     """Refine and prune; then look for modes in what is left over, until none comes to stay."""
-    pairs, decay = driving_pairs(frfs), frfs.window_decay
-    best, rejected = _settle(lines, start, pairs, settings, sets, decay)
+    lines, settings = search.lines, search.settings
+    best, rejected = search.settle(search.refined(start), TURNS, strict=False)
     for turn in range(settings.searches):
         tell(0.7 + 0.25 * turn / settings.searches, f"{best.refined.poles.size} modes, looking for missed ones")
-        more = missed(lines, best.refined, sets, decay, MOST_NEW)
+        more = missed(lines, best.refined, search.sets, search.decay, MOST_NEW)
         if not more.pole.size:
             break
-        new, why = _settle(lines, _joined(best, more), pairs, settings, sets, decay)
+        new, why = search.settle(search.refined(_joined(best, more)), TURNS, strict=False)
         rejected += why
         if new.refined.poles.size < best.refined.poles.size or new.refined.cost > 0.99 * best.refined.cost:
             break
         best = new
-    best, why = _strict(lines, best, pairs, settings, sets, decay)
+    if best.refined.outcome is Outcome.MAX_ITERATIONS:  # modes that overlap take their time
+        r = best.refined
+        best = replace(best, refined=refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS))
+    best, why = search.settle(best, best.refined.poles.size + 1, strict=True)  # every turn but the last drops a mode
     return best, rejected + why
-
-
-def _strict(
-    lines: Lines,
-    fit: _Fit,
-    pairs: Sequence[tuple[int, int, float]],
-    settings: HammerModes,
-    sets: Sequence[PoleSet],
-    decay: float,
-) -> tuple[_Fit, list[str]]:
-    """The final verdict, now that no mode is missing; what is dropped is fitted no more."""
-    rejected: list[str] = []
-    while True:  # each turn drops a mode or is the last
-        refined = fit.refined
-        held = support(refined.poles, refined.participation, sets, decay)
-        candidates = replace(fit.candidates, pole=refined.poles, support=held)
-        verdict = judge(lines, refined, candidates, pairs, damping_max=settings.damping_max)
-        keep = verdict.confidence >= settings.confidence_min
-        if keep.all():
-            return _Fit(refined, candidates, verdict), rejected
-        rejected += [verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
-        fit = replace(
-            fit,
-            refined=refine(lines, refined.poles[keep], refined.participation[keep]),
-            candidates=candidates.take(keep),
-        )
 
 
 def _joined(fit: _Fit, more: Candidates) -> Candidates:
@@ -337,31 +340,7 @@ def _joined(fit: _Fit, more: Candidates) -> Candidates:
     )
 
 
-def _settle(
-    lines: Lines,
-    candidates: Candidates,
-    pairs: Sequence[tuple[int, int, float]],
-    settings: HammerModes,
-    sets: Sequence[PoleSet],
-    decay: float,
-) -> tuple[_Fit, list[str]]:
-    """Refinement and pruning in turns, until no mode falls out."""
-    rejected: list[str] = []
-    fit = refine(lines, candidates.pole, candidates.participation)
-    for _ in range(TURNS):
-        held = support(fit.poles, fit.participation, sets, decay)
-        candidates = replace(candidates, pole=fit.poles, support=np.maximum(held, candidates.support))
-        verdict = judge(lines, fit, candidates, pairs, damping_max=settings.damping_max, strict=False)
-        keep = verdict.confidence >= settings.confidence_min
-        if keep.all():
-            break
-        rejected += [verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
-        candidates = candidates.take(keep)
-        fit = refine(lines, fit.poles[keep], fit.participation[keep])
-    return _Fit(fit, candidates, verdict), rejected
-
-
-def _scale(model: ModalModel) -> Complex:
+def mode_scale(model: ModalModel) -> Complex:
     """(m,) factors to unit modal mass from unit modal A, or to a largest component of 1 from unscaled shapes."""
     largest = np.take_along_axis(model.shapes, np.abs(model.shapes).argmax(axis=0)[None], axis=0)[0]
     if model.norm is Norm.UNSCALED:
@@ -384,7 +363,7 @@ def _report(
     f = model.frequencies
     order = np.argsort(f, kind="stable")
     told = order[(f[order] >= band[0]) & (f[order] <= band[1])]
-    alpha = _scale(model)
+    alpha = mode_scale(model)
     norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
     modes = ModeSet(
         f[told],
@@ -395,8 +374,9 @@ def _report(
         frfs.source or "hammer FRFs, pLSCF",
         verdict.confidence[told],
     )
-    unit = np.linalg.norm(model.shapes * alpha, axis=0) / np.maximum(np.linalg.norm(fit.shapes, axis=0), 1e-300)
-    std = Uncertainty(fit.std_frequency, fit.std_damping, fit.std_shape * unit, fit.factor).take(told)
+    pairs = driving_pairs(frfs) if norm is Norm.MASS else []
+    shape = shape_deviations(lines, fit, pairs) * np.abs(model.shapes * alpha)
+    std = Uncertainty(fit.std_frequency, fit.std_damping, shape, fit.factor).take(told)
     fitted = synthesise_windowed(model, lines)
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
     size = np.linalg.norm(frfs.data[at], axis=0)

@@ -63,6 +63,8 @@ class MergeSettings:
         Largest relative distance.
     mac : float
         Smallest MAC on the common channels, where there are two or more.
+    weak : float
+        The same where frequencies agree within `spread`: a mode that the channels hardly see has a poor shape.
     outlier : float
         Standard deviations from the median beyond which a record is flagged.
     spread : float
@@ -71,6 +73,7 @@ class MergeSettings:
 
     frequency: float = 0.05
     mac: float = 0.5
+    weak: float = 0.3
     outlier: float = 4.0
     spread: float = 2e-3
 
@@ -116,7 +119,8 @@ def _match(group: _Group, psi: Complex, freqs: Float, settings: MergeSettings) -
     df = np.abs(freqs / group.frequency - 1)
     both = np.isfinite(group.shape) & np.isfinite(psi).all(1) if psi.shape[1] else np.zeros(group.shape.size, bool)
     like = mac(group.shape[both, None], psi[both])[0] if both.sum() > 1 else np.ones(freqs.size)
-    ok = (df < settings.frequency) & (like >= settings.mac)
+    least = np.where(df < settings.spread, settings.weak, settings.mac)
+    ok = (df < settings.frequency) & (like >= least)
     return np.where(ok, df / settings.frequency + 1 - like, np.inf)
 
 

@@ -18,6 +18,7 @@ from scipy.spatial.distance import squareform
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.errors import InputError
 from ringtrue.identify.poles import PoleSet
+from ringtrue.shapes.mac import mac
 
 MOST_STATES = 130  # order times inputs: the eigenvalue problems grow with its cube
 
@@ -152,7 +153,39 @@ class Clusters:
     scatter: Float
 
 
-def cluster_poles(poles: PoleSet, resolution: float, *, least: float = 0.3) -> Clusters:
+def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Complex:
+    """Response shapes (out, k) of the poles of each order, by least squares with a lower and an upper residual.
+
+    One input tells modes that overlap apart by their responses alone.
+
+    Parameters
+    ----------
+    poles : PoleSet
+        `shape` (in, k) holds the participation vectors.
+    data : (freq, out, in) complex128
+    freqs : (freq,) float64, Hz
+    power : int
+        0 for receptance, 1 for mobility, 2 for accelerance.
+    """
+    s = 2j * np.pi * freqs
+    kind = (s / s[-1]) ** power
+    terms = np.linalg.qr(kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size)], axis=1))[0]
+    q = kind[:, None] / (s[:, None] - poles.pole)
+    q -= terms @ (terms.conj().T @ q)
+    part = poles.shape
+    rhs = (q.conj().T @ data.reshape(s.size, -1)).reshape(len(poles), *data.shape[1:])  # terms are no part of q
+    rhs = (rhs * part.conj().T[:, None]).sum(axis=2)
+    out = np.zeros((data.shape[1], len(poles)), dtype=np.complex128)
+    for n in poles.orders:
+        at = np.flatnonzero(poles.order == n)
+        gram = (q[:, at].conj().T @ q[:, at]) * (part[:, at].conj().T @ part[:, at])
+        out[:, at] = np.linalg.lstsq(gram, rhs[at], rcond=1e-12)[0].T
+    return out
+
+
+def cluster_poles(
+    poles: PoleSet, resolution: float, *, responses: Complex | None = None, least: float = 0.3
+) -> Clusters:
     """Average-linkage clusters of poles that stay in place over the orders.
 
     The distance counts the poles in half bandwidths and the participation vectors in 1 − MAC.
@@ -161,6 +194,8 @@ def cluster_poles(poles: PoleSet, resolution: float, *, least: float = 0.3) -> C
     ----------
     poles : PoleSet
     resolution : float, Hz, the spacing of the lines
+    responses : (out, k) complex128, optional
+        Response shapes, for poles that have one input only; counted in 1 − MAC as well.
     least : float
         A cluster must hold this share of all orders.
     """
@@ -171,6 +206,8 @@ def cluster_poles(poles: PoleSet, resolution: float, *, least: float = 0.3) -> C
     far = np.abs(p[:, None] - p) / width
     if v.shape[0] > 1:
         far += (1 - np.minimum(np.abs(v.conj().T @ v) ** 2, 1.0)) / 0.4
+    if responses is not None:
+        far += (1 - np.minimum(mac(responses, responses), 1.0)) / 0.4
     np.fill_diagonal(far, 0)
     raw = fcluster(linkage(squareform((far + far.T) / 2, checks=False), "average"), 1.0, "distance")
     n_orders = poles.orders.size

@@ -7,6 +7,7 @@ products of its shape components, so that a step costs no more than one LSFD.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,8 +34,6 @@ class Refined:
     std_damping : (m,) float64
     factor : (2 m, 2 m) float64
         F with FᵀF the covariance of (frequencies, damping).
-    std_shape : (out, m) float64
-        Of the modulus of each component of `shapes`.
     error : float
         Weighted rms error; 1 means that the model explains the data down to the noise.
     cost : float
@@ -48,7 +47,6 @@ class Refined:
     std_frequency: Float
     std_damping: Float
     factor: Float
-    std_shape: Float
     error: float
     cost: float
     outcome: Outcome
@@ -63,6 +61,7 @@ class _State:
     hessian: Complex
     gradient: Complex
     shape_var: Float
+    slope: Complex  # of the augmented shapes by each parameter, times the shape of its mode
 
 
 def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: int = ITERATIONS) -> Refined:
@@ -147,7 +146,8 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
     inverse = scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale  # small; its diagonal is needed too
     psi = inverse @ xy
     gg = _gram(cc, cd, dd * ll, l)
-    core = gg - xg.conj().T @ inverse @ xg
+    slope = -inverse @ xg
+    core = gg + xg.conj().T @ slope
     w2 = lines.response**2
     tile = np.tile(psi, (1 + n_in, 1))
     hessian = core * ((tile.conj() * w2) @ tile.T)
@@ -155,7 +155,7 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
     power = (np.abs(lines.y) ** 2).sum(axis=(0, 1))
     cost = float((w2 * np.maximum(power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
     var = 2 * np.diag(inverse).real[:m]
-    return _State(poles, part, psi[:m].T, cost, hessian, gradient, np.maximum(var, 0) / w2[:, None])
+    return _State(poles, part, psi[:m].T, cost, hessian, gradient, np.maximum(var, 0) / w2[:, None], slope)
 
 
 def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
@@ -172,16 +172,9 @@ def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
 
 def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
     m = state.poles.size
-    n_out = lines.y.shape[2]
-    free = _free(state.part)
-    data = 2 * lines.y.shape[0] * lines.y.shape[1] * n_out
-    error2 = state.cost / max(data - free.size - 2 * m * n_out, 1)
-    h = state.hessian[np.ix_(free, free)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
-    cov = 2 * scale[:, None] * np.linalg.pinv(scale[:, None] * h * scale, hermitian=True) * scale
-    cov = cov[: 2 * m, : 2 * m] * error2
+    cov, error2 = _covariance(lines, state)
     slope = _slopes(state.poles)
-    real = slope @ _real(cov, m) @ slope.T
+    real = slope @ _real(cov[: 2 * m, : 2 * m], m) @ slope.T
     values, vectors = np.linalg.eigh((real + real.T) / 2)
     factor = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
     std = np.sqrt(np.maximum(np.diag(real), 0))
@@ -192,11 +185,78 @@ def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
         std[:m],
         std[m:],
         factor,
-        np.sqrt(state.shape_var * max(error2, 0) / 2),
         float(np.sqrt(error2)),
         state.cost,
         outcome,
     )
+
+
+def _covariance(lines: Lines, state: _State) -> tuple[Complex, float]:
+    """Covariance of all augmented parameters, zero for those that fix the scales, and the squared weighted error."""
+    free = _free(state.part)
+    data = 2 * lines.y.size
+    error2 = max(state.cost / max(data - free.size - 2 * state.shapes.size, 1), 0.0)
+    h = state.hessian[np.ix_(free, free)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
+    cov = np.zeros_like(state.hessian)
+    inner = np.linalg.pinv(scale[:, None] * h * scale, hermitian=True)
+    cov[np.ix_(free, free)] = 2 * error2 * scale[:, None] * inner * scale
+    return cov, error2
+
+
+def shape_deviations(lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int, float]] | None) -> Float:
+    """Standard deviations (out, m) of the moduli of the scaled shape components, as shares of the modulus.
+
+    First order, from the noise of the residues and from poles and participation vectors together. The scale is unit
+    modal mass by the driving points where there are any, else a largest component of 1.
+
+    Parameters
+    ----------
+    lines : Lines
+    fit : Refined
+    pairs : sequence of (output, input, sign), optional
+        Driving points; None leaves the scale to the largest participation, held fixed.
+    """
+    state = _evaluate(lines, fit.poles, fit.participation * lines.input)
+    cov, error2 = _covariance(lines, state)
+    tile = np.tile(augment(state.shapes.T), (1 + fit.participation.shape[1], 1)).T  # (out, parameter)
+    own = state.shape_var * error2
+    psi = np.where(state.shapes == 0, np.finfo(float).tiny, state.shapes)
+    out = np.empty(psi.shape)
+    for k in range(fit.poles.size):  # (out, parameter) arrays of all modes at once would not fit
+        g = tile * state.slope[k] / psi[:, k, None]
+        common, noise = _scale_slope(fit, lines, pairs, g, psi[:, k], k)
+        g = g + common
+        half = g.reshape(g.shape[0], -1, 2, fit.poles.size)
+        g = 0.5 * (half + half[:, :, ::-1].conj()).reshape(g.shape)
+        shared = (np.abs(noise) ** 2 * own[:, k]).sum()
+        alone = own[:, k] * (np.abs(1 / psi[:, k]) ** 2 + 2 * (noise.conj() / psi[:, k]).real)
+        out[:, k] = ((g @ cov) * g.conj()).real.sum(axis=1) + 0.5 * (shared + alone)
+    return np.sqrt(np.maximum(out, 0))
+
+
+def _scale_slope(
+    fit: Refined, lines: Lines, pairs: Sequence[tuple[int, int, float]] | None, g: Complex, psi: Complex, k: int
+) -> tuple[Complex, Complex]:
+    """Derivatives of the logarithm of the scale of mode k: by the parameters, and by the residue noise (out,)."""
+    noise = np.zeros(psi.size, dtype=np.complex128)
+    if pairs is None:
+        return np.zeros(g.shape[1], dtype=np.complex128), noise
+    if not pairs:
+        top = int(np.abs(psi).argmax())
+        noise[top] = -1 / psi[top]
+        return -g[top], noise
+    o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
+    part, driven = fit.participation[k, i], sign * psi[o]
+    size, overlap = (np.abs(part) ** 2).sum(), (part.conj() * driven).sum()
+    overlap = overlap if overlap != 0 else size * np.finfo(float).tiny
+    share = -0.5 * part.conj() * driven / overlap
+    np.add.at(noise, o, share / psi[o])
+    common = np.zeros((1 + fit.participation.shape[1], 2, fit.poles.size), dtype=np.complex128)
+    np.add.at(common[1:, 0, k], i, 0.5 * part.conj() / size / lines.input[i])
+    np.add.at(common[1:, 1, k], i, 0.5 * (part / size - driven / overlap) / lines.input[i])
+    common[0, :, k] = np.array([1, -1]) / (4j * fit.poles[k].imag)
+    return common.ravel() + share @ g[o], noise
 
 
 def _real(cov: Complex, m: int) -> Float:

@@ -20,7 +20,7 @@ from ringtrue.identify.poles import PoleSet
 from ringtrue.signal.preprocess import block_bounds, block_weights, detrend
 from ringtrue.signal.psd import block_correlations
 
-MAX_REFERENCES = 16
+MAX_REFERENCES = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,23 +92,26 @@ class BandPoles:
     perturbations: var.Perturbations
 
 
-def decompose(h: Float, order: int) -> tuple[Float, Float, Float]:
-    """Leading singular triplets U (i, order), s, V (j, order) of `h`: a Gram start and one Rayleigh-Ritz step."""
+def decompose(h: Float, order: int, start: Float | None = None) -> tuple[Float, Float, Float]:
+    """Leading singular triplets U (i, order), s, V (j, order) of `h`: a Gram start and one Rayleigh-Ritz step.
+
+    `start` (j, k), V of a matrix much like `h`, replaces the Gram matrix by one more multiplication.
+    """
     j = h.shape[1]
     if j <= 4 * order:
         u, s, vt = svd(h, full_matrices=False)
         return u[:, :order], s[:order], vt[:order].T
-    _, v = eigh(h.T @ h, subset_by_index=(j - order, j - 1))
+    v = eigh(h.T @ h, subset_by_index=(j - order, j - 1))[1] if start is None else h.T @ (h @ start)
     basis, _ = qr(h @ v, mode="economic")
     u, s, vt = svd(basis.T @ h, full_matrices=False)
-    return basis @ u, s, vt.T
+    return basis @ u[:, :order], s[:order], vt[:order].T
 
 
-def subspace(r: Float, rows: int, order: int, rate: float) -> Subspace:
+def subspace(r: Float, rows: int, order: int, rate: float, start: Float | None = None) -> Subspace:
     """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank ends."""
     ch = r.shape[1]
     h = var.hankel(r, rows)
-    u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)))
+    u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), start)
     n = int((s > 1e-12 * s[0]).sum())
     u, s, v = u[:, :n], s[:n], v[:, :n]
     q, tri = qr(u[:-ch], mode="economic")
@@ -189,18 +192,34 @@ def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> t
     DataError
         If the record is too short for the lags.
     """
+    blocks = settings.blocks or var.blocks_for(data.shape[1], 2 * settings.block_rows - 1)
+    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
+    refs = choose_references(data, scale) if references is None else references
+    r = stretch(data, settings, blocks, refs, scale)
+    return r, loudness_weights(r, refs), scale
+
+
+def stretch(data: Float, settings: SsiCov, blocks: int, references: Int, scale: Float) -> Float:
+    """Correlations (block, lag, ch, ref) of one stretch `data` (ch, sample) of a record, divided by `scale` (ch,).
+
+    Raises
+    ------
+    DataError
+        If the stretch is too short for the lags.
+    """
     lags = 2 * settings.block_rows - 1
-    blocks = settings.blocks or var.blocks_for(data.shape[1], lags)
     if data.shape[1] < 4 * lags:
         raise DataError(
             f"{data.shape[1]} samples are too few for {settings.block_rows} block rows; needed are {4 * lags}"
         )
-    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
-    refs = choose_references(data, scale) if references is None else references
-    r, _ = block_correlations(data, refs, lags, block_bounds(data.shape[1], blocks))
-    r /= scale[:, None] * scale[refs]
-    power = r[:, 0, refs, np.arange(refs.size)].mean(1)
-    return r, block_weights(power), scale
+    r, _ = block_correlations(data, references, lags, block_bounds(data.shape[1], blocks))
+    r /= scale[:, None] * scale[references]
+    return r
+
+
+def loudness_weights(r: Float, references: Int) -> Float:
+    """(block,) weights, sum 1, of the correlations `r` (block, lag, ch, ref) by the power of their references."""
+    return block_weights(r[:, 0, references, np.arange(references.size)].mean(1))
 
 
 def identify_band(r: Float, weights: Float, settings: SsiCov, rate: float, band: tuple[float, float]) -> BandPoles:
@@ -222,7 +241,7 @@ def ssi_cov(
     history : TimeHistory
     settings : SsiCov
     references : sequence of str
-        Channel ids; all channels, or the 16 that span the motion best, where None.
+        Channel ids; all channels, or the 8 that span the motion best, where None.
 
     Raises
     ------

@@ -6,7 +6,7 @@ strength of its contribution to the correlations, how many orders show it, and w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ringtrue.identify import variance as var
 from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.ssi import BandPoles, transition, unit
+from ringtrue.identify.whittle import SpectralBins, refine
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
 
@@ -42,6 +43,8 @@ class Candidates:
     label : (k,) int64
         Row of this table for each pole of the band, -1 for none.
     stable : (k,) bool
+    refined : (m,) bool
+        Pole and deviation are of the maximum likelihood fit.
     """
 
     pole: Complex
@@ -55,6 +58,7 @@ class Candidates:
     halves: Float
     label: Int
     stable: Bool
+    refined: Bool
 
     def stds(self) -> tuple[Float, Float]:
         """Standard deviations of frequency (Hz) and damping ratio, each (m,)."""
@@ -140,7 +144,35 @@ def _table(
         np.full(m, np.nan),
         label,
         stable,
+        np.zeros(m, dtype=np.bool_),
     )
+
+
+def steady(weights: Float) -> bool:
+    """Whether no stretch (an eighth) of the record is much louder than the others, from the weights of its blocks."""
+    parts = np.array([1 / x.mean() for x in np.array_split(weights, 8)])
+    return bool(parts.max() < 3 * np.median(parts))
+
+
+def refined(c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: tuple[float, float]) -> Candidates:
+    """The candidates with poles and deviations of the rows `at` from their own spectra.
+
+    Modes of one band are then independent: the deviations of each take two columns of their own.
+    """
+    fit = refine(bins, c.frequencies[at], c.damping[at], c.shape[np.ix_(references, at)], slope)
+    ok = np.flatnonzero(fit.ok)
+    rows, f, z = at[ok], fit.frequency[ok], fit.damping[ok]
+    root = np.sqrt(1 - z**2)
+    pole = 2 * np.pi * f * (-z + 1j * root)
+    by = np.stack([pole, 2 * np.pi * f * z * (-1 - 1j * z / root)], axis=1)
+    own = (by[:, None] @ np.linalg.cholesky(fit.covariance[ok]))[:, 0]
+    blocks, m = c.deviation.shape[1], rows.size
+    deviation = np.concatenate([c.deviation, np.zeros((len(c.pole), 2 * m))], axis=1)
+    deviation[rows, :blocks] = 0.0
+    deviation[rows[:, None], blocks + 2 * np.arange(m)[:, None] + np.arange(2)] = own
+    poles, done = c.pole.copy(), c.refined.copy()
+    poles[rows], done[rows] = pole, True
+    return replace(c, pole=poles, deviation=deviation, refined=done)
 
 
 def half_agreement(c: Candidates, halves: tuple[PoleSet, PoleSet]) -> Float:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from tokenize import TokenError
 
 import h5py
 import numpy as np
 
-from ringtrue.core.arrays import Any_
+from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io import codec
@@ -19,6 +22,17 @@ from ringtrue.io.uff.functions import read_frf_sets, write_frf_sets
 GROUP = "frfs"
 _UFF = (".uff", ".unv", ".58")
 _HDF5 = (".h5", ".hdf5")
+_DAMAGED = (
+    zlib.error,
+    struct.error,
+    EOFError,
+    KeyError,
+    SyntaxError,
+    TypeError,
+    OverflowError,
+    MemoryError,
+    RuntimeError,
+)
 
 
 def read_frfs(path: str | Path) -> FrfSet:
@@ -69,8 +83,20 @@ def _check(frfs: FrfSet, path: Path) -> None:
     if not frfs.outputs or frfs.freqs.size < 3:
         raise DataError(f"{path}: {len(frfs.outputs)} responses and {frfs.freqs.size} lines; there must be some")
     step = np.diff(frfs.freqs)
+    if np.isfinite(step).all() and step.min() > 0:
+        _check_gaps(frfs.freqs, step, path)
     if not np.isfinite(step).all() or step.min() <= 0 or np.ptp(step) > 1e-3 * step.mean():
         raise DataError(f"{path}: the frequency lines must rise in equal steps ({step.min():g} to {step.max():g} Hz)")
+
+
+def _check_gaps(freqs: Float, step: Float, path: Path) -> None:
+    """Equal steps but for a few multiples of them: lines are missing."""
+    unit = float(np.median(step))
+    wide = np.flatnonzero(step > 1.5 * unit)
+    whole = np.abs(step / unit - np.round(step / unit)).max() < 0.01
+    if whole and 0 < wide.size <= step.size // 10 + 1:
+        told = ", ".join(f"{freqs[i]:g} and {freqs[i + 1]:g}" for i in wide[:5].tolist())
+        raise DataError(f"{path}: FRF with gaps: lines are missing between {told} Hz; cut it there or fill them")
 
 
 def _read_h5(path: Path) -> FrfSet:
@@ -78,8 +104,8 @@ def _read_h5(path: Path) -> FrfSet:
         with h5py.File(path, "r") as file:
             group = file.get(GROUP, file)
             frfs = codec.load(group)
-    except OSError as exc:
-        raise DataError(f"{path}: not a readable HDF5 file ({exc})") from exc
+    except (OSError, RuntimeError, KeyError, TypeError, AttributeError, MemoryError) as exc:
+        raise DataError(f"{path}: not a readable HDF5 file of FRFs ({exc})") from exc
     if not isinstance(frfs, FrfSet):
         raise DataError(f"{path}: holds a {type(frfs).__name__}, not FRFs")
     return frfs
@@ -89,7 +115,7 @@ def _read_npz(path: Path) -> FrfSet:
     try:
         with np.load(path, allow_pickle=False) as archive:
             data = {k: archive[k] for k in archive.files}
-    except (ValueError, OSError, zipfile.BadZipFile) as exc:
+    except (ValueError, OSError, zipfile.BadZipFile, TokenError, *_DAMAGED) as exc:
         raise DataError(f"{path}: not a readable .npz file ({exc})") from exc
     names = ("freq", "H1")
     if lost := [n for n in names if n not in data]:

@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, did_you_mean
@@ -152,3 +153,18 @@ def _read_h5(path: Path) -> ModeSet:
     if not isinstance(modes, ModeSet):
         raise DataError(f"{path}: holds a {type(modes).__name__}, not modes")
     return modes
+
+
+def read_frequency_std(path: str | Path) -> Float:
+    """Standard deviations (m,) Hz of the frequencies in a file that `read_modes` reads; NaN where it has none."""
+    path = Path(path)
+    modes = read_modes(path)
+    if path.suffix.lower() == ".json":
+        rows = json.loads(path.read_text(encoding="utf-8"))["modes"]
+        return np.array([_float(row.get("std_frequency_hz")) for row in rows], dtype=np.float64)
+    if path.suffix.lower() in _HDF5:
+        with h5py.File(path, "r") as file:
+            found = codec.load(file["uncertainty"]) if "uncertainty" in file else None
+        if isinstance(found, Uncertainty) and found.frequency.size == len(modes):
+            return found.frequency
+    return np.full(len(modes), np.nan)

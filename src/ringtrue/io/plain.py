@@ -1,4 +1,4 @@
-"""Readers of plain tables of samples: .npy, .csv, .lvm, .mat and HDF5 files of others."""
+"""Readers of plain tables of samples: .npy, .csv and HDF5 files of others."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import h5py
 import numpy as np
-from scipy.io import loadmat
 
 from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.io.atomic import atomic_write
 
 _RATE_NAMES = ("rate", "fs", "sampling_rate", "sample_rate", "fsamp", "sr")
 _TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
+_BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
+_CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
 _UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
 
 
@@ -39,13 +43,14 @@ class RawTable:
     quantities: tuple[str, ...]
 
 
-def _numbered(data: Any_, rate: float | None) -> RawTable:
+def numbered(data: Any_, rate: float | None) -> RawTable:
+    """A table without names and units: `ch1`, `ch2`, ..."""
     n = data.shape[0]
     blank = ("",) * n
     return RawTable(data, rate, tuple(f"ch{i + 1}" for i in range(n)), blank, blank)
 
 
-def _columns_first(a: Any_, path: Path) -> Any_:
+def columns_first(a: Any_, path: Path) -> Any_:
     """(channel, sample), the longer axis taken as time."""
     if a.ndim == 1:
         a = a[None]
@@ -58,27 +63,49 @@ def _columns_first(a: Any_, path: Path) -> Any_:
 def read_npy(path: Path) -> RawTable:
     """A NumPy array (sample, channel), or (sample,)."""
     try:
-        a = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as exc:
+        a = np.load(path, mmap_mode="r", allow_pickle=False)  # a damaged shape cannot ask for memory
+    except (ValueError, EOFError, OSError, TypeError, OverflowError, MemoryError, *_BAD_HEADER) as exc:
         raise DataError(f"{path}: not a readable .npy file ({exc})") from exc
     if a.ndim not in (1, 2) or a.dtype.kind not in "fiu":
         raise DataError(f"{path}: array {a.shape} {a.dtype}; it must be (sample, channel) and real")
-    return _numbered(np.ascontiguousarray(np.atleast_2d(a.T)) * (1.0 if a.dtype.kind != "f" else a.dtype.type(1)), None)
+    data = np.array(np.atleast_2d(a.T), dtype=a.dtype if a.dtype.kind == "f" else np.float64, order="C")
+    return numbered(data, None)
 
 
-def read_h5_table(file: h5py.File, path: Path) -> RawTable:
-    """The first 2-D data set of an HDF5 file of others."""
+def h5_table(file: h5py.File, path: Path) -> tuple[h5py.Dataset, float | None]:
+    """The first 2-D data set of numbers of an HDF5 file of others, unread, and the rate.
+
+    Raises
+    ------
+    DataError
+        If there is none, or it announces far more than the file holds.
+    """
     found: list[h5py.Dataset] = []
     file.visititems(lambda _, o: found.append(o) if isinstance(o, h5py.Dataset) and o.ndim == 2 else None)
     if not found:
         raise DataError(f"{path}: no 2-D data set in the file")
+    check_stored(found[0], path)
     attrs = {k.lower(): v for o in (file, found[0].parent, found[0]) for k, v in o.attrs.items()}
     scalars = {k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1}
-    return _numbered(_columns_first(found[0][()], path), _named_rate({**scalars, **attrs}))
+    return found[0], named_rate({**scalars, **attrs})
 
 
-def _named_rate(values: Mapping[str, Any]) -> float | None:
-    lower = {k.lower(): float(np.ravel(v)[0]) for k, v in values.items() if np.size(v) == 1 and _is_real(v)}
+def read_h5_table(file: h5py.File, path: Path) -> RawTable:
+    """The first 2-D data set of an HDF5 file of others."""
+    data, rate = h5_table(file, path)
+    return numbered(columns_first(data[()], path), rate)
+
+
+def check_stored(data: h5py.Dataset, path: str | Path) -> None:
+    """Refuse a data set that announces far more samples than the file stores: its chunks are missing or damaged."""
+    size, stored = int(data.size) * data.dtype.itemsize, data.id.get_storage_size()
+    if size > _CHECKED and size > _PACKED * stored:
+        raise DataError(f"{path}: {data.name} announces {size} bytes, {stored} are stored: the file is cut or damaged")
+
+
+def named_rate(values: Mapping[str, Any]) -> float | None:
+    """The sampling rate (Hz) among named scalars: `fs`, `rate`, ... or `dt`."""
+    lower = {k.lower(): float(np.ravel(v)[0]) for k, v in values.items() if _is_real(v) and np.size(v) == 1}
     for name in _RATE_NAMES:
         if name in lower:
             return lower[name]
@@ -88,23 +115,7 @@ def _named_rate(values: Mapping[str, Any]) -> float | None:
 
 
 def _is_real(value: Any) -> bool:
-    return np.asarray(value).dtype.kind in "fiu"
-
-
-def read_mat(path: Path) -> RawTable:
-    """The largest real 2-D variable of a MATLAB file, v5 or v7.3; the rate from `fs`, `rate` or `dt`."""
-    if h5py.is_hdf5(path):
-        with h5py.File(path, "r") as file:
-            values = {k: v[()] for k, v in file.items() if isinstance(v, h5py.Dataset)}
-    else:
-        try:
-            values = {k: v for k, v in loadmat(path).items() if not k.startswith("__")}
-        except (ValueError, NotImplementedError, OSError) as exc:
-            raise DataError(f"{path}: not a readable MATLAB file ({exc})") from exc
-    arrays = [v for v in values.values() if isinstance(v, np.ndarray) and v.ndim == 2 and v.dtype.kind in "fiu"]
-    if not arrays or max(a.size for a in arrays) < 2:
-        raise DataError(f"{path}: no real 2-D variable; there are {', '.join(values) or 'none'}")
-    return _numbered(_columns_first(max(arrays, key=lambda a: a.size), path), _named_rate(values))
+    return getattr(value, "dtype", np.asarray(value).dtype if np.isscalar(value) else np.dtype(object)).kind in "fiu"
 
 
 def read_csv(path: Path) -> RawTable:
@@ -112,16 +123,35 @@ def read_csv(path: Path) -> RawTable:
 
     A header such as `101+Z [m/s^2]` gives name and unit. Delimiters `, ; tab space`; decimal commas are understood.
     """
-    lines = [x for x in path.read_text(encoding="utf-8-sig").splitlines() if x.strip() and not x.startswith("#")]
+    lines = [x for x in read_text(path).splitlines() if x.strip() and not x.startswith("#")]
     if not lines:
         raise DataError(f"{path}: empty, there are no samples")
     delimiter, comma = _dialect(lines[-1])
     header = not _is_numbers(_cells(lines[0], delimiter), comma)
     names = [x.strip() for x in _cells(lines[0], delimiter)] if header else []
-    data = _numbers(lines[header:], delimiter, comma, path)
+    data = numbers(lines[header:], delimiter, comma, path)
     if names and len(names) != data.shape[0]:
         raise DataError(f"{path}: {len(names)} names in the header, {data.shape[0]} columns")
     return _with_time(data, names, path)
+
+
+def read_text(path: Path) -> str:
+    """Text in UTF-8, UTF-16 with its mark, or Latin-1, as instruments write it.
+
+    Raises
+    ------
+    DataError
+        If there are zero bytes: a binary file.
+    """
+    raw = path.read_bytes()
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", "replace")
+    if b"\x00" in raw:
+        raise DataError(f"{path}: has zero bytes; this is not a text file")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
 
 
 def _dialect(line: str) -> tuple[str, bool]:
@@ -132,7 +162,12 @@ def _dialect(line: str) -> tuple[str, bool]:
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
+    if delimiter == " ":
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=delimiter))
+    except (csv.Error, StopIteration):
+        return line.split(delimiter)
 
 
 def _is_numbers(cells: Sequence[str], comma: bool) -> bool:
@@ -143,7 +178,8 @@ def _is_numbers(cells: Sequence[str], comma: bool) -> bool:
     return True
 
 
-def _numbers(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Float:
+def numbers(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Float:
+    """(column, row) float64 numbers of delimited lines, with decimal commas if `comma`."""
     if not lines:
         raise DataError(f"{path}: empty, there are no samples")
     text = (x.replace(",", ".") for x in lines) if comma else iter(lines)
@@ -160,7 +196,7 @@ def _with_time(data: Float, names: Sequence[str], path: Path) -> RawTable:
     if rate is not None:
         data, names = data[1:], names[1:]
     if not names:
-        return _numbered(data, rate)
+        return numbered(data, rate)
     pairs = [_UNIT.match(n) for n in names]
     return RawTable(
         data,
@@ -189,27 +225,13 @@ def _time_rate(t: Float, named: bool, path: Path) -> float | None:
     return 1 / mean
 
 
-def read_lvm(path: Path) -> RawTable:
-    """LabVIEW measurement text: two headers, one segment, decimal point or comma.
-
-    Raises
-    ------
-    DataError
-        If the headers or the step of time are missing.
-    """
-    lines = path.read_text(encoding="latin-1").splitlines()
-    ends = [i for i, x in enumerate(lines) if x.startswith("***End_of_Header***")]
-    if not lines or not lines[0].startswith("LabVIEW") or len(ends) < 2:
-        raise DataError(f"{path}: not a LabVIEW measurement file with both headers")
-    comma = any(x.startswith("Decimal_Separator") and x.split("\t")[1:2] == [","] for x in lines[: ends[0]])
-    table = {x.split("\t")[0]: x.split("\t")[1:] for x in lines[ends[0] + 1 : ends[1]]}
-    n = int(table["Channels"][0])
-    dt = [float(x.replace(",", ".")) for x in table.get("Delta_X", [])[:n]]
-    if len(dt) != n or max(dt) != min(dt):
-        raise DataError(f"{path}: steps of time Delta_X {dt}: {n} equal ones are needed")
-    names = lines[ends[1] + 1].split("\t")[1 : n + 1]
-    rows = [x.split("\t") for x in lines[ends[1] + 2 : len(lines) if len(ends) == 2 else ends[2]] if x.strip()]
-    text = [" ".join(r[1 : n + 1]) for r in rows]
-    data = _numbers(text, " ", comma, path)
-    units = tuple(table.get("Y_Unit_Label", [])[:n])
-    return RawTable(data, 1 / dt[0] if dt[0] else 0.0, tuple(names), (*units, *("",) * (n - len(units))), ("",) * n)
+def write_csv(path: str | Path, history: TimeHistory) -> None:
+    """Write a record as CSV: a column `time` (s), then one a channel with a header `101+Z [m/s^2]`, 9 digits."""
+    head = ["time", *(f"{c.id} [{c.unit}]" if c.unit else c.id for c in history.channels)]
+    block = 1 << 14
+    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(head)
+        for at in range(0, history.data.shape[1], block):  # so that the text is never whole in memory
+            part_data = np.asarray(history.data[:, at : at + block], dtype=np.float64)
+            t = (at + np.arange(part_data.shape[1])) / history.rate
+            np.savetxt(file, np.vstack([t, part_data]).T, fmt=["%.12g", *["%.9g"] * len(part_data)], delimiter=",")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,16 +12,39 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import Channel, Quantity, TimeHistory
-from ringtrue.errors import DataError, did_you_mean
+from ringtrue.errors import DataError, InputError, did_you_mean
 from ringtrue.io.atomic import atomic_write
-from ringtrue.io.plain import RawTable, read_csv, read_h5_table, read_lvm, read_mat, read_npy
+from ringtrue.io.lvm import read_lvm
+from ringtrue.io.matfile import read_mat, write_mat
+from ringtrue.io.plain import RawTable, check_stored, read_csv, read_h5_table, read_npy, write_csv
 from ringtrue.io.si import to_si
-from ringtrue.io.uff.functions import read_time
+from ringtrue.io.tdms import read_tdms
+from ringtrue.io.uff.functions import read_time, write_time
+from ringtrue.io.wav import read_wav
 
 FORMAT = "ringtrue-record"
-_READERS = {".npy": read_npy, ".csv": read_csv, ".txt": read_csv, ".lvm": read_lvm, ".mat": read_mat}
+_READERS = {
+    ".npy": read_npy,
+    ".csv": read_csv,
+    ".txt": read_csv,
+    ".lvm": read_lvm,
+    ".mat": read_mat,
+    ".tdms": read_tdms,
+    ".wav": read_wav,
+}
 _HDF5 = (".h5", ".hdf5")
 _UFF = (".uff", ".unv", ".58")
+_WRITERS = {".csv": write_csv, ".mat": write_mat, ".uff": write_time, ".unv": write_time}
+_DAMAGED = (
+    OSError,
+    RuntimeError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    MemoryError,
+    OverflowError,
+)  # what h5py raises on damage
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +173,26 @@ def _put_column(group: h5py.Group, name: str, values: Sequence[object], kind: ty
     group.create_dataset(f"channels/{name}", data=np.array(values, dtype=object if kind is str else kind), dtype=dtype)
 
 
+def write_history(path: str | Path, history: TimeHistory) -> None:
+    """Write a record in SI, by its ending: `.h5` (ringtrue's layout, float32), `.csv`, `.mat` (v5), `.uff` (58b).
+
+    Raises
+    ------
+    DataError
+        If the ending is another one.
+    """
+    ext = Path(path).suffix.lower()
+    if ext in _HDF5:
+        rows = [RecordChannel(c.id, 0, c.quantity, c.unit, sensor=c.sensor) for c in history.channels]
+        size = max(1, (1 << 24) // len(rows))
+        blocks = (history.data[:, a : a + size] for a in range(0, history.data.shape[1], size))
+        write_record(path, blocks, history.rate, rows, source=history.source)
+    elif ext in _WRITERS:
+        _WRITERS[ext](path, history)
+    else:
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, [*_HDF5, *_WRITERS])}")
+
+
 def record_info(path: str | Path) -> RecordInfo:
     """Channel table, rate and length of a record in ringtrue's layout; no samples are read.
 
@@ -157,7 +201,7 @@ def record_info(path: str | Path) -> RecordInfo:
     DataError
         If the file has another layout, or its table or rate is wrong.
     """
-    with _open(path) as file:
+    with _open(path) as file, _intact(path):
         return _info(_record_group(file, path), path)
 
 
@@ -168,19 +212,23 @@ def read_record(
     channels: Sequence[str] | None = None,
     start: int = 0,
     stop: int | None = None,
+    check: bool = True,
 ) -> TimeHistory:
     """Read a time record, SI.
 
     Parameters
     ----------
     path : path
-        `.h5` in ringtrue's layout or with a 2-D data set; `.npy` (sample, channel); `.csv`; `.lvm`; `.mat`; `.uff`.
+        `.h5` in ringtrue's layout or with a 2-D data set; `.npy` (sample, channel); `.csv`; `.lvm`; `.mat`; `.uff`;
+        `.tdms`; `.wav`.
     rate : float, Hz, optional
         Needed where the file has none; where it has one, the two must agree.
     channels : sequence of str, optional
         The channels to keep, in this order; by default all.
     start, stop : int
         Samples to keep.
+    check : bool
+        Refuse channels that are constant or not finite; without it they stay, for `signal.faults` to tell.
 
     Raises
     ------
@@ -193,23 +241,45 @@ def read_record(
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise DataError(f"{path}: rate {rate} Hz must be positive")
     history = _read(path, rate, channels, start, stop)
-    _check_samples(history, path)
+    _check_samples(history, path, check)
     return history
 
 
-def record_blocks(path: str | Path, samples: int) -> Iterator[TimeHistory]:
-    """The record in ringtrue's layout, block by block of `samples`, SI; the last one may be shorter."""
+def record_blocks(
+    path: str | Path, samples: int, *, channels: Sequence[str] | None = None, overlap: int = 0
+) -> Iterator[TimeHistory]:
+    """The record in ringtrue's layout, block by block, SI; the file may be larger than the memory.
+
+    Parameters
+    ----------
+    path : path
+    samples : int
+        Samples of a block; the last one may be shorter.
+    channels : sequence of str, optional
+        The channels to keep, in this order; by default all.
+    overlap : int
+        Samples that a block shares with the one before.
+
+    Raises
+    ------
+    DataError
+        If the layout is another one, a channel is not there, or `samples` does not exceed `overlap` >= 0.
+    """
+    if not samples > overlap >= 0:
+        raise DataError(f"{path}: blocks of {samples} samples must be longer than their overlap {overlap} >= 0")
     with _open(path) as file:
-        group = _record_group(file, path)
-        info = _info(group, path)
-        for at in range(0, info.samples, samples):
-            yield _slice(group, info, np.arange(len(info.channels)), slice(at, at + samples))
+        with _intact(path):
+            group = _record_group(file, path)
+            info = _info(group, path)
+            at = _positions(info, channels, path)
+        for start in range(0, max(info.samples - overlap, 1), samples - overlap):
+            yield _slice(group, info, at, slice(start, start + samples))
 
 
 def _read(path: Path, rate: float | None, channels: Sequence[str] | None, start: int, stop: int | None) -> TimeHistory:
     ext = path.suffix.lower()
     if ext in _HDF5:
-        with _open(path) as file:
+        with _open(path) as file, _intact(path):
             if (group := _find_record(file)) is not None:
                 return _read_own(group, path, rate, channels, slice(start, stop))
             table = read_h5_table(file, path)
@@ -231,9 +301,20 @@ def _open(path: str | Path) -> h5py.File:
         raise DataError(f"{path}: not a readable HDF5 file ({exc})") from exc
 
 
+@contextmanager
+def _intact(path: str | Path) -> Iterator[None]:
+    try:
+        yield
+    except InputError:
+        raise
+    except _DAMAGED as exc:
+        raise DataError(f"{path}: damaged ({type(exc).__name__}: {exc})") from exc
+
+
 def _find_record(file: h5py.File) -> h5py.Group | None:
     for group in (file.get("record"), file):
-        if isinstance(group, h5py.Group) and "data" in group and ("channels" in group or "id" in group["data"].attrs):
+        data = group.get("data") if isinstance(group, h5py.Group) else None
+        if isinstance(data, h5py.Dataset) and ("channels" in group or "id" in data.attrs):
             return group
     return None
 
@@ -287,11 +368,16 @@ def _read_own(
 ) -> TimeHistory:
     info = _info(group, path)
     _agree(rate, info.rate, path, "the file")
+    check_stored(group["data"], path)
+    return _slice(group, info, _positions(info, channels, path), samples)
+
+
+def _positions(info: RecordInfo, channels: Sequence[str] | None, path: str | Path) -> Int:
     here = {c.id: i for i, c in enumerate(info.channels)}
     wanted = list(here) if channels is None else channels
     if lost := [c for c in wanted if c not in here]:
         raise DataError(f"{path}: no channel {' '.join(lost[:8])}; there are {' '.join(list(here)[:40])}")
-    return _slice(group, info, np.array([here[c] for c in wanted], dtype=np.int64), samples)
+    return np.array([here[c] for c in wanted], dtype=np.int64)
 
 
 def _slice(group: h5py.Group, info: RecordInfo, at: Int, samples: slice) -> TimeHistory:
@@ -327,9 +413,11 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
     return TimeHistory(data, float(table.rate or rate or 0.0), channels, str(path))
 
 
-def _check_samples(history: TimeHistory, path: Path) -> None:
+def _check_samples(history: TimeHistory, path: Path, check: bool) -> None:
     if history.data.shape[1] < 2:
         raise DataError(f"{path}: {history.data.shape[1]} samples; a record needs at least 2")
+    if not check:
+        return
     low, high = history.data.min(axis=1), history.data.max(axis=1)
     bad = ~(np.isfinite(low) & np.isfinite(high))
     if bad.any():

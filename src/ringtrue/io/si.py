@@ -59,3 +59,12 @@ def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
     if quantity not in ("", "unknown", kind) and kind != "unknown":
         raise DataError(f"unit {unit!r} is {kind}, the channel says {quantity}")
     return (kind if kind != "unknown" else quantity or "unknown"), factor, si  # type: ignore[return-value]
+
+
+def known(unit: str) -> str:
+    """The unit, or an empty text where `to_si` does not know it: free text of a foreign file."""
+    try:
+        to_si(unit)
+    except DataError:
+        return ""
+    return unit

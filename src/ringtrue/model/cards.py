@@ -3,11 +3,11 @@
 Syntax of a line: card name, then its data fields in order (field 2 of the first line onward; continuation lines
 simply go on, eight fields a line). A field is NAME[:type][=default]; types are i (integer, the default type),
 f (real) and s (text, component lists such as 123456 among them). `_` is a field that is not used. `A|B:f` is one
-field that holds an integer (A) or a real (B); the one not given keeps its default. Without a default, i is 0, f is
-0.0 and s is "". The first column identifies the row.
+field that holds an integer (A) or a real (B); the one not given keeps its default (`A=-1|B:f`). Without a default, i
+is 0, f is 0.0 and s is "". The first column identifies the row.
 
 A tail `*NAME:type` takes all the fields that are left (`THRU` expanded for integers) into a `Ragged` column. Cards
-with a pattern of their own are expanded in `io.nastran.reader`; the columns they get are listed in `SPECIAL`.
+with a pattern of their own are expanded in `io.nastran.special` and `.lists`; their columns stand in `SPECIAL`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 
-_TEXT = """
+_TEXT = r"""
 GRID    ID CP X1:f X2:f X3:f CD PS:s SEID
 SPOINT  *ID
 CORD1R  CID G1 G2 G3
@@ -29,17 +29,33 @@ CONROD  EID G1 G2 MID A:f J:f C:f NSM:f
 CTUBE   EID PID G1 G2
 CBAR    EID PID GA GB G0|X1:f X2:f X3:f OFFT:s=GGG PA:s PB:s W1A:f W2A:f W3A:f W1B:f W2B:f W3B:f
 CBEAM   EID PID GA GB G0|X1:f X2:f X3:f OFFT:s=GGG PA:s PB:s W1A:f W2A:f W3A:f W1B:f W2B:f W3B:f SA SB
-CTRIA3  EID PID G1 G2 G3 MCID|THETA:f ZOFFS:f=nan _ _ TFLAG T1:f=nan T2:f=nan T3:f=nan
-CQUAD4  EID PID G1 G2 G3 G4 MCID|THETA:f ZOFFS:f=nan _ TFLAG T1:f=nan T2:f=nan T3:f=nan T4:f=nan
+CTRIA3  EID PID G1 G2 G3 MCID=-1|THETA:f ZOFFS:f=nan _ _ TFLAG T1:f=nan T2:f=nan T3:f=nan
+CQUAD4  EID PID G1 G2 G3 G4 MCID=-1|THETA:f ZOFFS:f=nan _ TFLAG T1:f=nan T2:f=nan T3:f=nan T4:f=nan
+CTRIAR  EID PID G1 G2 G3 MCID=-1|THETA:f ZOFFS:f=nan _ _ TFLAG T1:f=nan T2:f=nan T3:f=nan
+CQUADR  EID PID G1 G2 G3 G4 MCID=-1|THETA:f ZOFFS:f=nan _ TFLAG T1:f=nan T2:f=nan T3:f=nan T4:f=nan
+CTRIA6  EID PID G1 G2 G3 G4 G5 G6 MCID=-1|THETA:f ZOFFS:f=nan T1:f=nan T2:f=nan T3:f=nan TFLAG
+CQUAD8  EID PID G1 G2 G3 G4 G5 G6 G7 G8 T1:f=nan T2:f=nan T3:f=nan T4:f=nan MCID=-1|THETA:f ZOFFS:f=nan TFLAG
 CTETRA  EID PID G1 G2 G3 G4 G5 G6 G7 G8 G9 G10
 CPENTA  EID PID G1 G2 G3 G4 G5 G6 G7 G8 G9 G10 G11 G12 G13 G14 G15
 CHEXA   EID PID G1 G2 G3 G4 G5 G6 G7 G8 G9 G10 G11 G12 G13 G14 G15 G16 G17 G18 G19 G20
+CPYRAM  EID PID G1 G2 G3 G4 G5 G6 G7 G8 G9 G10 G11 G12 G13
 CELAS1  EID PID G1 C1 G2 C2
 CELAS2  EID K:f G1 C1 G2 C2 GE:f S:f
+CELAS3  EID PID S1 S2
+CELAS4  EID K:f S1 S2
 CBUSH   EID PID GA GB G0|X1:f X2:f X3:f CID=-1 S:f=0.5 OCID=-1 S1:f S2:f S3:f
 CMASS1  EID PID G1 C1 G2 C2
 CMASS2  EID M:f G1 C1 G2 C2
+CMASS3  EID PID S1 S2
+CMASS4  EID M:f S1 S2
+CDAMP1  EID PID G1 C1 G2 C2
+CDAMP2  EID B:f G1 C1 G2 C2
+CDAMP3  EID PID S1 S2
+CDAMP4  EID B:f S1 S2
+CVISC   EID PID G1 G2
 CONM2   EID G CID M:f X1:f X2:f X3:f _ I11:f I21:f I22:f I31:f I32:f I33:f
+CONM1   EID G CID M11:f M21:f M22:f M31:f M32:f M33:f M41:f M42:f M43:f M44:f \
+        M51:f M52:f M53:f M54:f M55:f M61:f M62:f M63:f M64:f M65:f M66:f
 PROD    PID MID A:f J:f C:f NSM:f
 PTUBE   PID MID OD:f T:f NSM:f OD2:f
 PBAR    PID MID A:f I1:f I2:f J:f NSM:f _ C1:f C2:f D1:f D2:f E1:f E2:f F1:f F2:f K1:f=nan K2:f=nan I12:f
@@ -47,7 +63,14 @@ PSHELL  PID MID1 T:f MID2 I12T3:f=1.0 MID3 TST:f=0.833333 NSM:f Z1:f=nan Z2:f=na
 PSOLID  PID MID CORDM IN:s STRESS:s ISOP:s FCTN:s
 PMASS   PID M:f
 PELAS   PID K:f GE:f S:f
+PDAMP   PID B:f
+PVISC   PID CE:f CR:f
 MAT1    MID E:f=nan G:f=nan NU:f=nan RHO:f A:f TREF:f GE:f ST:f SC:f SS:f MCSID
+MAT2    MID G11:f G12:f G13:f G22:f G23:f G33:f RHO:f A1:f A2:f A3:f TREF:f GE:f ST:f SC:f SS:f MCSID
+MAT8    MID E1:f E2:f NU12:f G12:f G1Z:f G2Z:f RHO:f A1:f A2:f TREF:f XT:f XC:f YT:f YC:f S:f GE:f F12:f STRN:f
+MAT9    MID G11:f G12:f G13:f G14:f G15:f G16:f G22:f G23:f G24:f G25:f G26:f \
+        G33:f G34:f G35:f G36:f G44:f G45:f G46:f G55:f G56:f G66:f RHO:f A1:f A2:f A3:f A4:f A5:f A6:f TREF:f GE:f
+RBAR    EID GA GB CNA:s CNB:s CMA:s CMB:s _ _
 RBE2    EID GN CM:s *GM
 SPC1    SID C:s *G
 SPCADD  SID *S
@@ -58,14 +81,18 @@ EIGRL   SID V1:f=nan V2:f=nan ND MSGLVL MAXSET SHFSCL:f NORM:s
 SPECIAL = {
     "SPC": "SID G C:s D:f",  # one row a (G, C) pair; two pairs on a card make two rows
     "MPC": "SID *G *C *A:f",  # one row a card; three ragged columns of equal offsets
-    "RBE3": "EID REFGRID REFC:s *G *C:s *WT:f",  # one entry of the ragged columns an independent node
+    "RBE1": "EID *GN *CN:s *GM *CM:s",  # independent pairs share the offsets of GN, dependent ones (UM) those of GM
+    "RBE3": "EID REFGRID REFC:s *G *C:s *WT:f *GM *CM:s",  # one entry of G an independent node; GM those of UM
     "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f M:f",
     "PBEAM": "PID MID A:f I1:f I2:f I12:f J:f NSM:f K1:f=1.0 K2:f=1.0 S1:f S2:f NSIA:f NSIB:f "
     "M1A:f M2A:f M1B:f M2B:f N1A:f N2A:f N1B:f N2B:f AB:f I1B:f I2B:f I12B:f JB:f NSMB:f",
+    "PCOMP": "PID Z0:f=nan NSM:f SB:f FT:s TREF:f GE:f LAM:s *MID *T:f *THETA:f *SOUT:s",  # one entry a ply
+    "PCOMPG": "PID Z0:f=nan NSM:f SB:f FT:s TREF:f GE:f LAM:s *GPLYID *MID *T:f *THETA:f *SOUT:s",
+    "DMIG": "ID NAME:s IFO TIN TOUT POLAR NCOL *GJ *CJ *GI *CI *A:f *B:f",  # one row a matrix, ID from 1 on
     # PBEAM: the section at end A, at end B (a blank end B equals A); stations between must lie on the straight line
 }
 
-CARDS = {line.split()[0]: line.split(maxsplit=1)[1] for line in _TEXT.strip().splitlines()}
+CARDS = {line.split()[0]: line.split(maxsplit=1)[1] for line in _TEXT.replace("\\\n", "").strip().splitlines()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +105,7 @@ class FieldSpec:
     other: str = ""
     tail: bool = False
     blank: bool = False
+    other_default: int = 0
 
 
 _ZERO: dict[str, int | float | str] = {"i": 0, "f": 0.0, "s": ""}
@@ -87,14 +115,17 @@ def _field(text: str) -> FieldSpec:
     if text == "_":
         return FieldSpec("_", blank=True)
     tail = text.startswith("*")
-    name, _, default = text.lstrip("*").partition("=")
-    name, _, kind = name.partition(":")
+    left, bar, right = text.lstrip("*").partition("|")
+    other, _, otherwise = left.partition("=")
+    name, _, default = (right if bar else left).partition("=")
+    real, _, kind = name.partition(":")
     kind = kind or "i"
-    other, _, real = name.partition("|")
     value: int | float | str = _ZERO[kind]
     if default:
         value = {"i": int, "f": float, "s": str}[kind](default)
-    return FieldSpec(real or other, kind, value, other if real else "", tail)
+    if not bar:
+        return FieldSpec(real, kind, value, "", tail)
+    return FieldSpec(real, kind, value, other, tail, other_default=int(otherwise or 0))
 
 
 @cache
@@ -105,16 +136,15 @@ def columns(card: str) -> tuple[FieldSpec, ...]:
 
 # Cards that carry stiffness, mass or constraint (or change what other cards mean) and are not read.
 _CARRYING = """
-CQUAD CQUAD8 CQUADR CQUADX CTRIA6 CTRIAR CTRIAX CTRIAX6 CTRAX3 CTRAX6 CQUADX4 CQUADX8 CPYRAM CPYRA5 CHEX8 CHEX20
-CSHEAR CBEND CBEAM3 CGAP CELAS3 CELAS4 CMASS3 CMASS4 CONM1 CWELD CFAST CSEAM CBUSH1D CBUSH2D CDAMP1 CDAMP2
-CDAMP3 CDAMP4 CDAMP5 CVISC CBAR3 CINTC CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR GENEL CRAC2D
-CRAC3D CTWIST CWEDGE PCOMP PCOMPG PCOMPS PLPLANE PSHEAR PBCOMP PBEND PBEAM3 PGAP PWELD PFAST PSEAM PBUSH1D
-PBUSH2D PBUSHT PELAST PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT2 MAT3 MAT8 MAT9 MAT11 MATORT MATHP MFLUID
-RBAR RBAR1 RBE1 RBE2GS RBE2F RROD RJOINT RSPLINE RSSCON RTRPLT RTRPLT1 RBAX DMIG DMIGOUT DMIGROT BAROR BEAMOR
-GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD NSM NSM1 NSML NSML1 NSMADD NSMD SEBULK SECONCT SEELT SESET SEBNDRY
-SELOC SEMPLN SETREE CSUPER CSUPEXT RELEASE BCONP BCTABLE BLSEG SLBLOAD AXIC
+CQUAD CQUADX CTRIAX CTRIAX6 CTRAX3 CTRAX6 CQUADX4 CQUADX8 CPYRA5 CHEX8 CHEX20 CSHEAR CBEND CBEAM3 CGAP CWELD CFAST
+CSEAM CBUSH1D CBUSH2D CDAMP5 CBAR3 CINTC CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR GENEL CRAC2D
+CRAC3D CTWIST CWEDGE PCOMPS PLPLANE PSHEAR PBCOMP PBEND PBEAM3 PGAP PWELD PFAST PSEAM PBUSH1D PBUSH2D PBUSHT PELAST
+PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT3 MAT11 MATORT MATHP MFLUID RBAR1 RBE2GS RBE2F RROD RJOINT RSPLINE
+RSSCON RTRPLT RTRPLT1 RBAX DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEBULK SECONCT SEELT SESET
+SEBNDRY SELOC SEMPLN SETREE CSUPER CSUPEXT RELEASE BCONP BCTABLE BLSEG SLBLOAD AXIC PDAMP5
 """
 UNSUPPORTED = frozenset(_CARRYING.split())
+CHOSEN_MASS = frozenset(("NSM", "NSM1", "NSML", "NSML1", "NSMADD"))  # count only where case control says NSM = n
 _HARMLESS_C = (  # names that begin like an element but connect nothing
     "CAERO", "CASE", "CBARAO", "CORD", "CMETHOD", "CSET", "CSCHD", "CSSCHD", "CYJOIN", "CYSYM",
     "CYAX", "CYSUP", "CLOAD", "CREEP", "CON", "CHBDY", "CCRSFIL",

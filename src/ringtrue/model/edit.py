@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import InputError, did_you_mean
-from ringtrue.model.model import Model, Ragged
+from ringtrue.model.model import Model, Ragged, Table
 
 # A PBEAM whose end B equals its end A keeps that.
 BOTH_ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "I12": "I12B", "J": "JB", "NSM": "NSMB"}
@@ -36,15 +38,41 @@ def resolve_target(model: Model, target: Target | FieldChange) -> Int:
     if target.card not in model:
         raise InputError(f"no {target.card} card in the model{did_you_mean(target.card, model.tables)}")
     table = model[target.card]
-    if target.field not in table.columns:
+    if target.field not in table.columns and not _is_ply(table, target.field):
         raise InputError(f"{target.card} has no field {target.field}{did_you_mean(target.field, table.columns)}")
-    if isinstance(table.columns[target.field], Ragged):
+    if isinstance(table.columns.get(target.field), Ragged):
         raise InputError(f"{target.card} field {target.field} is a list, not one value")
     rows = np.flatnonzero(table.ids == target.id)
     if not rows.size:
         near = table.ids[np.argsort(abs(table.ids - target.id), kind="stable")[:3]].tolist()
         raise InputError(f"{target.card} {target.id} is not in the model; the nearest ids are {near}")
+    ply = ply_field(target.field)
+    if ply and target.field not in table.columns:
+        count = int(np.diff(table.ragged(ply[0]).offsets)[rows].min())
+        if not 1 <= ply[1] <= count:
+            raise InputError(f"{target.card} {target.id} has no {target.field}: it has {count} plies")
     return rows
+
+
+def ply_field(field: str) -> tuple[str, int] | None:
+    """`T3` as ("T", 3): the column of a laminate and the number of the ply, from 1; None if there is no number."""
+    found = re.fullmatch(r"([A-Z]+)([0-9]+)", field)
+    return (found[1], int(found[2])) if found else None
+
+
+def _is_ply(table: Table, field: str) -> bool:
+    ply = ply_field(field)
+    return ply is not None and isinstance(table.columns.get(ply[0]), Ragged)
+
+
+def field_value(model: Model, target: Target | FieldChange) -> Any:
+    """The value of a target in the first of its rows, of one ply for a field such as T3 of a PCOMP."""
+    row = int(resolve_target(model, target)[0])
+    table = model[target.card]
+    if target.field in table.columns:
+        return table[target.field][row]
+    name, number = ply_field(target.field) or ("", 0)
+    return table.ragged(name).row(row)[number - 1]
 
 
 def companions(model: Model, target: Target) -> tuple[Target, ...]:
@@ -58,13 +86,22 @@ def companions(model: Model, target: Target) -> tuple[Target, ...]:
 
 
 def _nominal(model: Model, parameter: Parameter, target: Target) -> float:
-    value = model[target.card][target.field][resolve_target(model, target)[0]]
+    value = field_value(model, target)
     where = f"parameter {parameter.name}: {target.card} {target.id} {target.field}"
     if not isinstance(value, np.floating):
         raise InputError(f"{where} is no real quantity, got {value!r}")
     if np.isnan(value):
         raise InputError(f"{where} is blank in the deck; write its value there to put a factor on it")
     return float(value)
+
+
+def _refuse_what_no_field_holds(parameter: Parameter) -> None:
+    """Nodes that move, factors on matrices and parts of a property are no values of the deck's own fields."""
+    if parameter.shapes or parameter.substructures or any(t.elements or t.step for t in parameter.targets):
+        raise InputError(
+            f"parameter {parameter.name} moves nodes or places, or holds for some elements only: it has derivatives, "
+            "but cannot be written into the deck's fields; give those elements a property of their own"
+        )
 
 
 def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> list[FieldChange]:
@@ -80,6 +117,7 @@ def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> lis
         raise InputError(f"factors must have shape ({len(parameters)},), got {a.shape}")
     values: dict[Target, float] = {}
     for parameter, factor in zip(parameters.parameters, a.tolist(), strict=True):
+        _refuse_what_no_field_holds(parameter)
         for target in parameter.targets:
             for one in companions(model, target):
                 values[one] = values.get(one, _nominal(model, parameter, one)) * factor
@@ -96,8 +134,22 @@ def apply_factors(model: Model, parameters: ParameterSet, factors: Float) -> Mod
     """
     grouped: dict[tuple[str, str], list[FieldChange]] = {}
     for change in field_changes(model, parameters, factors):
+        if _is_ply(model[change.card], change.field) and change.field not in model[change.card].columns:
+            model = _with_ply(model, change)
+            continue
         grouped.setdefault((change.card, change.field), []).append(change)
     for (card, name), changes in grouped.items():
         ids = np.array([c.id for c in changes], dtype=np.int64)
         model = model.with_values(card, name, ids, np.array([c.value for c in changes]))
     return model
+
+
+def _with_ply(model: Model, change: FieldChange) -> Model:
+    """A copy with one value of one ply replaced."""
+    table = model[change.card]
+    name, number = ply_field(change.field) or ("", 0)
+    column = table.ragged(name)
+    values = column.values.copy()
+    values[column.offsets[resolve_target(model, change)] + number - 1] = change.value
+    columns = {**table.columns, name: Ragged(values, column.offsets)}
+    return replace(model, tables={**model.tables, change.card: replace(table, columns=columns)})

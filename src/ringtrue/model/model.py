@@ -90,12 +90,18 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class CaseControl:
-    """The choices of the (first) subcase; 0 where not made."""
+    """The choices of the (first) subcase; 0 where not made.
+
+    `k2gg`, `m2gg` and `b2gg` are the DMIG names that are added to stiffness, mass and damping, each with its factor.
+    """
 
     title: str = ""
     method: int = 0
     spc: int = 0
     mpc: int = 0
+    k2gg: tuple[tuple[float, str], ...] = ()
+    m2gg: tuple[tuple[float, str], ...] = ()
+    b2gg: tuple[tuple[float, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,12 +36,15 @@ class ModesResult:
         Inertia counts prove that no mode of the band is missing or invented.
     proof : str
         What was counted, in words.
+    orthogonality : float
+        max |ΦᵀMΦ − I|; NaN where the solver does not tell.
     """
 
     modes: ModeSet
     residuals: Float
     complete: bool
     proof: str
+    orthogonality: float = float("nan")
 
 
 @runtime_checkable

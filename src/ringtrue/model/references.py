@@ -13,6 +13,10 @@ from ringtrue.model.model import Model, Ragged
 
 FRAMES = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 NODES = ("GRID", "SPOINT")
+SHELLS = ("CTRIA3", "CQUAD4", "CTRIAR", "CQUADR", "CTRIA6", "CQUAD8")
+SHELL_PROPERTIES = ("PSHELL", "PCOMP", "PCOMPG")
+PLY_MATERIALS = ("MAT1", "MAT2", "MAT8")
+SOLID_MATERIALS = ("MAT1", "MAT9")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +27,13 @@ class Reference:
     field: str
     of: tuple[str, ...]
     required: bool = True
+
+    @property
+    def names(self) -> str:
+        """What the field may name, in words: `MAT1, MAT2 or MAT8`."""
+        if self.of == FRAMES:
+            return "coordinate frame"
+        return " or ".join(x for x in (", ".join(self.of[:-1]), self.of[-1]) if x)
 
 
 def _nodes(card: str, required: str, optional: str = "") -> list[Reference]:
@@ -45,34 +56,46 @@ REFERENCES: tuple[Reference, ...] = (
     *_nodes("CBEAM", "GA GB", "G0 SA SB"),
     *_nodes("CTRIA3", _numbered(1, 3)),
     *_nodes("CQUAD4", _numbered(1, 4)),
+    *_nodes("CTRIAR", _numbered(1, 3)),
+    *_nodes("CQUADR", _numbered(1, 4)),
+    *_nodes("CTRIA6", _numbered(1, 3), _numbered(4, 6)),
+    *_nodes("CQUAD8", _numbered(1, 4), _numbered(5, 8)),
     *_nodes("CTETRA", _numbered(1, 4), _numbered(5, 10)),
     *_nodes("CPENTA", _numbered(1, 6), _numbered(7, 15)),
     *_nodes("CHEXA", _numbered(1, 8), _numbered(9, 20)),
-    *_nodes("CELAS1", "", "G1 G2"),
-    *_nodes("CELAS2", "", "G1 G2"),
+    *_nodes("CPYRAM", _numbered(1, 5), _numbered(6, 13)),
+    *(r for k in ("CELAS", "CMASS", "CDAMP") for i in (1, 2) for r in _nodes(f"{k}{i}", "", "G1 G2")),
+    *(r for k in ("CELAS", "CMASS", "CDAMP") for i in (3, 4) for r in _nodes(f"{k}{i}", "", "S1 S2")),
+    *_nodes("CVISC", "G1 G2"),
     *_nodes("CBUSH", "GA", "GB G0"),
+    *_nodes("CONM1", "G"),
     *_nodes("CONM2", "G"),
+    *_nodes("RBAR", "GA GB"),
+    *_nodes("RBE1", "GN GM"),
     *_nodes("RBE2", "GN GM"),
     *_nodes("RBE3", "REFGRID G"),
     *_nodes("SPC", "G"),
     *_nodes("SPC1", "G"),
     *_nodes("MPC", "G"),
-    Reference("CTRIA3", "MCID", FRAMES, False),
-    Reference("CQUAD4", "MCID", FRAMES, False),
+    *_nodes("DMIG", "GJ GI"),
+    *(Reference(c, "MCID", FRAMES, False) for c in SHELLS),
+    Reference("PSOLID", "CORDM", FRAMES, False),
     Reference("CBUSH", "CID", FRAMES, False),
     Reference("CBUSH", "OCID", FRAMES, False),
-    Reference("CONM2", "CID", FRAMES, False),
+    *(Reference(c, "CID", FRAMES, False) for c in ("CONM1", "CONM2")),
     Reference("CROD", "PID", ("PROD",)),
     Reference("CTUBE", "PID", ("PTUBE",)),
     Reference("CBAR", "PID", ("PBAR",)),
     Reference("CBEAM", "PID", ("PBEAM",)),
-    Reference("CTRIA3", "PID", ("PSHELL",)),
-    Reference("CQUAD4", "PID", ("PSHELL",)),
-    *(Reference(c, "PID", ("PSOLID",)) for c in ("CTETRA", "CPENTA", "CHEXA")),
-    Reference("CELAS1", "PID", ("PELAS",)),
+    *(Reference(c, "PID", SHELL_PROPERTIES) for c in SHELLS),
+    *(Reference(c, "PID", ("PSOLID",)) for c in ("CTETRA", "CPENTA", "CHEXA", "CPYRAM")),
+    *(Reference(f"C{k}{i}", "PID", (f"P{k}",)) for k in ("ELAS", "MASS", "DAMP") for i in (1, 3)),
+    Reference("CVISC", "PID", ("PVISC",)),
     Reference("CBUSH", "PID", ("PBUSH",)),
-    *(Reference(c, "MID", ("MAT1",)) for c in ("CONROD", "PROD", "PTUBE", "PBAR", "PBEAM", "PSOLID")),
-    *(Reference("PSHELL", f, ("MAT1",), False) for f in ("MID1", "MID2", "MID3", "MID4")),
+    *(Reference(c, "MID", ("MAT1",)) for c in ("CONROD", "PROD", "PTUBE", "PBAR", "PBEAM")),
+    Reference("PSOLID", "MID", SOLID_MATERIALS),
+    *(Reference(c, "MID", PLY_MATERIALS) for c in ("PCOMP", "PCOMPG")),
+    *(Reference("PSHELL", f, PLY_MATERIALS, False) for f in ("MID1", "MID2", "MID3", "MID4")),
 )
 
 
@@ -85,6 +108,19 @@ def known_ids(model: Model, of: tuple[str, ...]) -> Int:
             first = next(iter(table.columns.values()))
             made.append(first.values if isinstance(first, Ragged) else first)
     return np.concatenate(made)
+
+
+def unused(model: Model) -> dict[str, Int]:
+    """Rows of property and material cards that nothing names, by card."""
+    named: dict[str, list[Int]] = {}
+    for ref in REFERENCES:
+        for card in ref.of:
+            if card.startswith(("P", "MAT")) and card in model:
+                named.setdefault(card, [np.empty(0, dtype=np.int64)])
+                if ref.card in model:
+                    named[card].append(_values(model, ref)[0])
+    rows = {c: np.flatnonzero(~np.isin(model[c].ids, np.concatenate(ids))) for c, ids in named.items()}
+    return {card: at for card, at in rows.items() if at.size}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -61,7 +61,7 @@ def select_points(
     keep = np.arange(n)
     held = np.zeros(n, dtype=np.bool_) if fixed is None else np.asarray(fixed, dtype=np.bool_)
     if min_distance > 0:
-        keep = _thinned(independence(shapes), xyz, held, min_distance)
+        keep = thinned(independence(shapes), xyz, held, min_distance)
     if keep.size < count:
         raise InputError(
             f"{keep.size} candidates are {min_distance:g} m apart, {count} points were asked for: "
@@ -76,8 +76,17 @@ def select_points(
     return keep
 
 
-def _thinned(score: Float, xyz: Float, held: Bool, distance: float) -> Int:
-    """Strongest first, each point bans its neighbours."""
+def thinned(score: Float, xyz: Float, held: Bool, distance: float) -> Int:
+    """Candidates that are farther than `distance` apart, ascending: strongest first, each bans its neighbours.
+
+    Parameters
+    ----------
+    score : (n,) float64
+    xyz : (n, 3) float64, m
+    held : (n,) bool
+        Points that stay in any case.
+    distance : float, m
+    """
     order = np.argsort(-(score + held * 1e9), kind="stable")
     near = cKDTree(xyz).query_ball_point(xyz, distance)
     banned = np.zeros(len(xyz), dtype=np.bool_)

@@ -21,10 +21,12 @@ from ringtrue.eigen.derivatives import modal_coefficients
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes, frequencies
 from ringtrue.eigen.solve import solve_modes
-from ringtrue.errors import InputError
+from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
 
 CHUNK = 32  # right-hand sides solved together
+AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
+MASSLESS = 1e-14  # θ = 1/(λ − σ), relative to the largest, from which on a vector of the basis has no mass
 Progress = Callable[[float, str], None]
 
 
@@ -193,14 +195,20 @@ def _sensitivities(
     return np.concatenate(found, axis=1) if found else np.zeros((pencil.size, 0))
 
 
-def _compress(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
-    """The principal directions of x in the energy K − σM, at most `most`, above `drop` of the largest."""
+def _principal(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
+    """Principal directions of x in the energy K − σM, at most `most`, above `drop` of the largest, in their size."""
     if not x.shape[1] or most <= 0:
         return x[:, :0]
     gram = x.T @ (energy @ x)
     s, u = linalg.eigh((gram + gram.T) / 2)
     keep = np.flatnonzero(s > drop**2 * s[-1])[::-1][:most]
-    return np.asarray(x @ (u[:, keep] / np.sqrt(s[keep])))
+    return np.asarray(x @ u[:, keep])
+
+
+def _compress(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
+    """The principal directions of x, each of unit energy."""
+    x = _principal(energy, x, most, drop)
+    return np.asarray(x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x)))
 
 
 def _orthonormal(energy: sparse.csr_array, old: Float, x: Float) -> Float:
@@ -333,8 +341,15 @@ class ReducedModel:
         k, m = self._matrices(self.system.parameters.factors(everything))
         r = k.shape[0]
         some = None if all_modes else (r - self.count, r - 1)
-        theta, y = linalg.eigh(m, k - self.shift * m, subset_by_index=some, check_finite=False)
+        try:
+            theta, y = linalg.eigh(m, k - self.shift * m, subset_by_index=some, check_finite=False)
+        except linalg.LinAlgError as e:
+            far = float(np.abs(everything).max(initial=0.0))
+            raise NumericalError(
+                f"reduced model: stiffness not definite at |x| up to {far:.3g}; stay nearer to 0"
+            ) from e
         theta, y = theta[::-1], y[:, ::-1]
+        theta = np.maximum(theta, MASSLESS * theta[0])  # a motion without mass adds its flexibility, no mode
         y = y / np.sqrt(theta)
         lam = self.shift + 1 / theta
         low = y[:, : self.count]  # far from the shift, 1/θ has lost digits that Rayleigh quotients keep
@@ -356,6 +371,12 @@ class ReducedModel:
                 r += (a**t.power - 1.0) * (t.stiffness @ phi - (t.mass @ phi) * lam)
         energy = np.einsum("ij,ij->j", r, self.pencil.at(self.shift).solve(r))
         return float(0.5 * np.max(energy / (lam - self.shift)))
+
+    def augmented(self, vectors: Float) -> ReducedModel:
+        """The same with more vectors (f, k) of the free DOFs in the basis: static answers to loads, say."""
+        energy = sparse.csr_array(self.system.stiffness - self.shift * self.system.mass)
+        fresh = _orthonormal(energy, self.basis.vectors, np.asarray(vectors, dtype=np.float64))
+        return replace(self, basis=_project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis))
 
     def enrich(
         self, x: Float, *, sensitivities: bool = False, progress: Progress | None = None
@@ -422,9 +443,15 @@ def reduced_model(
     pencil = pencil or Pencil(system.stiffness, system.mass)
     modes = solve_modes(pencil, int(np.ceil(options.extra * count)) + 4, progress=progress)
     n = min(count, modes.values.size)
-    x = _sensitivities(pencil, modes, system, range(len(system.parameters)), n, progress)
     energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
-    x = _compress(energy, x, options.size - modes.values.size, options.drop)
+    most, x = options.size - modes.values.size, np.zeros((pencil.size, 0))
+    block = max(1, AT_ONCE // max(n, 1))
+    for first in range(0, len(system.parameters), block):  # principal directions of so many at a time
+        some = range(first, min(first + block, len(system.parameters)))
+        x = np.hstack([x, _sensitivities(pencil, modes, system, some, n, progress)])
+        if some.stop < len(system.parameters):
+            x = _principal(energy, x, most, options.drop)
+    x = _compress(energy, x, most, options.drop)
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)
     vectors = np.hstack([base_modes, _orthonormal(energy, base_modes, x)])
     every = tuple(range(len(system.parameters)))

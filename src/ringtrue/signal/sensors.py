@@ -1,4 +1,4 @@
-"""Sensors: the geophone's transfer function, its deconvolution where the signal allows, integration."""
+"""Sensors: transfer functions of geophones, accelerometers and calibration sheets, their deconvolution, integration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Complex, Float, freeze_fields
 from ringtrue.core.signals import Channel, Quantity, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.signal.preprocess import detrend
@@ -52,6 +52,100 @@ class Geophone:
         return np.asarray(self.sensitivity * s**2 / (s**2 + 2 * self.damping * w * s + w**2))
 
 
+@dataclass(frozen=True, slots=True)
+class Accelerometer:
+    """A piezoelectric accelerometer: G · sτ/(1 + sτ) · ω₀²/(s² + 2ζω₀s + ω₀²), acceleration in, signal out.
+
+    Attributes
+    ----------
+    time_constant : float, s
+        τ of the coupling; its corner is 1/(2πτ). inf for a sensor down to 0 Hz.
+    resonance : float, Hz
+        Mounted resonance; inf where it is far above the band.
+    damping : float
+        ζ of the resonance.
+    sensitivity : float
+        G; 1 if the record is scaled to m/s² already.
+    """
+
+    time_constant: float = float("inf")
+    resonance: float = float("inf")
+    damping: float = 0.02
+    sensitivity: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.time_constant > 0 and self.resonance > 0 and self.damping > 0 and self.sensitivity != 0):
+            raise ConfigError(
+                f"accelerometer: time constant {self.time_constant}, resonance {self.resonance} and damping "
+                f"{self.damping} must be > 0, sensitivity {self.sensitivity} not 0"
+            )
+
+    def response(self, freqs: Float) -> Complex:
+        """(f,) complex128 transfer function at `freqs`, Hz."""
+        s = 2j * np.pi * np.asarray(freqs, dtype=np.float64)
+        tau = self.time_constant
+        coupling = s * tau / (1 + s * tau) if np.isfinite(tau) else 1.0
+        x = s / (2 * np.pi * self.resonance)  # 0 without a resonance
+        return np.asarray(self.sensitivity * coupling / (x**2 + 2 * self.damping * x + 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A sensor by its sheet: gain and phase at some frequencies, between them linear over the logarithm of frequency.
+
+    Attributes
+    ----------
+    freqs : (f,) float64, Hz, rising, > 0
+    gain : (f,) float64
+        Signal over motion; constant beyond the ends.
+    phase : (f,) float64, degrees
+    quantity : {"displacement", "velocity", "acceleration"}
+    """
+
+    freqs: Float
+    gain: Float
+    phase: Float
+    quantity: Motion = "acceleration"
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, freqs=np.float64, gain=np.float64, phase=np.float64)
+        ok = self.freqs.ndim == 1 and self.freqs.shape == self.gain.shape == self.phase.shape and self.freqs.size > 1
+        if not (ok and self.freqs[0] > 0 and (np.diff(self.freqs) > 0).all() and (self.gain > 0).all()):
+            raise ConfigError(
+                "calibration: frequencies must rise from above 0, with a positive gain and a phase at each"
+            )
+
+    def response(self, freqs: Float) -> Complex:
+        """(f,) complex128 transfer function at `freqs`, Hz."""
+        at, x = np.log(np.maximum(freqs, self.freqs[0] * 1e-3)), np.log(self.freqs)
+        gain = np.exp(np.interp(at, x, np.log(self.gain)))
+        return np.asarray(gain * np.exp(1j * np.interp(at, x, np.unwrap(np.radians(self.phase)))))
+
+
+Sensor = Geophone | Accelerometer | Calibration
+
+
+def usable_band(sensor: Sensor, rate: float, *, smallest: float = 0.1, largest: float = 10.0) -> tuple[float, float]:
+    """The band (Hz) around its middle where |H| is between `smallest` and `largest` times its median: to deconvolve in.
+
+    Raises
+    ------
+    ConfigError
+        If there is none below half of the rate.
+    """
+    f = np.geomspace(rate * 1e-6, rate / 2, 4000)
+    size = np.abs(sensor.response(f))
+    above = f > rate / 1000
+    ratio = size / float(np.median(size[above]))
+    bad = np.flatnonzero((ratio < smallest) | (ratio > largest))
+    middle = int(np.argmin(np.abs(np.log(np.maximum(ratio, 1e-300)))))
+    low = int(bad[bad < middle][-1]) + 1 if (bad < middle).any() else 0
+    high = int(bad[bad > middle][0]) - 1 if (bad > middle).any() else f.size - 1
+    if not f[low] < f[high]:
+        raise ConfigError(f"the sensor has no usable band below {rate / 2:g} Hz")
+    return float(f[low]), float(f[high])
+
+
 def lowest_frequency(freqs: Float, signal_psd: Float, noise_psd: Float, *, snr_db: float = 10.0) -> float:
     """The frequency (Hz) from which on every third-octave has the wanted signal-to-noise ratio.
 
@@ -88,14 +182,19 @@ def lowest_frequency(freqs: Float, signal_psd: Float, noise_psd: Float, *, snr_d
     return float(f[ok][where == first].min())
 
 
-def deconvolve(history: TimeHistory, sensor: Geophone, *, low: float, high: float | None = None) -> TimeHistory:
-    """Velocity in m/s from geophone signals, between `low` and `high` Hz only.
+def deconvolve(history: TimeHistory, sensor: Sensor, *, low: float, high: float | None = None) -> TimeHistory:
+    """The motion (SI) from the signals of a sensor, between `low` and `high` Hz only.
 
-    The gain is that of 1/H inside the band and falls to 0 at half of `low`; below the natural frequency 1/H grows
-    as 1/f², so `low` must stand where the signal is above the sensor's noise: see `lowest_frequency`.
+    The gain is that of 1/H inside the band and falls to 0 at half of `low`; where H is small, below the natural
+    frequency of a geophone as f², 1/H raises the noise: `low` must stand where the signal is above it, see
+    `lowest_frequency` and `usable_band`.
     """
     top = _edge(history, low, high)
-    channels = _renamed(history, "velocity", "m/s" if sensor.sensitivity != 1.0 else "")
+    quantity: Motion = "velocity"
+    if not isinstance(sensor, Geophone):
+        quantity = "acceleration" if isinstance(sensor, Accelerometer) else sensor.quantity
+    scaled = isinstance(sensor, Calibration) or sensor.sensitivity != 1.0
+    channels = _renamed(history, quantity, _UNIT[quantity] if scaled else "")
 
     def gain(f: Float) -> Complex:
         return np.asarray(1 / sensor.response(np.maximum(f, low / 4)))

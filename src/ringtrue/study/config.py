@@ -50,10 +50,31 @@ class PlanSection(_Section):
     min_distance: float = Field(default=0.8, ge=0)  # m
     damping: float = Field(default=0.01, gt=0)  # expected, for the resolution
     max_auto_mac: float = Field(default=0.25, gt=0, lt=1)
+    method: Literal["independence", "qr", "auto-mac", "information"] = "independence"
+    modes: list[int] = []  # target modes by their number in the deck, from 1; empty: all of the band
+    effective_mass: float = Field(default=0.0, ge=0, lt=1)  # of the band, modes with such a share of the mass, or
+    sensitive: float = Field(default=0.0, ge=0)  # with such a sum of |∂λ/∂a|/λ over the candidates of the updating, or
+    telling: int = Field(default=0, ge=0)  # so many modes that tell those candidates apart; all 0: every mode
+    ambient: bool = True  # keep points for ambient tests
+    boxes: list[list[float]] = []  # x0 y0 z0 x1 y1 z1 in m; candidates lie in one of them
+    keep_out: list[list[float]] = []  # boxes without candidates
+    exclude: list[int] = []  # nodes that are no candidates
+    fixed: list[int] = []  # nodes that are measured in any case
+    redundancy: int = Field(default=0, ge=0)  # points that may fail
+    strike: Literal["greedy", "worst"] = "greedy"  # mean of the logarithms, or the mode that is excited worst
+    suspension: int = Field(default=0, ge=0)  # points to hang from; 0: not asked for
+    sensor_mass: float = Field(default=0.0, ge=0)  # kg a point, for the shift of the frequencies
+    lines: Literal["nearest", "mesh"] = "nearest"  # how the drawing of the points is made
+    trials: int = Field(default=0, ge=0)  # virtual tests of the plan
+    background: float = Field(default=0.0, ge=0)  # N/√Hz at each reference in the virtual tests
 
     @model_validator(mode="after")
     def _band(self) -> Self:
         _rising("", self.fmin, self.fmax)
+        if any(len(b) != 6 for b in (*self.boxes, *self.keep_out)):
+            raise ValueError("boxes and keep_out: a box is x0 y0 z0 x1 y1 z1")
+        if any(m < 1 for m in self.modes):
+            raise ValueError("modes: the first mode of the deck is 1")
         return self
 
 
@@ -145,8 +166,20 @@ class UpdateSection(_Section):
     choose: int = Field(default=6, gt=0)
     left_out: int = Field(default=5, ge=0)
     step: Literal["gauss-newton", "published"] = "gauss-newton"
-    shape_weight: float = Field(default=0.3, ge=0)
+    shape_weight: float = Field(default=1.0, ge=0)
     iterations: int = Field(default=30, gt=0)
+
+
+class PredictSection(_Section):
+    """Running the rotor: what `ringtrue predict` computes."""
+
+    rotor: int  # node that the unbalance acts on
+    mass: float = Field(gt=0)  # kg
+    axis: Literal["X", "Y", "Z"] = "X"
+    grade: float = Field(default=2.5, gt=0)  # balance grade G, mm/s
+    service: float = Field(default=50.0, gt=0)  # Hz
+    fmax: float = Field(default=200.0, gt=0)  # Hz
+    springs: dict[str, list[int]] = {}  # name -> PBUSH numbers
 
 
 class ReportSection(_Section):
@@ -169,6 +202,7 @@ class StudyConfig(_Section):
     candidate: list[Candidate] = []
     suspension: list[Candidate] = []
     update: UpdateSection = UpdateSection()
+    predict: PredictSection | None = None
     report: ReportSection = ReportSection()
 
     @model_validator(mode="after")

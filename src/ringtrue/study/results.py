@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modal import ModalModel
@@ -12,6 +14,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.identify.poles import StableDiagram
+from ringtrue.plan.rehearsal import Rehearsal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +80,16 @@ class PlanStage:
     expected_std_frequency: Float  # (expected,) relative, 1 sigma
     expected_std_damping: Float  # (expected,) relative
     rule: str  # the selection rule in words
+    target_frequencies: Float = field(default_factory=lambda: np.zeros(0))  # (target,) Hz
+    reasons: tuple[str, ...] = ()  # why each target mode is one
+    reach: Float = field(default_factory=lambda: np.zeros(0))  # (target,) share of the best driving-point residue
+    shown: Float = field(default_factory=lambda: np.zeros(0))  # (target,) MAC of the mode with its drawing
+    left_by_loss: float = 1.0  # least share of information left when the worst sensor point fails
+    loaded: Float = field(default_factory=lambda: np.zeros(0))  # (target,) relative shift by the mass of the sensors
+    suspension: tuple[int, ...] = ()  # nodes to hang from
+    suspension_motion: float = 0.0  # their largest motion in a target mode, squared, over the largest of the mode
+    steady: bool = False  # the centre of gravity hangs between them
+    rehearsal: Rehearsal | None = None  # the virtual test
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,6 +228,8 @@ class TuneStage:
     after: CorrelationTable
     factors: dict[str, float]
     std: dict[str, float]
+    ambiguity: tuple[str, ...] = ()  # pairings that the test leaves open, with their weight, in words
+    flags: tuple[str, ...] = ()  # factors that are not plausible
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,9 +15,9 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.update.gauss_newton import update
+from ringtrue.update.identifiable import ALIKE
 from ringtrue.update.objective import Residual, Target, objective, residual
 
-ALIKE = 0.95  # |cosine| of two weighted sensitivity columns from which on the data cannot tell them apart
 GAIN = 0.01  # relative gain in J that an exchange must promise and keep
 TRIALS = 3  # promising exchanges tried in one round
 TURNS = 6  # Gauss-Newton steps after each change of the set
@@ -61,14 +61,14 @@ class Choice:
     value: float
 
 
-def _predicted(g: Float, r: Float, x: Float, w: Float, low: Float, high: Float) -> float:
+def predicted(g: Float, r: Float, x: Float, w: Float, low: Float, high: Float) -> float:
     """J at the bounded minimum of its linearisation in the columns given."""
     a = np.concatenate([g, np.diag(np.sqrt(w))])
     b = np.concatenate([r + g @ x, np.zeros(x.size)])
     return float(2 * lsq_linear(a, b, (low, high), method="bvls").cost)
 
 
-def _short(model: Candidates, target: Target, members: Sequence[int], x: Float) -> Choice:
+def short_update(model: Candidates, target: Target, members: Sequence[int], x: Float) -> Choice:
     """A short updating of some members from x."""
     at = list(members)
     result = update(model.with_parameters(at, np.zeros(x.size)), target, iterations=TURNS, start=x[at])
@@ -103,15 +103,19 @@ def best_subset(
         trial = []
         for c in rest.tolist():
             at = [*now.members.tolist(), c]
-            trial.append(_predicted(r.slope[:, at], r.value, now.x[at], w[at], low[at], high[at]))
+            trial.append(predicted(r.slope[:, at], r.value, now.x[at], w[at], low[at], high[at]))
         best = int(rest[int(np.argmin(trial))])
-        now = _short(model, target, [*now.members.tolist(), best], now.x)
+        now = short_update(model, target, [*now.members.tolist(), best], now.x)
         if progress is not None:
             progress((k + 1) / (count + 2), f"parameter {k + 1}: {model.parameters.names[best]}")
     sensitive = weighted_sensitivities(model, target)
     starts = [now.members, orthogonal(sensitive, count), largest(sensitive, count)]
     unique = {tuple(sorted(s.tolist())): s for s in starts}
-    found = [_exchange(model, target, _short(model, target, s.tolist(), np.zeros(p))) for s in unique.values()]
+    near = target.doubting()
+    found = []
+    for s in unique.values():
+        rough = short_update(model, target, s.tolist(), np.zeros(p))
+        found.append(_exchange(model, near, short_update(model, near, s.tolist(), rough.x)))
     return min(found, key=lambda c: c.value)
 
 
@@ -129,11 +133,11 @@ def _exchange(model: Candidates, target: Target, now: Choice) -> Choice:
                 at = [*stay, c]
                 # taking `out` away means going back to x = 0 there
                 value = r.value + r.slope[:, out] * now.x[out]
-                options.append((_predicted(r.slope[:, at], value, now.x[at], w[at], low[at], high[at]), at))
+                options.append((predicted(r.slope[:, at], value, now.x[at], w[at], low[at], high[at]), at))
         options.sort(key=lambda o: o[0])
         better = None
         for _, at in options[:TRIALS]:
-            trial = _short(model, target, at, np.where(np.isin(np.arange(p), at), now.x, 0.0))
+            trial = short_update(model, target, at, np.where(np.isin(np.arange(p), at), now.x, 0.0))
             if trial.value < (1 - GAIN) * now.value and (better is None or trial.value < better.value):
                 better = trial
         if better is None:
@@ -174,8 +178,9 @@ def alike(sensitivities: Float, names: Sequence[str]) -> tuple[str, ...]:
 def criterion(r: Residual, x: Float, prior: Float, target: Target) -> float:
     """AICc of a set: the larger of n ln(J/n) with a penalty on the number of parameters.
 
-    n counts a frequency and a shape residual a used pair. Burnham and Anderson (2002), eq. 7.
+    n counts a frequency and a shape residual a used test mode; one without a partner pays `target.lost`, so that sets
+    that have paired different modes can be compared. Burnham and Anderson (2002), eq. 7.
     """
-    n = 2 * max(int(r.used.sum()), 1)
+    n = 2 * max(int(target.used.sum()), 1)
     k = x.size + 1
     return float(n * np.log(objective(target, r, x, prior) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))

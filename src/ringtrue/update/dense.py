@@ -12,8 +12,27 @@ from ringtrue.core.arrays import Any_, Float, freeze_fields
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
+from ringtrue.reduce.parametric import ReducedModel
 
 REPEATED = 1e-9  # relative distance of eigenvalues whose shapes mix freely
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matrices:
+    """A model at one point as small matrices, with their derivatives to x.
+
+    Attributes
+    ----------
+    stiffness, mass : (n, n) float64
+    d_stiffness, d_mass : (p, n, n) float64, ∂K/∂x and ∂M/∂x
+    observe : (channel, n) float64
+    """
+
+    stiffness: Float
+    mass: Float
+    d_stiffness: Float
+    d_mass: Float
+    observe: Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +109,13 @@ class DenseModel:
         lam, phi = linalg.eigh(k, m)
         return np.asarray(lam), np.asarray(phi)
 
+    def matrices(self, x: Float) -> Matrices:
+        """K, M and their derivatives at x (p,)."""
+        change, slope = self.parameters.factors(x) - 1.0, self.parameters.slope(x)[:, None, None]
+        k = self.stiffness + np.tensordot(change, self.d_stiffness, axes=1)
+        m = self.mass + np.tensordot(change, self.d_mass, axes=1)
+        return Matrices(k, m, self.d_stiffness * slope, self.d_mass * slope, self.observation)
+
     def modes(self, x: Float) -> Linearisation:
         """Modes at x (p,), without sensitivities."""
         lam, phi = self._solve(x)
@@ -118,3 +144,36 @@ class DenseModel:
 
 def _hertz(lam: Any_) -> Float:
     return np.asarray(np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi))
+
+
+def matrices_at(model: object, x: Float) -> Matrices:
+    """Small matrices of a model at x (p,): of a `DenseModel`, or of a `ReducedModel` in its basis.
+
+    Raises
+    ------
+    InputError
+        If the model has no small matrices.
+    """
+    if isinstance(model, ReducedModel):
+        return _reduced(model, x)
+    give = getattr(model, "matrices", None)
+    if give is None:
+        raise InputError(f"{type(model).__name__} has no small matrices; reduce the model (reduce.parametric)")
+    return give(x)  # type: ignore[no-any-return]
+
+
+def _reduced(model: ReducedModel, x: Float) -> Matrices:
+    """The projected matrices; terms go with powers of the factors."""
+    everything = model.full_vector(x)
+    a, slope = model.system.parameters.factors(everything), model.system.parameters.slope(everything)
+    k, m = model.basis.stiffness.copy(), model.basis.mass.copy()
+    dk, dm = np.zeros((2, a.size, *k.shape))
+    for i, terms in enumerate(model.basis.terms):  # over parameters and their powers
+        for power, kj, mj in terms:
+            k += (a[i] ** power - 1.0) * kj
+            m += (a[i] ** power - 1.0) * mj
+            weight = power * a[i] ** (power - 1) * slope[i]
+            dk[i] += weight * kj
+            dm[i] += weight * mj
+    at = list(model.active)
+    return Matrices(k, m, dk[at], dm[at], model.basis.observe)

@@ -14,6 +14,7 @@ import numpy as np
 from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.core.iterate import iterate
 from ringtrue.core.outcome import Outcome
+from ringtrue.errors import NumericalError, SolverError
 from ringtrue.model.ports import ObservedModel
 from ringtrue.update.objective import Residual, Target, objective, residual, shared_cost
 
@@ -123,16 +124,29 @@ class GaussNewton:
         dx[free] = -np.linalg.solve(normal + state.mu * np.diag(np.diag(normal)), gradient[free])
         dx *= min(1.0, self.move / max(float(np.abs(dx).max(initial=0.0)), 1e-300))
         x = np.clip(x + dx, low, high)
-        r, value = self._at(x, state.residual)
+        try:
+            r, value = self._at(x, state.residual)
+        except (NumericalError, SolverError):  # a trial point that cannot be solved is a rejected step
+            return self._rejected(state)
         if self._better(x, r, state):
             curvature = np.zeros_like(normal) if self.published else _secant(state, x, r, w)
             return State(x, r, value, max(state.mu / 5, 1e-8), float(np.abs(x - state.x).max()), 0, curvature)
+        return self._rejected(state)
+
+    def _rejected(self, state: State) -> State:
+        """The same point with more damping."""
         flat = np.zeros_like(state.curvature)
         mu = max(8 * state.mu, 1e-2)
         return State(state.x, state.residual, state.value, mu, state.step, state.rejected + 1, flat)
 
     def _better(self, x: Float, r: Residual, state: State) -> bool:
-        """Whether the trial keeps every mode and lowers J (published: keeps every mode) over the modes of the state."""
+        """Whether the trial keeps every mode and lowers J (published: keeps every mode) over the modes of the state.
+
+        Pairs of least cost are compared by J itself, which is continuous where they change.
+        """
+        if self.target.rule == "cost" and not self.published:
+            std = self.model.parameters.std()
+            return objective(self.target, r, x, std) <= objective(self.target, state.residual, state.x, std)
         now, before = shared_cost(r, state.residual), shared_cost(state.residual, state.residual)
         if now is None or before is None:
             return False

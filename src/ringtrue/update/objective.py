@@ -5,18 +5,22 @@ Friswell and Mottershead (1995), Finite Element Model Updating in Structural Dyn
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.correlate.assign import PairingSettings, assign, scores
+from ringtrue.correlate.assign import PairingSettings, Scores, assign, scores
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
 from ringtrue.shapes.subspace import close_groups
 
 LOST = 100.0  # a used mode without a partner counts like a frequency deviation of ten standard deviations
+DOUBT = 16.0  # four standard deviations
 HOLD = 0.5  # of the MAC gate, and of 1/frequency gate, for modes that are paired already
 
 
@@ -36,8 +40,8 @@ class Weights:
     """
 
     frequency: float = 0.01
-    mac: float = 0.1
-    shape: float = 0.3
+    mac: float = 0.05
+    shape: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +59,11 @@ class Target:
         False: left out of the updating, to judge it by.
     weights : Weights
     pairing : PairingSettings
+    rule : {"gates", "cost"}
+        How modes are paired anew at each point: inside the gates of `pairing`, or where the objective itself is
+        lowest. With "cost" J is a minimum over assignments and continuous where pairs change; it has no gates.
+    lost : float
+        Cost of a used mode without a partner; with "cost" no pair costs more.
     """
 
     frequencies: Float
@@ -63,6 +72,8 @@ class Target:
     used: Bool
     weights: Weights = field(default_factory=Weights)
     pairing: PairingSettings = field(default_factory=PairingSettings)
+    rule: Literal["gates", "cost"] = "gates"
+    lost: float = LOST
 
     def __post_init__(self) -> None:
         f = np.float64
@@ -72,6 +83,15 @@ class Target:
             raise InputError(
                 f"{m} frequencies, shapes {self.shapes.shape}, std {self.std.shape}, used {self.used.shape}"
             )
+        if self.rule not in ("gates", "cost") or not self.lost > 0:
+            raise InputError(f"pairing rule {self.rule!r} (gates or cost), cost of a lost mode {self.lost} (> 0)")
+
+    def doubting(self) -> Target:
+        """The same for a point near the end: pairs of least cost, and a mode that costs more than `DOUBT` has none.
+
+        A test mode that the model does not have then pulls no more than one without a partner.
+        """
+        return replace(self, rule="cost", lost=DOUBT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +131,9 @@ def match(
     go from step to step.
     """
     s = scores(target.frequencies, target.shapes, now.frequencies, now.shapes, target.pairing)
+    if target.rule == "cost":
+        pairs = _cheapest(target, now, s)
+        return pairs, s.merged[pairs[:, 0], pairs[:, 1]], s.groups_b
     every = np.ones(target.frequencies.size, dtype=np.bool_)
     elastic = now.frequencies > 0
     gates = target.pairing
@@ -120,6 +143,23 @@ def match(
         gates = replace(gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD)
     rows, cols = assign(s, gates, every, elastic)
     return np.stack([rows, cols], axis=1), s.merged[rows, cols], s.groups_b
+
+
+def _cheapest(target: Target, now: Linearisation, s: Scores) -> Int:
+    """Pairs (k, 2) of least total cost, `lost` for a mode without a partner: first the used modes, then the others."""
+    w = target.weights
+    root = 0.5 / np.sqrt(w.frequency**2 + target.std**2)
+    cost = (root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + (w.shape / w.mac if w.shape else 0.0) * (1 - s.merged)
+    cost[:, now.frequencies <= 0] = target.lost
+    found: list[tuple[int, int]] = []
+    for rows in (np.flatnonzero(target.used), np.flatnonzero(~target.used)):
+        free = np.setdiff1d(np.arange(now.frequencies.size), [j for _, j in found])
+        alone = np.full((rows.size, rows.size), target.lost)
+        i, j = linear_sum_assignment(np.hstack([np.minimum(cost[np.ix_(rows, free)], target.lost), alone]))
+        keep = j < free.size
+        found += zip(rows[i[keep]].tolist(), free[j[keep]].tolist(), strict=True)
+    pairs = np.array(sorted(p for p in found if cost[p] < target.lost), dtype=np.int64)
+    return pairs.reshape(-1, 2)
 
 
 def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Residual:
@@ -136,22 +176,23 @@ def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Re
     value = [root * (1 - lam / lam_test)]
     slope = [root[:, None] * now.d_lambda[fe[used]] / lam_test[:, None]]
     if w.shape > 0:
-        group_of = {j: g for g in groups for j in g}
-        for t, f in pairs[used].tolist():  # over pairs: each has its own subspace
-            r, g = _shape(target, now, t, np.array(_group(target, now, t, f, group_of)))
+        for (t, _), group in zip(pairs[used].tolist(), spans(target, pairs[used], groups), strict=True):
+            r, g = shape_residual(target, now, t, group)  # each pair has its own subspace
             value.append(np.sqrt(w.shape / w.mac) * r)
             slope.append(np.sqrt(w.shape / w.mac) * g)
     return Residual(np.concatenate(value), np.concatenate(slope), pairs, mac, error, used)
 
 
-def _group(target: Target, now: Linearisation, t: int, f: int, group_of: dict[int, tuple[int, ...]]) -> tuple[int, ...]:
-    """The FE modes that stand for test mode t: the pair's own, or its close group where the test is close, too."""
+def spans(target: Target, pairs: Int, groups: Sequence[tuple[int, ...]]) -> tuple[Int, ...]:
+    """The FE modes that stand for the test mode of each pair: the pair's own, or its close group where the test is
+    close, too."""
+    group_of = {j: g for g in groups for j in g}
     near = close_groups(target.frequencies, target.pairing.close, target.pairing.largest_group)
-    alone = next(len(g) for g in near if t in g) == 1
-    return (f,) if alone else group_of.get(f, (f,))
+    alone = {t for g in near if len(g) == 1 for t in g}
+    return tuple(np.array((f,) if t in alone else group_of.get(f, (f,))) for t, f in pairs.tolist())
 
 
-def _shape(target: Target, now: Linearisation, t: int, group: Int) -> tuple[Float, Float]:
+def shape_residual(target: Target, now: Linearisation, t: int, group: Int) -> tuple[Float, Float]:
     """(I − P) ψ and ∂(Pψ)/∂x with P the projector on the model's shapes; ‖(I − P) ψ‖² = 1 − MAC.
 
     The scale (modal scale factor) and a rotation inside the group are projected out at every point.
@@ -169,9 +210,35 @@ def _shape(target: Target, now: Linearisation, t: int, group: Int) -> tuple[Floa
 
 
 def objective(target: Target, r: Residual, x: Float, prior_std: Float) -> float:
-    """J = Δzᵀ W Δz + pᵀ W_p p, and `LOST` for each used mode that has no partner."""
+    """J = Δzᵀ W Δz + pᵀ W_p p, and `target.lost` for each used mode that has no partner."""
     lost = int(target.used.sum()) - int(r.used.sum())
-    return float(r.value @ r.value + (x / prior_std) @ (x / prior_std) + LOST * lost)
+    return float(r.value @ r.value + (x / prior_std) @ (x / prior_std) + target.lost * lost)
+
+
+def comparable_criteria(
+    target: Target, residuals: Sequence[Residual], points: Sequence[Float], priors: Sequence[Float]
+) -> Float:
+    """AICc (k,) of parameter sets that may have paired different modes: the same modes are counted in all.
+
+    Counted are the used modes that at least one set has paired; a set that has no partner for one of them pays
+    `target.lost`. So losing a mode never pays, and a mode that no set explains does not decide. Burnham and Anderson
+    (2002), eq. 7.
+
+    Parameters
+    ----------
+    residuals : sequence (k) of Residual
+    points, priors : sequences (k) of (p,) float64
+        x and the prior standard deviations of each set.
+    """
+    counted = np.unique(np.concatenate([r.pairs[r.used, 0] for r in residuals]))
+    n = (2 if target.weights.shape > 0 else 1) * max(counted.size, 1)
+    out = []
+    for r, x, prior in zip(residuals, points, priors, strict=True):
+        missing = counted.size - int(r.used.sum())
+        value = float(r.value @ r.value + (x / prior) @ (x / prior)) + target.lost * missing
+        k = x.size + 1
+        out.append(n * np.log(max(value, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))
+    return np.array(out)
 
 
 def shared_cost(r: Residual, others: Residual) -> float | None:

@@ -11,6 +11,7 @@ from ringtrue.demos.lsf import site
 from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.facility import VARIANTS, Builder
 from ringtrue.demos.lsf.mesh import Value
+from ringtrue.demos.lsf.spec import Spec
 from ringtrue.io.nastran.writer import format_card
 
 CYLINDER = 20  # the vessel's frame
@@ -88,12 +89,12 @@ def _material(b: Builder, region: str, mid: int, factor: float) -> str:
     return format_card("MAT1", [*fields, None, None, spec.loss.get(region) or None])
 
 
-def _property(region: str, pid: int, mid: int) -> str:
+def _property(spec: Spec, region: str, pid: int, mid: int) -> str:
     if region in S.CONCRETE:
         return format_card("PSOLID", [pid, mid])
     if region in S.SHELL:
         return format_card("PSHELL", [pid, mid, S.SHELL[region], mid, None, mid])
-    s = S.SECTIONS[region]
+    s = S.SECTIONS[region].times(spec.section.get(region, 1.0))
     if region in ("girders", "braces", "vessel rings", "shaft"):
         head: list[Value] = [pid, mid, s.area, s.i1, s.i2, s.j, None, None]
         return format_card("PBAR", [*head, *([None] * 8), s.k1, s.k2])
@@ -113,7 +114,7 @@ def properties(b: Builder) -> Iterable[str]:
             pid = base + 1000 * v
             factor = float(np.exp(b.spec.scatter * (rng.standard_normal()))) if b.spec.scatter else 1.0
             if pid in used:
-                yield _property(region, pid, pid) + _material(b, region, pid, factor)
+                yield _property(b.spec, region, pid, pid) + _material(b, region, pid, factor)
     done = set()
     for region, pid, factor in b.bushes:
         if pid in done:
@@ -146,7 +147,7 @@ def _site_properties() -> Iterable[str]:
     clamp = [3.0e8] * 3 + [1.0e7] * 3
     yield format_card("PBUSH", [site.PIPE_CLAMP, "K", *clamp, None, "GE", 0.05])
     hose = site.HOSE_BRIDGE * (2 * np.pi * 1.92) ** 2
-    hoist = site.HOIST * (2 * np.pi * 2.24) ** 2
+    crane = site.CRANE * (2 * np.pi * 2.24) ** 2
     stiff = 6.0e9
     yield format_card("PBUSH", [site.HOSE_LINK, "K", stiff, hose, stiff, None, None, None, None, "GE", 0.06])
-    yield format_card("PBUSH", [site.HOIST_LINK, "K", hoist, stiff, stiff, None, None, None, None, "GE", 0.06])
+    yield format_card("PBUSH", [site.CRANE_LINK, "K", crane, stiff, stiff, None, None, None, None, "GE", 0.06])

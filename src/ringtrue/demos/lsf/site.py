@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from ringtrue.demos.lsf.facility import Builder
 
 # property number -> what it is made of; see `deck.properties`
-PARTITION, PLATFORM, PIPE, HOSE_LINK, HOIST_LINK, PIPE_CLAMP = 5, 71, 72, 73, 74, 75
-HOSE_BRIDGE, HOIST = 9_000.0, 5_000.0  # kg, hung so softly that they move alone
+PARTITION, PLATFORM, PIPE, HOSE_LINK, CRANE_LINK, PIPE_CLAMP = 5, 71, 72, 73, 74, 75
+HOSE_BRIDGE, CRANE = 9_000.0, 12_000.0  # kg, hung so softly that they move alone
 CABINETS = ((4.0, 0.45, S.TOP, 1500.0), (21.0, 9.55, S.MID, 2500.0), (14.2, 9.55, S.TOP, 1200.0))
 
 
@@ -59,7 +59,7 @@ def _hung(b: Builder) -> None:
     m.part = "site"
     for point, place, mass, pid in (
         (m.nearest("foundation", (25.0, 5.0, S.WALL_TOP))[0], (25.0, 5.0, S.WALL_TOP), HOSE_BRIDGE, HOSE_LINK),
-        (m.node(21.0, S.SIDES[0], S.TOP), (21.0, S.SIDES[0], S.TOP), HOIST, HOIST_LINK),
+        (m.nearest("foundation", (0.0, 5.0, S.WALL_TOP))[0], (0.0, 5.0, S.WALL_TOP), CRANE, CRANE_LINK),
     ):
         hung = m.node(*place, new=True)
         m.element("CONM2", hung, None, mass)

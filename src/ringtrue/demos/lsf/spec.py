@@ -49,6 +49,11 @@ class Section:
             2 * width * t / area,
         )
 
+    def times(self, factor: float) -> Section:
+        """The section of plates thicker by `factor`."""
+        f = factor
+        return Section(f * self.area, f * self.i1, f * self.i2, f * self.j, self.k1, self.k2)
+
 
 # region -> (material kind, elastic modulus or stiffness as the analyst took it); a region is one thing that was
 # poured, welded or bolted together, and one candidate for updating
@@ -106,17 +111,17 @@ class Spec:
     mesh: Mesh3 = field(default_factory=Mesh3)
     modulus: Mapping[str, float] = field(
         default_factory=lambda: (
-            dict.fromkeys(CONCRETE, 17.0e9) | dict.fromkeys(STEEL, 2.06e11) | dict.fromkeys(JOINTED, 1.50e11)
+            dict.fromkeys(CONCRETE, 17.0e9) | dict.fromkeys(STEEL, 2.06e11) | dict.fromkeys(JOINTED, 1.70e11)
         )
     )
     density: Mapping[str, float] = field(
-        default_factory=lambda: dict.fromkeys(CONCRETE, 2500.0) | dict.fromkeys(STEEL, 7850.0)
+        default_factory=lambda: dict.fromkeys(CONCRETE, 2475.0) | dict.fromkeys(STEEL, 7850.0)
     )
     bush: Mapping[str, tuple[float, ...]] = field(
         default_factory=lambda: {
-            "anchors front": (2.2e8, 2.2e8, 5.5e8, 2.0e8, 2.0e8, 1.0e8),
-            "anchors middle": (2.2e8, 2.2e8, 5.5e8, 2.0e8, 2.0e8, 1.0e8),
-            "anchors rear": (2.2e8, 2.2e8, 5.5e8, 2.0e8, 2.0e8, 1.0e8),
+            "anchors front": (2.85e8, 1.4e8, 7.5e8, 2.0e8, 2.0e8, 1.0e8),
+            "anchors middle": (2.85e8, 1.4e8, 7.5e8, 2.0e8, 2.0e8, 1.0e8),
+            "anchors rear": (2.85e8, 1.4e8, 7.5e8, 2.0e8, 2.0e8, 1.0e8),
             "vessel mounts front": (9.0e8, 1.1e9, 1.4e9, 0.0, 0.0, 0.0),
             "vessel mounts rear": (9.0e8, 1.1e9, 1.4e9, 0.0, 0.0, 0.0),
             "motor mounts": (3.0e9, 3.0e9, 5.0e9, 0.0, 0.0, 0.0),
@@ -125,6 +130,7 @@ class Spec:
             "air springs": (7.45e5, 9.6e5, 2.6e6, 0.0, 0.0, 0.0),
         }
     )
+    section: Mapping[str, float] = field(default_factory=dict)  # region -> factor on its beam section
     loss: Mapping[str, float] = field(default_factory=dict)  # region -> structural loss factor
     dashpot: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N s/m at each air spring
     scatter: float = 0.0  # log standard deviation of stiffness within a region

@@ -1,4 +1,4 @@
-"""CBAR and CBEAM: the exact Timoshenko beam with offsets, releases and an eccentric neutral axis."""
+"""CBAR and CBEAM: the exact Timoshenko beam with taper, offsets, releases and an eccentric neutral axis."""
 
 from __future__ import annotations
 
@@ -6,22 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import UnsupportedCard
-from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, scatter
+from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, scatter, unit
 from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import components, node_dofs, orientation, segment, triad
 
 PLANE1, PLANE2 = [1, 5, 7, 11], [2, 4, 8, 10]  # (v, θz) and (w, θy) at both ends
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])  # the slope of w is -θy
+_GAUSS, _WEIGHT = (a / 2 for a in np.polynomial.legendre.leggauss(16))  # on (-½, ½); I 10:1 to nine digits
+OFFSETS = ("GGG", "BGG", "GGO", "BGO", "GOG", "BOG", "GOO", "BOO")  # OFFT: orientation, offset A, offset B
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """Beam sections (e,): area, second moments, torsion constant, shear factors (0: no shear flexibility).
+    """Beam sections at both ends, (e, 2): area, second moments, torsion constant, masses; linear between.
 
-    `neutral`, `nsm_at` (e, 2): y, z of the neutral axis and of the non-structural mass from the shear centre.
+    `k1`, `k2` (e,): shear factors, 0 for no shear flexibility. `nsm`, `nsm_polar`: non-structural mass a length and
+    its inertia about its own centre. `neutral`, `nsm_at` (e, 2, 2): y, z of the neutral axis and of the
+    non-structural mass from the shear centre, at each end.
     """
 
     A: Any_
@@ -32,8 +36,16 @@ class Section:
     k1: Any_
     k2: Any_
     nsm: Any_
-    neutral: Float
-    nsm_at: Float
+    nsm_polar: Any_
+    neutral: Any_
+    nsm_at: Any_
+
+    def integrated(self) -> Bool:
+        """Which beams (e,) need the flexibility integral: tapered, or I12 together with shear flexibility."""
+        ends = np.stack([self.A, self.I1, self.I2, self.I12, self.J], axis=-1)
+        taper = (ends[:, 0] != ends[:, 1]).any(axis=1)
+        coupled = (self.I12 != 0).any(axis=1) & ((self.k1 != 0) | (self.k2 != 0))
+        return np.asarray(taper | coupled)
 
 
 def _curvature(L: Float) -> tuple[Float, Float]:
@@ -45,22 +57,38 @@ def _curvature(L: Float) -> tuple[Float, Float]:
 
 
 def kernel(L: Float, iso: Isotropic, s: Section) -> Any_:
-    """Local stiffness (e, 12, 12), exact for end loads (Przemieniecki 1968, eq. 5.116; I12 without shear)."""
+    """Local stiffness (e, 12, 12), exact for end loads."""
+    K = uniform(L, iso, s)
+    at = np.flatnonzero(s.integrated())
+    if at.size:
+        inner = flexible(L[at], iso.E[at], iso.G[at], _rows(s, at))
+        K = K.astype(np.result_type(K, inner))
+        K[at] = inner
+    return K
+
+
+def _rows(s: Section, at: Int) -> Section:
+    return Section(*(getattr(s, name)[at] for name in Section.__slots__))
+
+
+def uniform(L: Float, iso: Isotropic, s: Section) -> Any_:
+    """Stiffness with the mean of the end sections (Przemieniecki 1968, eq. 5.116; I12 without shear)."""
+    A, I1, I2, I12, J = (v.mean(axis=1) for v in (s.A, s.I1, s.I2, s.I12, s.J))
     b0, b1 = _curvature(L)
-    uniform, linear = (np.einsum("e,ei,ej->eij", c, b, b) for c, b in ((L, b0), (L / 3, b1)))
-    soft = [1 / (1 + _shear(iso, s.A, I, k, L)) for I, k in ((s.I1, s.k1), (s.I2, s.k2))]
-    EI1 = scaled(iso.E * s.I1, uniform) + scaled(iso.E * s.I1 * soft[0], linear)
-    EI2 = scaled(iso.E * s.I2, uniform) + scaled(iso.E * s.I2 * soft[1], linear)
+    constant, linear = (np.einsum("e,ei,ej->eij", c, b, b) for c, b in ((L, b0), (L / 3, b1)))
+    soft = [1 / (1 + _shear(iso, A, I, k, L)) for I, k in ((I1, s.k1), (I2, s.k2))]
+    EI1 = scaled(iso.E * I1, constant) + scaled(iso.E * I1 * soft[0], linear)
+    EI2 = scaled(iso.E * I2, constant) + scaled(iso.E * I2 * soft[1], linear)
     pair = np.broadcast_to(_PAIR, (len(L), 2, 2))
     blocks = [
-        ([0, 6], scaled(iso.E * s.A / L, pair)),
-        ([3, 9], scaled(iso.G * s.J / L, pair)),
+        ([0, 6], scaled(iso.E * A / L, pair)),
+        ([3, 9], scaled(iso.G * J / L, pair)),
         (PLANE1, EI1),
         (PLANE2, EI2 * _SIGN[:, None] * _SIGN),
     ]
     K = scatter(len(L), 12, *blocks)
-    if np.any(s.I12 != 0):
-        EI12 = (scaled(iso.E * s.I12, uniform) + scaled(iso.E * s.I12 * soft[0] * soft[1], linear)) * _SIGN
+    if np.any(I12 != 0):
+        EI12 = scaled(iso.E * I12, constant + linear) * _SIGN
         K = K.astype(np.result_type(K, EI12))
         K[:, np.array(PLANE1)[:, None], PLANE2] += EI12
         K[:, np.array(PLANE2)[:, None], PLANE1] += EI12.swapaxes(1, 2)
@@ -73,30 +101,82 @@ def _shear(iso: Isotropic, A: Any_, I: Any_, k: Any_, L: Float) -> Any_:
     return np.where(rigid, 0.0, 12 * iso.E * I / np.where(rigid, 1.0, k * iso.G * A * L**2))
 
 
+def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
+    """Stiffness (e, 12, 12) of beams with linearly varying sections: the inverse of the integrated flexibility.
+
+    End B moves by F f under its end forces f, F = ∫ bᵀ(x) C(x) b(x) dx with b from equilibrium and C the compliance
+    of the section (Przemieniecki 1968, section 5.6; force-based, so exact for end loads whatever the taper).
+    """
+    dtype = np.result_type(float, E, G, s.A, s.I1, s.I2, s.I12, s.J, s.k1, s.k2)
+    axial, twist = np.zeros(len(L), dtype=dtype), np.zeros(len(L), dtype=dtype)
+    F = np.zeros((len(L), 4, 4), dtype=dtype)  # of (Fy, Mz/L, Fz, -My/L)
+    none = [np.asarray((v == 0).all(axis=1) | (c == 0)) for v, c in ((s.A, E), (s.J, G), (s.I1, E), (s.I2, E))]
+    E = np.where(E == 0, 1.0, E)
+    for x, w in zip(_GAUSS, _WEIGHT, strict=True):  # a fixed number of points
+        A, I1, I2, I12, J = ((0.5 - x) * v[:, 0] + (0.5 + x) * v[:, 1] for v in (s.A, s.I1, s.I2, s.I12, s.J))
+        axial += w * L / np.where(none[0], 1.0, E * A)
+        twist += w * L / np.where(none[1], 1.0, G * J)
+        I1, I2 = np.where(none[2], 1.0, I1), np.where(none[3], 1.0, I2)
+        C = scaled(w * L**3 / (E * (I1 * I2 - I12**2)), np.stack([np.stack([I2, -I12], 1), np.stack([-I12, I1], 1)], 1))
+        b = np.array([0.5 - x, 1.0])  # bending moment at x by end force and end moment, over L
+        F += np.einsum("epq,i,j->epiqj", C, b, b).reshape(-1, 4, 4)
+        for plane, k in enumerate((s.k1, s.k2)):
+            rigid = (k == 0) | (A == 0) | (G == 0)
+            F[:, 2 * plane, 2 * plane] += np.where(rigid, 0.0, w * L / np.where(rigid, 1.0, k * G * A))
+    bending = np.linalg.solve(F, np.broadcast_to(np.eye(4), F.shape))  # scaled by the length
+    for plane, absent in enumerate(none[2:]):
+        at = slice(2 * plane, 2 * plane + 2)
+        bending[absent, at, :] = 0.0
+        bending[absent, :, at] = 0.0
+    K = np.zeros((len(L), 6, 6), dtype=dtype)
+    K[:, 0, 0], K[:, 3, 3] = np.where(none[0], 0.0, 1 / axial), np.where(none[1], 0.0, 1 / twist)
+    rows, scale = np.array([1, 5, 2, 4]), np.stack([L**0, L, L**0, -L], axis=1)
+    K[:, rows[:, None], rows] = bending * scale[:, :, None] * scale[:, None, :]
+    o = np.zeros_like(L)
+    from_a = arm(np.stack([L, o, o], axis=1))
+    relative = np.concatenate([-from_a, np.broadcast_to(np.eye(6), from_a.shape)], axis=2)
+    return congruent(relative, K)
+
+
 def consistent(L: Float, per_length: Any_, polar: Any_) -> Any_:
-    """Coupled local mass (e, 12, 12); axial as for a rod; `polar` = ρ(I1 + I2) turns about the axis."""
+    """Coupled local mass (e, 12, 12) of mass a length and polar inertia a length at both ends (e, 2), linear between.
+
+    Cubic transverse and linear torsional shapes; axial the mean of lumped and consistent, as for a rod.
+    """
+    mean, slope = (f(per_length) for f in (_mean, _slope))
+    plane = scaled(mean * L, _hermite(L, 0)) + scaled(slope * L, _hermite(L, 1))
     e = len(L)
-    m = per_length * L
-    axial = np.broadcast_to(np.array([[5.0, 1.0], [1.0, 5.0]]) / 12, (e, 2, 2))
-    o = np.ones_like(L)
-    rows = [
-        [156 * o, 22 * L, 54 * o, -13 * L],
-        [22 * L, 4 * L**2, 13 * L, -3 * L**2],
-        [54 * o, 13 * L, 156 * o, -22 * L],
-        [-13 * L, -3 * L**2, -22 * L, 4 * L**2],
-    ]
-    plane = np.stack([np.stack(r, axis=1) for r in rows], axis=1) / 420
-    twist = np.broadcast_to(np.array([[2.0, 1.0], [1.0, 2.0]]) / 6, (e, 2, 2))
-    blocks = [([0, 6], scaled(m, axial)), (PLANE1, scaled(m, plane))]
-    blocks += [(PLANE2, scaled(m, plane * _SIGN[:, None] * _SIGN)), ([3, 9], scaled(polar * L, twist))]
+    ends = np.broadcast_to(np.diag([-1.0, 1.0]) / 12, (e, 2, 2))
+    axial = scaled(mean * L, np.broadcast_to(np.array([[5.0, 1.0], [1.0, 5.0]]) / 12, (e, 2, 2)))
+    twist = scaled(_mean(polar) * L, np.broadcast_to(np.array([[2.0, 1.0], [1.0, 2.0]]) / 6, (e, 2, 2)))
+    blocks = [([0, 6], axial + scaled(slope * L, ends)), (PLANE1, plane)]
+    blocks += [(PLANE2, plane * _SIGN[:, None] * _SIGN), ([3, 9], twist + scaled(_slope(polar) * L, ends))]
     return scatter(e, 12, *blocks)
 
 
+def _mean(v: Any_) -> Any_:
+    return np.asarray((v[:, 0] + v[:, 1]) / 2)
+
+
+def _slope(v: Any_) -> Any_:
+    return np.asarray(v[:, 1] - v[:, 0])
+
+
+def _hermite(L: Float, power: int) -> Float:
+    """∫ (ξ - ½)^power NᵀN dξ of the cubic shapes of (v1, θ1, v2, θ2), (e, 4, 4); ξ from 0 to 1."""
+    x = _GAUSS + 0.5
+    shapes = np.stack([1 - 3 * x**2 + 2 * x**3, x - 2 * x**2 + x**3, 3 * x**2 - 2 * x**3, x**3 - x**2])
+    unit = np.einsum("g,ig,jg->ij", _WEIGHT * _GAUSS**power, shapes, shapes)
+    scale = np.stack([L**0, L, L**0, L], axis=1)
+    return np.asarray(unit * scale[:, :, None] * scale[:, None, :])
+
+
 def lumped(L: Float, per_length: Any_, polar: Any_) -> Any_:
-    """Half the mass at each end, local (e, 12, 12)."""
+    """The mass at the two ends that keeps mass and centre, local (e, 12, 12); values at both ends (e, 2)."""
+    shares = np.array([[2.0, 1.0], [1.0, 2.0]]) / 6
     ends = np.zeros((len(L), 2, 6), dtype=np.result_type(per_length, polar))
-    ends[..., :3] = (per_length * L / 2)[:, None, None]
-    ends[..., 3] = (polar * L / 2)[:, None]
+    ends[..., :3] = (per_length @ shares * L[:, None])[..., None]
+    ends[..., 3] = polar @ shares * L[:, None]
     return ends.reshape(-1, 12)[:, :, None] * np.eye(12)
 
 
@@ -122,61 +202,94 @@ def _stiff(K: Any_, drop: Int) -> Any_:
 
 
 def _section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
+    return _pbar(m, card, at) if card == "CBAR" else _pbeam(m, card, at)
+
+
+def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
+    """PBAR of each row; its shear factors are ignored where I12 is given, as in Nastran."""
     t = m.model[card]
-    beam = "PBEAM" in m.model and card == "CBEAM"
-    name = "PBEAM" if beam else "PBAR"
-    row = lookup(m.model, name if card == "CBAR" else "PBEAM", t["PID"][at], t, at)
-    p = m.model[name]
-    iso = isotropic(m.model, p["MID"][row], p, row)
+    row = lookup(m.model, "PBAR", t["PID"][at], t, at)
+    p = m.model["PBAR"]
+    A, I1, I2, I12, J, nsm = (np.stack([p[c][row]] * 2, axis=1) for c in ("A", "I1", "I2", "I12", "J", "NSM"))
+    k1, k2 = (np.where(np.isnan(p[k][row]) | (I12[:, 0].real != 0), 0.0, p[k][row]) for k in ("K1", "K2"))
+    o, none = np.zeros((at.size, 2)), np.zeros((at.size, 2, 2))
+    return isotropic(m.model, p["MID"][row], p, row), Section(A, I1, I2, I12, J, k1, k2, nsm, o, none, none)
+
+
+def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
+    t = m.model[card]
+    warping = t.stack("SA", "SB")[at].any(axis=1)
+    if warping.any():
+        raise UnsupportedCard(card, why=f"{t.ids[at[warping][0]]} has warping points SA, SB; leave them out")
+    row = lookup(m.model, "PBEAM", t["PID"][at], t, at)
+    p = m.model["PBEAM"]
+    pairs = [("A", "AB"), ("I1", "I1B"), ("I2", "I2B"), ("I12", "I12B"), ("J", "JB")]
+    A, I1, I2, I12, J = (p.stack(*ends)[row] for ends in pairs)
     k1, k2 = (np.where(np.isnan(p[k][row]), 0.0, p[k][row]) for k in ("K1", "K2"))
-    o = np.zeros(at.size)
-    if not beam:
-        A, I1, I2, I12, J, nsm = (p[c][row] for c in ("A", "I1", "I2", "I12", "J", "NSM"))
-        none = np.stack([o, o], axis=1)
-        return iso, Section(A, I1, I2, I12, J, k1, k2, nsm, none, none)
-    pairs = [("A", "AB"), ("I1", "I1B"), ("I2", "I2B"), ("I12", "I12B"), ("J", "JB"), ("NSM", "NSMB")]
-    A, I1, I2, I12, J, nsm = ((p[a][row] + p[b][row]) / 2 for a, b in pairs)
-    neutral = (p.stack("N1A", "N2A")[row] + p.stack("N1B", "N2B")[row]) / 2
-    nsm_at = (p.stack("M1A", "M2A")[row] + p.stack("M1B", "M2B")[row]) / 2
-    return iso, Section(A, I1, I2, I12, J, k1, k2, nsm, neutral, nsm_at)
+    nsm, polar = p.stack("NSM", "NSMB")[row], p.stack("NSIA", "NSIB")[row]
+    neutral, nsm_at = (p.stack(*(f"{c}{i}{end}" for end in "AB" for i in (1, 2)))[row].reshape(-1, 2, 2) for c in "NM")
+    iso = isotropic(m.model, p["MID"][row], p, row)
+    return iso, Section(A, I1, I2, I12, J, k1, k2, nsm, polar, neutral, nsm_at)
 
 
 def _offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
-    """Arms (e, 2, 3) in basic from the nodes to the ends.
+    """Arms (e, 2, 3) in basic from the nodes to the ends: W in the CD frames or, by OFFT, in the element's frame.
 
     Raises
     ------
     UnsupportedCard
-        On OFFT with offsets in the element frame.
+        On any other OFFT.
     """
     t = m.model[card]
     w = t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")[at].reshape(-1, 2, 3)
-    frame = np.char.ljust(t["OFFT"][at].astype(str), 3)
-    used = (w != 0).any(axis=(1, 2))
-    other = used & ~np.isin(frame, ["GGG", "BGG", "   "])
+    used = (w != 0).any(axis=2)
+    offt = np.char.upper(t["OFFT"][at].astype(str))
+    offt = np.where(offt == "", OFFSETS[0], offt)
+    other = used.any(axis=1) & ~np.isin(offt, OFFSETS)
     if other.any():
-        raise UnsupportedCard(card, why=f"{t.ids[at[other][0]]} has OFFT {frame[other][0]}; allowed are GGG, BGG")
-    return np.asarray(np.einsum("eki,ekij->ekj", w, m.cd[nodes]))
+        raise UnsupportedCard(card, why=f"{t.ids[at[other][0]]} has OFFT {offt[other][0]}; allowed are {OFFSETS}")
+    frame = m.cd[nodes]
+    letters = np.char.ljust(offt, 3).astype("U3").view("U1").reshape(-1, 3)
+    own = (letters[:, 1:] == "O") & used
+    rows = np.flatnonzero(own.any(axis=1))
+    if rows.size:
+        axis = unit(m.xyz[nodes[rows, 1]] - m.xyz[nodes[rows, 0]])
+        R = triad(m, axis, orientation(m, t, at[rows], nodes[rows, 0]), t, at[rows])
+        frame[rows] = np.where(own[rows][:, :, None, None], R[:, None], frame[rows])
+    return np.asarray(np.einsum("eki,ekij->ekj", w, frame))
 
 
-def _eccentric(y: Float, z: Float) -> Float:
+def _eccentric(y: Any_, z: Any_) -> Any_:
     """Translations (6) at (y, z) of the section by those at the shear centre: (e, 6, 6)."""
     return arm(np.stack([np.zeros_like(y), y, z], axis=1))
 
 
-def _axial_at(neutral: Float) -> Float:
-    """Only the axial displacement is taken at the neutral axis; (e, 12, 12)."""
-    full = _eccentric(neutral[:, 0], neutral[:, 1])
-    full[:, 1:, :] = np.eye(6)[1:]
-    return nodal(np.stack([full, full], axis=1))
+def _axial_at(neutral: Any_, L: Float) -> Any_:
+    """Only the axial displacement is taken at the neutral axis, and along it; (e, 12, 12)."""
+    tilt = (neutral[:, 1] - neutral[:, 0]) / L[:, None]
+    ends = []
+    for end in (0, 1):
+        moved = _eccentric(neutral[:, end, 0], neutral[:, end, 1])
+        row = moved.copy()
+        row[:, 1:, :] = np.eye(6)[1:]
+        row[:, 0] += np.einsum("ei,eij->ej", tilt, moved[:, 1:3])
+        ends.append(row)
+    return nodal(np.stack(ends, axis=1))
 
 
 def _mass(L: Float, iso: Isotropic, s: Section, coupled: bool, beam: bool) -> Any_:
-    polar = iso.rho * (s.I1 + s.I2) if beam else np.zeros_like(L)
+    rho = iso.rho[:, None]
+    polar = rho * (s.I1 + s.I2) if beam else np.zeros_like(s.A)
     form = consistent if coupled else lumped
-    M = form(L, iso.rho * s.A, polar)
-    own, extra = (nodal(np.stack([_eccentric(*p.T)] * 2, axis=1)) for p in (s.neutral, s.nsm_at))
-    return congruent(own, M) + congruent(extra, form(L, s.nsm, np.zeros_like(L)))
+    M = _placed(form(L, rho * s.A, polar), s.neutral)
+    return M + _placed(form(L, s.nsm, s.nsm_polar), s.nsm_at) if np.any(s.nsm) or np.any(s.nsm_polar) else M
+
+
+def _placed(M: Any_, at: Any_) -> Any_:
+    """A mass that lies at y, z (e, 2, 2) of the ends."""
+    if not np.any(at):
+        return M
+    return congruent(nodal(np.stack([_eccentric(at[:, end, 0], at[:, end, 1]) for end in (0, 1)], axis=1)), M)
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
@@ -197,10 +310,11 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
         raise error(m.model, t, int(at[short][0]), "its two ends are at one place")
     L, axis = segment(x)
     R = triad(m, axis, orientation(m, t, at, nodes[:, 0]), t, at)
-    to_local = rotation(R, 2)
-    to_ends = nodal(arm(arms))
+    local = rotation(R, 2)
+    if arms.any():
+        local = local @ nodal(arm(arms))
     pins = np.concatenate([components(t["PA"][at]), components(t["PB"][at])], axis=1)
-    K = release(congruent(_axial_at(s.neutral), kernel(L, iso, s)), pins)
+    K = kernel(L, iso, s)
+    K = release(congruent(_axial_at(s.neutral, L), K) if np.any(s.neutral) else K, pins)
     M = _mass(L, iso, s, m.model.param("COUPMASS", -1) > 0, card == "CBEAM")
-    local = to_local @ to_ends
     return Matrices(node_dofs(nodes), congruent(local, K), congruent(local, M), iso.loss, np.empty((0, 12, 12)))

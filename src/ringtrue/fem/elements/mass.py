@@ -1,11 +1,11 @@
-"""CONM2: a rigid body on a rigid arm."""
+"""CONM1: a 6 x 6 mass in a frame; CONM2: a rigid body on a rigid arm."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ringtrue.core.arrays import Int
-from ringtrue.fem.algebra import arm, congruent, scatter
+from ringtrue.fem.algebra import arm, congruent, rotation, scatter
 from ringtrue.fem.mesh import Matrices, Mesh
 from ringtrue.fem.place import frame, node_dofs
 
@@ -23,3 +23,17 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     body = scatter(at.size, 6, ([0, 1, 2], t["M"][at][:, None, None] * np.eye(3)), ([3, 4, 5], inertia))
     zero = np.zeros((at.size, 6, 6))
     return Matrices(node_dofs(nodes[:, None]), zero, congruent(arm(r), body), np.zeros(at.size), np.empty((0, 6, 6)))
+
+
+def build_matrix(m: Mesh, card: str, at: Int) -> Matrices:
+    """Matrices of the rows `at` (e,) of CONM1: the mass matrix of its node in CID."""
+    t = m.model[card]
+    nodes = m.nodes(t["G"][at], t, at)
+    lower = [(i, j) for i in range(6) for j in range(i + 1)]
+    values = t.stack(*(f"M{i + 1}{j + 1}" for i, j in lower))[at]
+    own = np.zeros((at.size, 6, 6), dtype=values.dtype)
+    i, j = np.array(lower).T
+    own[:, i, j] = own[:, j, i] = values
+    M = congruent(rotation(frame(m, t["CID"][at], m.xyz[nodes]), 1), own)
+    zero = np.zeros((at.size, 6, 6))
+    return Matrices(node_dofs(nodes[:, None]), zero, M, np.zeros(at.size), np.empty((0, 6, 6)))

@@ -1,6 +1,8 @@
-"""CTRIA3: discrete Kirchhoff bending (DKT; Batoz, Bathe and Ho 1980), constant membrane strain, drilling.
+"""CTRIA3, CTRIAR: discrete Kirchhoff bending (DKT; Batoz, Bathe and Ho 1980), constant membrane strain, drilling.
 
-It has no transverse shear flexibility: its bending stiffness is exactly proportional to t³.
+Where the section asks for it (laminates, and PSHELL with a shear material other than that of bending) the transverse
+shear is that of the DKMT (Katili 1993), which is the DKT in the limit. A homogeneous plate is without it: its bending
+stiffness is then exactly proportional to t³, on which the reduced models of the updating rest.
 """
 
 from __future__ import annotations
@@ -9,8 +11,10 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import unit
-from ringtrue.fem.elements.shell import Plate, drilling, finish, place, plate
-from ringtrue.fem.isotropy import elastic, gram
+from ringtrue.fem.elements.shell import drilling, finish, place
+from ringtrue.fem.elements.shell_material import contract
+from ringtrue.fem.elements.shell_section import Section, oriented, section
+from ringtrue.fem.isotropy import gram
 from ringtrue.fem.mesh import Matrices, Mesh, error
 
 _P = np.array([[1, 1], [4, 1], [1, 4]]) / 6  # three points, degree 2
@@ -19,35 +23,69 @@ _DL = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
 _SIDES = ((0, 1), (1, 2), (2, 0))
 
 
-def flatten(x: Float) -> tuple[Float, Float, Float]:
+def flatten(x: Any_) -> tuple[Any_, Any_, Any_]:
     """Axes (e, 3, 3), plane coordinates (e, 3, 2) and areas (e,) of nodes (e, 3, 3)."""
     e1 = unit(x[:, 1] - x[:, 0])
     n = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    area = np.linalg.norm(n, axis=1) / 2
+    area = np.sqrt((n * n).sum(axis=1)) / 2
     n = n / np.where(area == 0, 1.0, 2 * area)[:, None]
     axes = np.stack([e1, np.cross(n, e1), n], axis=1)
     return axes, np.einsum("eij,ekj->eki", axes, x - x.mean(axis=1, keepdims=True))[..., :2], area
 
 
-def _slopes(xy: Float) -> Float:
+def _sides(xy: Any_) -> tuple[Any_, Any_]:
+    """Unit vectors (e, 3, 2) and lengths (e, 3) of the sides."""
+    i, j = np.array(_SIDES).T
+    d = xy[:, j] - xy[:, i]
+    length = np.sqrt((d * d).sum(axis=2))
+    return d / length[..., None], length
+
+
+def _turns(t: Any_, length: Any_) -> Any_:
+    """(wj - wi)/l + (βsi + βsj)/2 of each side over (w, θx, θy) of each node: (e, side, 3, 3).
+
+    It is zero where the slope along a side is that of its ends.
+    """
+    R = np.zeros((len(t), 3, 3, 3), dtype=t.dtype)
+    for s, (i, j) in enumerate(_SIDES):
+        R[:, s, i, 0], R[:, s, j, 0] = -1 / length[:, s], 1 / length[:, s]
+        for node in (i, j):  # βs = θy tx - θx ty
+            R[:, s, node, 1], R[:, s, node, 2] = -t[:, s, 1] / 2, t[:, s, 0] / 2
+    return R
+
+
+def _slopes(t: Any_, R: Any_, phi: Any_) -> Any_:
     """(βx, βy) at corners and mid-sides over (w, θx, θy) of each node: (e, 6, 2, 3, 3).
 
-    At a mid-side the slope along it is that of a cubic w, the slope across it the mean of its ends.
+    At a mid-side the slope is the mean of its ends, and along it -3/2 R/(1 + φ) more (R of `_turns`): that of a cubic
+    w for φ = 0 (Batoz, Bathe and Ho 1980), with the shear of the side for φ > 0 (Katili 1993, eq. 31).
     """
-    H = np.zeros((len(xy), 6, 2, 3, 3))
+    H = np.zeros((len(t), 6, 2, 3, 3), dtype=np.result_type(R, phi))
     for k in range(3):
         H[:, k, 0, k, 2], H[:, k, 1, k, 1] = 1.0, -1.0
     for s, (i, j) in enumerate(_SIDES):
-        d = xy[:, j] - xy[:, i]
-        length = np.linalg.norm(d, axis=1)
-        t = d / length[:, None]
-        along = np.einsum("ea,eb->eab", t, t)
-        mean = (H[:, i] + H[:, j]) / 2
-        # β = -∇w for a Kirchhoff plate; along a side -∂w/∂s = -1.5 (wj - wi)/l - (βi + βj)/4
-        H[:, 3 + s] = mean - 1.5 * np.einsum("eab,ebnc->eanc", along, mean)
-        H[:, 3 + s, :, i, 0] += 1.5 * t / length[:, None]
-        H[:, 3 + s, :, j, 0] -= 1.5 * t / length[:, None]
+        more = (-1.5 / (1 + phi[:, s]))[:, None, None] * R[:, s]
+        H[:, 3 + s] = (H[:, i] + H[:, j]) / 2 + t[:, s, :, None, None] * more[:, None]
     return H
+
+
+def _flexibility(t: Any_, length: Any_, s: Section) -> Any_:
+    """φ = 12 D/(S l²) along each side (e, 3), D and S of that direction; 0 where the shear is rigid."""
+    c, n = t[..., 0], t[..., 1]
+    q = np.stack([c * c, n * n, 2 * c * n], axis=-1)
+    D = np.einsum("esi,eij,esj->es", q, s.bending, q)
+    S = np.einsum("esi,eij,esj->es", t, s.shear, t)
+    follow = s.flexible[:, None] & (S != 0)
+    return np.where(follow, 12 * D / (np.where(S == 0, 1.0, S) * length**2), 0.0)
+
+
+def _shear(t: Any_, R: Any_, phi: Any_) -> Any_:
+    """Transverse shear strain (e, gp, 2, 9): that of the sides, φ/(1 + φ) R, carried to the corners, linear between."""
+    along = (phi / (1 + phi))[..., None] * R.reshape(-1, 3, 9)
+    corner = np.empty((len(t), 3, 2, 9), dtype=along.dtype)
+    for k, pair in enumerate(((2, 0), (0, 1), (1, 2))):
+        corner[:, k] = np.linalg.solve(t[:, pair], along[:, pair])
+    return np.asarray(np.einsum("gk,ekic->egic", _L, corner))
 
 
 def _quadratic(L: Float) -> Float:
@@ -57,26 +95,36 @@ def _quadratic(L: Float) -> Float:
     return np.concatenate([corner, 4 * (L[:, i, None] * _DL[j] + L[:, j, None] * _DL[i])], axis=1)
 
 
-def kernel(xy: Float, area: Float, s: Plate) -> Any_:
+def kernel(xy: Any_, area: Any_, s: Section) -> Any_:
     """Local stiffness (e, 3, 6, 3, 6) of triangles with corners xy (e, 3, 2)."""
     e = len(xy)
-    J = np.einsum("nr,ena->era", _DL, xy)
-    back = np.linalg.inv(J)
+    back = np.linalg.inv(np.einsum("nr,ena->era", _DL, xy))
     g1 = np.broadcast_to(np.einsum("ear,nr->ena", back, _DL)[:, None], (e, 3, 3, 2))
     g2 = np.einsum("ear,gnr->egna", back, _quadratic(_L))
     w = np.repeat(area[:, None] / 3, 3, axis=1)
-    stretch = elastic(gram(g1, w), *s.membrane)
-    H = _slopes(xy).reshape(e, 12, 9)
-    bend = H.swapaxes(1, 2) @ elastic(gram(g2, w), *s.bending) @ H
-    K = np.zeros((e, 3, 6, 3, 6), dtype=np.result_type(stretch, bend, s.drill))
+    w1, w2, w3 = (s.weights(w, _L, p) for p in (1, 2, 3))
+    t, length = _sides(xy)
+    R, phi = _turns(t, length), _flexibility(t, length, s)
+    H = _slopes(t, R, phi).reshape(e, 12, 9)
+    bend = H.swapaxes(1, 2) @ contract(gram(g2, w3), s.bending) @ H
+    if phi.any():
+        rows = _shear(t, R, phi)
+        bend = bend + np.einsum("egic,eij,egjd,eg->ecd", rows, s.shear, rows, w1, optimize=True)
+    stretch = contract(gram(g1, w1), s.membrane)
+    K = np.zeros((e, 3, 6, 3, 6), dtype=np.result_type(stretch, s.coupling, bend, s.drill))
     place(K, [0, 1], stretch)
     place(K, [2, 3, 4], bend)
-    place(K, [0, 1, 5], s.drill[:, None, None] * drilling(_L, g1, w))
+    if np.any(s.coupling):
+        cross = gram(np.concatenate([g1, g2], axis=2), w2)[:, :3, :, 3:]
+        mixed = contract(cross, s.coupling) @ H
+        place(K, [0, 1], mixed, [2, 3, 4])
+        place(K, [2, 3, 4], mixed.swapaxes(1, 2), [0, 1])
+    place(K, [0, 1, 5], s.drill[:, None, None] * drilling(_L, g1, w1))
     return K
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CTRIA3.
+    """Matrices of the rows `at` (e,) of CTRIA3 or CTRIAR.
 
     Raises
     ------
@@ -88,6 +136,6 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     axes, xy, area = flatten(m.xyz[nodes])
     if (area == 0).any():
         raise error(m.model, t, int(at[area == 0][0]), "it has no area; check its nodes")
-    section = plate(m, card, at, 3)
-    share = np.repeat(area[:, None] / 3, 3, axis=1)
-    return finish(m, nodes, kernel(xy, area, section), section, axes, np.zeros((len(at), 3)), share)
+    s = oriented(m, card, at, section(m, card, at, 3), axes, m.xyz[nodes])
+    mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
+    return finish(m, nodes, kernel(xy, area, s), s, axes, np.zeros((len(at), 3)), mass)

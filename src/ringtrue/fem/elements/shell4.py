@@ -6,17 +6,24 @@ is linear in E and in t or t³, so that the parts of a thickness parameter are e
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.algebra import condense, unit
-from ringtrue.fem.elements.shell import Plate, drilling, finish, place, plate
-from ringtrue.fem.isotropy import elastic, gram, incompatible, jacobian
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.fem.algebra import arm, congruent, nodal, unit
+from ringtrue.fem.elements.shell import condensed, drilling, finish, in_spans, of_rotations, place
+from ringtrue.fem.elements.shell_curved import drilling as director_drilling
+from ringtrue.fem.elements.shell_curved import law, strains
+from ringtrue.fem.elements.shell_material import contract
+from ringtrue.fem.elements.shell_normals import node_normals
+from ringtrue.fem.elements.shell_rule import QUAD4
+from ringtrue.fem.elements.shell_section import Section, oriented, section
+from ringtrue.fem.isotropy import gram, incompatible, jacobian
 from ringtrue.fem.mesh import Matrices, Mesh, error
 
 _SIGNS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _POINTS = _SIGNS / np.sqrt(3)
-_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # slopes (βx, βy) = (θy, -θx)
 
 
 def _shape(p: Float) -> tuple[Float, Float]:
@@ -31,7 +38,7 @@ _CENTRE = _shape(np.zeros((1, 2)))[1]
 _MID = _shape(np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]]))  # of the sides η = ∓1, ξ = ∓1
 
 
-def flatten(x: Float) -> tuple[Float, Float, Float]:
+def flatten(x: Any_) -> tuple[Any_, Any_, Any_]:
     """Axes (e, 3, 3), plane coordinates (e, 4, 2) and heights (e, 4) of nodes (e, 4, 3)."""
     n = unit(np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]))
     e1 = x[:, 1] + x[:, 2] - x[:, 0] - x[:, 3]
@@ -41,12 +48,12 @@ def flatten(x: Float) -> tuple[Float, Float, Float]:
     return axes, local[..., :2], local[..., 2]
 
 
-def _assumed_shear(xy: Float, J: Float) -> Float:
+def _assumed_shear(xy: Any_, J: Any_) -> Any_:
     """Rows (e, gp, 2, 12) of the Cartesian shear strains over (w, βx, βy) of each node."""
     _, d = _MID
     N = _MID[0]
     tangent = np.einsum("gnr,ena->egra", d, xy)
-    cov = np.empty((len(xy), 4, 4, 3))  # e, side, node, (w, βx, βy)
+    cov = np.empty((len(xy), 4, 4, 3), dtype=xy.dtype)  # e, side, node, (w, βx, βy)
     for side, r in enumerate((0, 0, 1, 1)):
         cov[:, side, :, 0] = d[side, :, r]
         cov[:, side, :, 1:] = N[side, :, None] * tangent[:, side, r, None, :]
@@ -58,36 +65,85 @@ def _assumed_shear(xy: Float, J: Float) -> Float:
     return np.asarray(np.linalg.solve(J, rows))
 
 
-def kernel(xy: Float, s: Plate) -> Any_:
-    """Local stiffness (e, 4, 6, 4, 6) of a flat element with corners xy (e, 4, 2)."""
+def kernel(xy: Any_, s: Section) -> Any_:
+    """Local stiffness (e, 4, 6, 4, 6) of flat elements with corners xy (e, 4, 2)."""
     J, det, g = jacobian(_DN, xy)
     J0, det0, _ = jacobian(_CENTRE, xy)
     soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det, det)
-    stretch = elastic(gram(np.concatenate([g, soft], axis=2), det), *s.membrane)
+    stretch, mixed, bend = _plane(np.concatenate([g, soft], axis=2), det, s)
+    w = s.weights(det, _N, 1)
     rows = _assumed_shear(xy, J)
-    both = (rows * det[..., None, None]).reshape(-1, 8, 12).swapaxes(1, 2) @ rows.reshape(-1, 8, 12)
-    K = np.zeros((len(xy), 4, 6, 4, 6), dtype=np.result_type(stretch, s.bending[0], s.shear, s.drill))
-    place(K, [0, 1], _membrane(stretch))
-    shear = (s.shear[:, None, None] * both).reshape(-1, 4, 3, 4, 3)
-    slopes = elastic(gram(g, det), *s.bending).reshape(-1, 4, 2, 4, 2) + shear[:, :, 1:, :, 1:]
-    K[:, :, 2, :, 2] += shear[:, :, 0, :, 0]
-    K[:, :, 3:5, :, 3:5] += np.einsum("ai,ekalb,bj->ekilj", _TURN, slopes, _TURN, optimize=True)
-    K[:, :, 2, :, 3:5] += np.einsum("eklb,bj->eklj", shear[:, :, 0, :, 1:], _TURN)
-    K[:, :, 3:5, :, 2] += np.einsum("ai,ekal->ekil", _TURN, shear[:, :, 1:, :, 0])
-    place(K, [0, 1, 5], s.drill[:, None, None] * drilling(_N, g, det))
+    loaded = (rows.swapaxes(2, 3) @ s.shear[:, None]).swapaxes(2, 3) * w[..., None, None]
+    across = loaded.reshape(-1, 8, 12).swapaxes(1, 2) @ rows.reshape(-1, 8, 12)
+    K = np.zeros((len(xy), 4, 6, 4, 6), dtype=np.result_type(stretch, mixed, bend, across, s.drill))
+    place(K, [0, 1], stretch)
+    place(K, [2, 3, 4], _turn_shear(across))
+    place(K, [3, 4], _turn_both(bend))
+    if mixed.size:
+        mixed = of_rotations(mixed)
+        place(K, [0, 1], mixed, [3, 4])
+        place(K, [3, 4], mixed.swapaxes(1, 2), [0, 1])
+    place(K, [0, 1, 5], s.drill[:, None, None] * drilling(_N, g, w))
     return K
 
 
-def _membrane(K: Any_) -> Any_:
-    """Condense the bubbles out; elements without membrane stiffness stay zero."""
-    live = np.abs(K).max(axis=(1, 2)) > 0
-    out = np.zeros((len(K), 8, 8), dtype=K.dtype)
-    out[live] = condense(K[live], np.arange(8), np.arange(8, 12))
-    return out
+def curved_kernel(x: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section) -> Any_:
+    """Stiffness (e, 24, 24) in basic of elements with nodes x (e, 4, 3) and normals (e, 4, 3) of a curved surface.
+
+    The element stays flat: each node is joined to the plane (or the offset plane) by a rigid arm along its normal.
+    """
+    e = len(x)
+    arms = ((s.offset[:, None] - heights) / np.einsum("eka,ea->ek", normals, axes[:, 2]))[..., None] * normals
+    x = x + arms
+    xy = np.einsum("eij,ekj->eki", axes[:, :2], x - x.mean(axis=1, keepdims=True))
+    J, det, _ = jacobian(_DN, xy)
+    J0, det0, _ = jacobian(_CENTRE, xy)
+    soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det, s.weights(det, _N, 1))
+    rows = np.zeros((e, 4, 8, 28), dtype=np.result_type(x, normals))
+    rows[..., :24] = strains(QUAD4, x, normals, np.linalg.inv(J))
+    for b in range(2):
+        g = soft[:, :, b]
+        rows[:, :, 0, 24 + 2 * b], rows[:, :, 2, 24 + 2 * b] = g[..., 0], g[..., 1]
+        rows[:, :, 1, 25 + 2 * b], rows[:, :, 2, 25 + 2 * b] = g[..., 1], g[..., 0]
+    loaded = (law(s, det, _N) @ rows).reshape(e, -1, 28)
+    K = condensed(rows.reshape(e, -1, 28).swapaxes(1, 2) @ loaded, 4) + director_drilling(QUAD4, x, s)
+    return congruent(nodal(arm(arms)), K)
+
+
+def _plane(g: Any_, det: Any_, s: Section) -> tuple[Any_, Any_, Any_]:
+    """Membrane, membrane-bending (empty if there is none) and bending stiffness, (e, 8, 8), the bubbles condensed."""
+    grams = [gram(g, s.weights(det, _N, 1))]
+    grams += [grams[0]] * 2 if (s.profile == 1).all() else [gram(g, s.weights(det, _N, p)) for p in (2, 3)]
+    stretch = contract(grams[0], s.membrane)
+    bend = contract(grams[2][:, :4, :, :4], s.bending)
+    if not np.any(s.coupling):
+        return condensed(stretch, 4), np.empty((0, 8, 8)), bend
+    mixed = contract(grams[1][:, :, :, :4], s.coupling)
+    K = np.concatenate(
+        [np.concatenate([stretch, mixed], axis=2), np.concatenate([mixed.swapaxes(1, 2), bend], axis=2)], axis=1
+    )
+    order = np.r_[:8, 12:20, 8:12]
+    K = condensed(K[:, order[:, None], order], 4)
+    return K[:, :8, :8], K[:, :8, 8:], K[:, 8:, 8:]
+
+
+def _turn_shear(K: Any_) -> Any_:
+    """(w, βx, βy) of each node to (w, θx, θy), both sides."""
+    K = _turn_columns(K)
+    return _turn_columns(K.swapaxes(1, 2)).swapaxes(1, 2)
+
+
+def _turn_columns(K: Any_) -> Any_:
+    parts = K.reshape(len(K), -1, 4, 3)
+    return np.stack([parts[..., 0], -parts[..., 2], parts[..., 1]], axis=-1).reshape(K.shape)
+
+
+def _turn_both(K: Any_) -> Any_:
+    return of_rotations(of_rotations(K).swapaxes(1, 2)).swapaxes(1, 2)
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CQUAD4.
+    """Matrices of the rows `at` (e,) of CQUAD4 or CQUADR.
 
     Raises
     ------
@@ -97,13 +153,35 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     t = m.model[card]
     nodes = m.nodes(t.stack("G1", "G2", "G3", "G4")[at], t, at)
     axes, xy, heights = flatten(m.xyz[nodes])
-    det = jacobian(_SIGNED, xy)[1]
-    if not (det > 0).all():
-        bad = int(at[np.flatnonzero(~(det > 0).all(axis=1))[0]])
+    bent = ~(jacobian(_SIGNED, xy)[1].real > 0).all(axis=1)
+    if bent.any():
+        bad = int(at[np.flatnonzero(bent)[0]])
         raise error(m.model, t, bad, "a corner of 180 degrees or more, or sides that cross; check its node order")
-    section = plate(m, card, at, 4)
-    share = np.einsum("eg,gn->en", jacobian(_DN, xy)[1], _N)
-    return finish(m, nodes, kernel(xy, section), section, axes, heights, share)
+    s = oriented(m, card, at, section(m, card, at, 4), axes, m.xyz[nodes])
+    mass = np.einsum("eg,gn->en", s.masses(jacobian(_DN, xy)[1], _N), _N)
+    normals = node_normals(m, nodes, axes[:, 2])
+    curved = (normals != axes[:, None, 2]).any(axis=(1, 2))
+    flat = finish(m, nodes, _on(~curved, xy, s), s, axes, heights, mass)
+    if not curved.any():
+        return flat
+    x, up, n, R = (v[curved] for v in (m.xyz[nodes], heights, normals, axes))
+    part = s.take(curved)
+    K = in_spans(len(x), lambda i: curved_kernel(x[i], up[i], n[i], R[i], part.take(i)))
+    both = flat.stiffness.astype(np.result_type(flat.stiffness, K))
+    both[curved] = K
+    return replace(flat, stiffness=both)
+
+
+def _on(some: Bool, xy: Any_, s: Section) -> Any_:
+    """The kernel's stiffness of some of the elements, zero for the others."""
+    if some.all():
+        return kernel(xy, s)
+    if not some.any():
+        return np.zeros((len(xy), 4, 6, 4, 6))
+    part = kernel(xy[some], s.take(some))
+    out = np.zeros((len(xy), *part.shape[1:]), dtype=part.dtype)
+    out[some] = part
+    return out
 
 
 _SIGNED = _shape(_SIGNS)[1]

@@ -1,4 +1,4 @@
-"""CELAS1, CELAS2 and CMASS1, CMASS2: a spring or mass between two components, in the CD frames."""
+"""CELAS1-4 and CMASS1-4: a spring or mass between two components, in the CD frames, or two scalar points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from ringtrue.fem.mesh import Matrices, Mesh, lookup
 def _end(m: Mesh, card: str, at: Int, end: int) -> tuple[Int, Float]:
     """Three full DOFs (e, 3) of an end, -1 where grounded, and the direction of the component in them."""
     t = m.model[card]
-    ids, component = t[f"G{end}"][at], t[f"C{end}"][at]
+    scalar = f"S{end}" in t.columns
+    ids = t[f"S{end}" if scalar else f"G{end}"][at]
+    component = np.zeros_like(ids) if scalar else t[f"C{end}"][at]
     dofs, direction = np.full((at.size, 3), -1), np.zeros((at.size, 3))
     used = ids > 0
     dof = m.dof(ids[used], component[used], t, at[used])
@@ -26,30 +28,30 @@ def _end(m: Mesh, card: str, at: Int, end: int) -> tuple[Int, Float]:
     return dofs, direction
 
 
-def _along(m: Mesh, card: str, at: Int) -> tuple[Int, Float]:
+def along(m: Mesh, card: str, at: Int) -> tuple[Int, Float]:
     """DOFs (e, 6) and the outer product (e, 6, 6) of the relative motion of the ends."""
     (d1, n1), (d2, n2) = _end(m, card, at, 1), _end(m, card, at, 2)
     g = np.concatenate([n1, -n2], axis=1)
     return np.concatenate([d1, d2], axis=1), g[:, :, None] * g[:, None, :]
 
 
-def _value(m: Mesh, card: str, at: Int, own: str, name: str, field: str) -> Any_:
-    """A field of the element (its card `own`) or of its property `name`."""
+def value(m: Mesh, card: str, at: Int, name: str, field: str) -> Any_:
+    """A field of the element itself, or of its property `name`; 0 where neither has it."""
     t = m.model[card]
-    if card == own:
-        return t[field][at]
+    if "PID" not in t.columns:
+        return t[field][at] if field in t.columns else np.zeros(at.size)
     return m.model[name][field][lookup(m.model, name, t["PID"][at], t, at)]
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CELAS1 or CELAS2."""
-    dofs, way = _along(m, card, at)
-    k, loss = (_value(m, card, at, "CELAS2", "PELAS", field) for field in ("K", "GE"))
+    """Matrices of the rows `at` (e,) of CELAS1 to CELAS4."""
+    dofs, way = along(m, card, at)
+    k, loss = (value(m, card, at, "PELAS", field) for field in ("K", "GE"))
     return Matrices(dofs, scaled(k, way), np.zeros((at.size, 6)), loss, np.empty((0, 6, 6)))
 
 
 def build_mass(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CMASS1 or CMASS2."""
-    dofs, way = _along(m, card, at)
-    M = scaled(_value(m, card, at, "CMASS2", "PMASS", "M"), way)
+    """Matrices of the rows `at` (e,) of CMASS1 to CMASS4."""
+    dofs, way = along(m, card, at)
+    M = scaled(value(m, card, at, "PMASS", "M"), way)
     return Matrices(dofs, np.zeros((at.size, 6, 6)), M, np.zeros(at.size), np.empty((0, 6, 6)))

@@ -13,12 +13,13 @@ import numpy as np
 
 from ringtrue.errors import DeckError, InputError
 from ringtrue.io.atomic import atomic_write
-from ringtrue.io.nastran.deck import Cards, cards, load
-from ringtrue.io.nastran.lexer import LineFields, split_line
-from ringtrue.io.nastran.places import field_place
+from ringtrue.io.nastran.deck import load
+from ringtrue.io.nastran.gather import Cards, cards
+from ringtrue.io.nastran.lexer import LineFields, real, split_line
+from ringtrue.io.nastran.places import field_place, inherited
 from ringtrue.io.nastran.writer import format_field
 from ringtrue.model.cards import columns
-from ringtrue.model.edit import BOTH_ENDS, FieldChange, resolve_target
+from ringtrue.model.edit import BOTH_ENDS, FieldChange, ply_field, resolve_target
 from ringtrue.model.model import Model
 
 Place = tuple[int, int]  # file number, line from 1
@@ -179,7 +180,12 @@ def _by_card(model: Model, found: Cards, changes: Sequence[FieldChange]) -> list
         hit = np.flatnonzero((key[:, 0] == at[0]) & (key[:, 1] == at[1]))
         if not hit.size:
             raise InputError(f"{change.card} {change.id} is not where it was read: the deck has changed since")
-        groups.setdefault(int(order[hit[0]]), []).append(change)
+        card = int(order[hit[0]])
+        if hit.size > 1 or found.style[found.head[card]] == 4 or card in found.copied:
+            why = "it is written by replication (=), or a replicated card repeats it; write the cards out first"
+            path, first = found.place(card)
+            raise DeckError(why, path=path, line=first, card=f"{change.card} {change.id}", field=change.field)
+        groups.setdefault(card, []).append(change)
     return [_Group(card, tuple(c)) for card, c in groups.items()]
 
 
@@ -200,6 +206,10 @@ def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:
         if place is None:
             why = "the card has no place for it"
             raise DeckError(why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field)
+        follower = inherited(name, _texts(lines), change.field)
+        if follower and follower[1]:  # the next ply keeps what it has
+            at_next, text = follower
+            _set(lines, at_next, real(text) if change.field.startswith("T") else text)
         _set(lines, place, _typed(change))
     for i, (f, n) in enumerate(at):
         contents[f].lines[n - 1] = lines[i].whole
@@ -219,7 +229,7 @@ def _inherits(
 
 def _typed(change: FieldChange) -> int | float | str:
     kinds = {s.name: s.kind for s in columns(change.card)}
-    kind = kinds.get(change.field, "i")
+    kind = kinds.get(change.field) or kinds.get((ply_field(change.field) or ("",))[0], "i")
     if kind == "f":
         return float(change.value)
     if kind == "i" and not isinstance(change.value, int | np.integer):

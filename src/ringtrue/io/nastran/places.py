@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ringtrue.errors import InputError
-from ringtrue.io.nastran.special import END_A, END_B, FLAGS, Card, beam_stations
+from ringtrue.io.nastran.fields import Card
+from ringtrue.io.nastran.lists import PLY, ply_places
+from ringtrue.io.nastran.special import END_A, END_B, FLAGS, beam_stations
 from ringtrue.model.cards import CARDS, columns
+from ringtrue.model.edit import ply_field
 
-_SEVERAL = {"PELAS": ("K", "GE", "S"), "PMASS": ("M",)}
+_SEVERAL = {"PELAS": ("K", "GE", "S"), "PMASS": ("M",), "PDAMP": ("B",), "PVISC": ("CE", "CR", "")}
 _BEAM = (
     "K1",
     "K2",
@@ -41,6 +44,8 @@ def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | 
         return _of_several(name, fields, id, field)
     if name in CARDS:
         return _by_schema(name, field)
+    if name in PLY:
+        return _of_laminate(name, fields, field)
     if field in ("PID", "MID"):
         return ("PID", "MID").index(field)
     if name == "PBUSH":
@@ -61,6 +66,26 @@ def _of_several(name: str, fields: Sequence[str], id: int, field: str) -> int | 
     names = ("PID", *_SEVERAL[name])
     starts = range(0, len(fields), len(names))
     return next((i + names.index(field) for i in starts if fields[i] == str(id)), None)
+
+
+def _of_laminate(name: str, fields: Sequence[str], field: str) -> int | None:
+    head = [s.name for s in columns(name) if not s.tail]
+    if field in head:
+        return head.index(field)
+    key, number = ply_field(field) or ("", 0)
+    plies = ply_places(name, fields)
+    return plies[number - 1] + PLY[name].index(key) if key in PLY[name] and 1 <= number <= len(plies) else None
+
+
+def inherited(name: str, fields: Sequence[str], field: str) -> tuple[int, str] | None:
+    """The blank field of the next ply that takes its MID or T from this one: its place, and the text it stands for."""
+    key, number = ply_field(field) or ("", 0)
+    if name not in PLY or key not in ("MID", "T"):
+        return None
+    places = [i + PLY[name].index(key) for i in ply_places(name, fields)]
+    if not 1 <= number < len(places) or fields[places[number]]:
+        return None
+    return places[number], next((fields[i] for i in reversed(places[:number]) if fields[i]), "")
 
 
 def _of_bush(fields: Sequence[str], field: str) -> int | None:

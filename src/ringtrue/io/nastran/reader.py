@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,13 +11,15 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.io.nastran.deck import Cards, Deck, cards, load
-from ringtrue.io.nastran.lexer import real
-from ringtrue.io.nastran.special import EXPAND, Card, whole
+from ringtrue.io.nastran.case import case_control, commands, params, value
+from ringtrue.io.nastran.deck import load
+from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written_out
+from ringtrue.io.nastran.gather import Cards, cards
+from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import fault, make_table
-from ringtrue.model.cards import CARDS, is_unsupported
-from ringtrue.model.model import CaseControl, Model, Ragged, Table
-from ringtrue.model.references import Missing, missing
+from ringtrue.model.cards import CARDS, CHOSEN_MASS, is_unsupported
+from ringtrue.model.model import Model, Ragged, Table
+from ringtrue.model.references import Missing, missing, unused
 
 _SHARED_IDS = frozenset(("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD"))  # several cards of one id belong together
 
@@ -63,8 +64,10 @@ def read_deck(path: str | Path) -> Model:
     model, skipped = _model(found)
     for card, (why, place) in skipped.items():
         raise UnsupportedCard(card, path=place[0], line=place[1], why=why)
+    idle = unused(model)
     for fault_ in missing(model):
-        raise _dangling(model, fault_)
+        if not np.isin(fault_.rows, idle.get(fault_.reference.card, ())).all():  # Nastran, too, leaves these alone
+            raise _dangling(model, fault_)
     return model
 
 
@@ -79,11 +82,12 @@ def survey(path: str | Path) -> Survey:
     deck = load(path)
     found = cards(deck)
     unsupported = {}
+    nsm = "NSM" in commands(deck.top)
     if deck.superelements:
         unsupported["BEGIN SUPER"] = f"{deck.files[deck.superelements[0]]}:{deck.superelements[1]}"
-    names, first, count = np.unique(found.name, return_index=True, return_counts=True)
+    names, first, count = found.kinds()
     for name, at in zip(names.tolist(), first.tolist(), strict=True):
-        if _stops(name.decode()):
+        if _stops(name.decode(), nsm):
             unsupported[name.decode()] = "{}:{}".format(*found.place(at))
     model, skipped = _model(found)
     unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
@@ -93,19 +97,19 @@ def survey(path: str | Path) -> Survey:
     )
 
 
-def _stops(name: str) -> bool:
-    return name not in EXPAND and (is_unsupported(name) or name[0] in "=/")
+def _stops(name: str, nsm: bool) -> bool:
+    return name not in EXPAND and (is_unsupported(name) or name[0] == "/" or (nsm and name in CHOSEN_MASS))
 
 
 def _refuse(found: Cards) -> None:
-    names, first = np.unique(found.name, return_index=True)
+    names, first, _ = found.kinds()
     stopping = [(at, name.decode()) for at, name in zip(first.tolist(), names.tolist(), strict=True)]
-    stopping = sorted((at, name) for at, name in stopping if _stops(name))
+    nsm = "NSM" in commands(found.deck.top)
+    stopping = sorted((at, name) for at, name in stopping if _stops(name, nsm))
     if stopping:
         at, name = stopping[0]
         path, line = found.place(at)
-        why = "replication is not read; write the cards out" if name[0] == "=" else ""
-        raise UnsupportedCard(name, path=path, line=line, why=why)
+        raise UnsupportedCard(name, path=path, line=line)
 
 
 def _foreign_ids(found: Cards, unsupported: Collection[str]) -> dict[str, set[int]]:
@@ -116,14 +120,14 @@ def _foreign_ids(found: Cards, unsupported: Collection[str]) -> dict[str, set[in
         if name.startswith(("P", "MAT")):
             for _, cells in found.cells(name):
                 ids |= {int(c) for c in cells[:, 0].tolist() if c.isdigit()}
-    for card in ("PSHELL", "PBAR", "PBEAM", "PSOLID", "PROD", "PBUSH", "PELAS", "MAT1"):
+    for card in ("PSHELL", "PCOMP", "PBAR", "PBEAM", "PSOLID", "PROD", "PBUSH", "PELAS", "MAT1"):
         out[card] = ids
     return out
 
 
 def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]:
     """The model, and special cards that were met in a form that is not supported: why and where."""
-    names, count = np.unique(found.name, return_counts=True)
+    names, _, count = found.kinds()
     tables: dict[str, Table] = {}
     kept: dict[str, int] = {}
     skipped: dict[str, tuple[str, tuple[str, int]]] = {}
@@ -132,34 +136,23 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
             tables[name] = make_table(found, name)
         elif name in EXPAND:
             try:
-                made = EXPAND[name](_written_out(found, name), found.deck.files)
+                made = EXPAND[name](written_out(found, name), found.deck.files)
             except UnsupportedCard as e:
                 skipped[name] = (str(e).partition(" is not supported: ")[2], (str(e.path), e.line or 0))
                 continue
             tables[made.card] = _stacked(tables[made.card], made) if made.card in tables else made
-        elif name not in ("PARAM", "GRDSET"):
+        elif name not in DEFAULTS and name != "PARAM":
             kept[name] = n
     if "INCLUDE" in kept:
         at = int(np.flatnonzero(found.name == b"INCLUDE")[0])
         raise fault(found, at, "write the file name behind INCLUDE, in quotes")
-    if "GRID" in tables:
-        tables["GRID"] = _with_grdset(tables["GRID"], found)
+    for default in DEFAULTS:
+        tables |= fill(default, tables, found)
+    tables |= implied_points(tables)
     tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
     if "SPC1" in tables:
         tables["SPC1"] = _without_gaps(tables, found)
-    return Model(tables, _params(found), case_control(found.deck), found.deck.files, kept), skipped
-
-
-def _written_out(found: Cards, name: str) -> list[Card]:
-    made = []
-    for rows, cells in found.cells(name):
-        file, line = found.places(rows)
-        text = np.char.decode(cells, "latin-1").tolist()
-        made += [
-            (row, Card(name, fields, f, at))
-            for row, fields, f, at in zip(rows.tolist(), text, file.tolist(), line.tolist(), strict=True)
-        ]
-    return [card for _, card in sorted(made, key=lambda m: m[0])]
+    return Model(tables, _params(found), case_control(found.deck.top), found.deck.files, kept), skipped
 
 
 def _stacked(a: Table, b: Table) -> Table:
@@ -169,57 +162,12 @@ def _stacked(a: Table, b: Table) -> Table:
 
 def _params(found: Cards) -> dict[str, int | float | str]:
     out: dict[str, int | float | str] = {}
-    for card in _written_out(found, "PARAM"):
+    for card in written_out(found, "PARAM"):
         name, text = card.fields[0], card.fields[1]
         if not name:
             raise DeckError("a PARAM without a name", path=found.deck.files[card.file], line=card.line, card="PARAM")
-        out[name] = _value(text)
-    return out
-
-
-def _value(text: str) -> int | float | str:
-    for read in (whole, real):
-        try:
-            return read(text)
-        except ValueError:
-            continue
-    return text
-
-
-def case_control(deck: Deck) -> CaseControl:
-    """The first subcase's choices; what it does not choose is as above the subcases."""
-    found: dict[str, str] = {}
-    subcases = 0
-    begun = not any(re.match(r"\s*CEND\b", line, re.I) for line in deck.top)
-    for raw in deck.top:
-        line = raw.split("$")[0]
-        begun = begun or bool(re.match(r"\s*CEND\b", line, re.I))
-        subcases += bool(re.match(r"\s*SUBCASE\b", line, re.I))
-        m = re.match(r"\s*(TITLE|METHOD|SPC|MPC)\s*(?:\([^)]*\))?\s*=\s*(.+?)\s*$", line, re.I)
-        if begun and m and subcases < 2:
-            found[m[1].upper()] = m[2]
-    number = {k: int(v) for k, v in found.items() if v.isdigit()}
-    return CaseControl(found.get("TITLE", ""), number.get("METHOD", 0), number.get("SPC", 0), number.get("MPC", 0))
-
-
-def _with_grdset(grid: Table, found: Cards) -> Table:
-    """Blank CP, CD and PS as GRDSET says; PS 0 means none."""
-    defaults = _written_out(found, "GRDSET")
-    if defaults:
-        default = defaults[0].fields
-        for name, at in (("CP", 2), ("CD", 6), ("PS", 7)):  # places of the GRID fields
-            text = default[at - 1]
-            if text:
-                value: int | str = text if name == "PS" else whole(text)
-                grid = grid.with_column(name, np.where(_blank(found, at - 1), value, grid[name]))
-    return grid.with_column("PS", np.where(grid["PS"] == "0", "", grid["PS"]))
-
-
-def _blank(found: Cards, field: int) -> NDArray[np.bool_]:
-    """Which GRID cards leave a data field blank, in reading order."""
-    groups = [(rows, cells[:, field] == b"") for rows, cells in found.cells("GRID")]
-    order = np.argsort(np.concatenate([rows for rows, _ in groups]), kind="stable")
-    return np.asarray(np.concatenate([blank for _, blank in groups])[order])
+        out[name] = value(text)
+    return out | params(found.deck.top)
 
 
 def _without_gaps(tables: Mapping[str, Table], found: Cards) -> Table:
@@ -240,6 +188,8 @@ def _without_gaps(tables: Mapping[str, Table], found: Cards) -> Table:
 def _unique(table: Table, files: tuple[str, ...]) -> Table:
     """The table; GRID cards that say the same twice are dropped."""
     ids = table.ids
+    if (ids[1:] > ids[:-1]).all():
+        return table
     _, first, inverse = np.unique(ids, return_index=True, return_inverse=True)
     if first.size == ids.size:
         return table
@@ -267,7 +217,7 @@ def _same(table: Table, a: Int, b: Int) -> NDArray[np.bool_]:
 def _dangling(model: Model, lost: Missing) -> DeckError:
     table = model[lost.reference.card]
     row, wanted = int(lost.rows[0]), int(lost.ids[0])
-    of = " or ".join(lost.reference.of) if len(lost.reference.of) < 3 else "coordinate frame"
+    of = lost.reference.names
     more = f" ({lost.rows.size - 1} more like it)" if lost.rows.size > 1 else ""
     what = f"names {of} {wanted}, which is not in the deck" if wanted else f"is blank; it must name a {of}"
     return DeckError(

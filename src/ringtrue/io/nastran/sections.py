@@ -1,4 +1,9 @@
-"""Section properties of PBARL and PBEAML; torsion of open and closed thin walls after Young, Budynas (2002)."""
+"""Section properties of PBARL and PBEAML; torsion and shear centres of thin walls after Young, Budynas (2002).
+
+Sections stand in the y (up), z (right) axes of the element. I12 = ∫ yz dA about the centroid. N1 and N2 are y and z of
+the centroid (neutral axis) from the shear centre, absent where the two coincide. Shear areas are those of the walls
+along the force.
+"""
 
 from __future__ import annotations
 
@@ -55,22 +60,198 @@ def _box(width: float, height: float, flange: float, web: float) -> Properties:
     }
 
 
+def _box1(width: float, height: float, top: float, bottom: float, right: float, left: float) -> Properties:
+    """Four walls of different thickness; the shear centre is taken at the centroid."""
+    clear, inside = height - top - bottom, width - left - right
+    _positive(clear, inside, top, bottom, right, left)
+    parts = (
+        (width, top, 0.0, height - top / 2),
+        (width, bottom, 0.0, bottom / 2),
+        (right, clear, (width - right) / 2, bottom + clear / 2),
+        (left, clear, (left - width) / 2, bottom + clear / 2),
+    )
+    values, _ = _rectangles(*parts)
+    b, h = width - (left + right) / 2, height - (top + bottom) / 2
+    area = values["A"]
+    return values | {
+        "J": 4 * (b * h) ** 2 / (b / top + b / bottom + h / left + h / right),
+        "K1": clear * (left + right) / area,
+        "K2": inside * (top + bottom) / area,
+    }
+
+
+Part = tuple[float, float, float, float]  # width along z, height along y, z and y of the centre
+
+
+def _rectangles(*parts: Part) -> tuple[Properties, tuple[float, float]]:
+    """A, I1, I2, I12 of rectangles that do not overlap, and y, z of their centroid."""
+    area = sum(b * h for b, h, _, _ in parts)
+    zc = sum(b * h * z for b, h, z, _ in parts) / area
+    yc = sum(b * h * y for b, h, _, y in parts) / area
+    return {
+        "A": area,
+        "I1": sum(b * h**3 / 12 + b * h * (y - yc) ** 2 for b, h, _, y in parts),
+        "I2": sum(h * b**3 / 12 + b * h * (z - zc) ** 2 for b, h, z, _ in parts),
+        "I12": sum(b * h * (y - yc) * (z - zc) for b, h, z, y in parts),
+    }, (yc, zc)
+
+
+def _open(parts: tuple[Part, ...], strips: tuple[tuple[float, float], ...], centre: tuple[float, float]) -> Properties:
+    """Rectangles, with the torsion of strips (length of the middle line, thickness) and a shear centre (y, z)."""
+    values, (yc, zc) = _rectangles(*parts)
+    values["J"] = sum(length * t**3 for length, t in strips) / 3
+    return values | {"N1": yc - centre[0], "N2": zc - centre[1]}
+
+
 def _i(height: float, bottom: float, top: float, web: float, t_bottom: float, t_top: float) -> Properties:
     """DIM1 height, DIM2 and DIM3 the flange widths, DIM4 the web, DIM5 and DIM6 the flange thicknesses."""
     clear = height - t_bottom - t_top
     _positive(clear, bottom, top, web, t_bottom, t_top)
-    parts = ((bottom, t_bottom, t_bottom / 2), (web, clear, t_bottom + clear / 2), (top, t_top, height - t_top / 2))
-    area = sum(b * h for b, h, _ in parts)
-    centre = sum(b * h * y for b, h, y in parts) / area
+    parts = (
+        (bottom, t_bottom, 0.0, t_bottom / 2),
+        (web, clear, 0.0, t_bottom + clear / 2),
+        (top, t_top, 0.0, height - t_top / 2),
+    )
     between = height - (t_bottom + t_top) / 2
-    return {
-        "A": area,
-        "I1": sum(b * h**3 / 12 + b * h * (y - centre) ** 2 for b, h, y in parts),
-        "I2": sum(h * b**3 / 12 for b, h, _ in parts),
-        "J": (bottom * t_bottom**3 + top * t_top**3 + between * web**3) / 3,
-        "K1": clear * web / area,
-        "K2": 5 / 6 * (bottom * t_bottom + top * t_top) / area,
-    }
+    up = between * t_top * top**3 / (t_top * top**3 + t_bottom * bottom**3)
+    values = _open(parts, ((bottom, t_bottom), (top, t_top), (between, web)), (t_bottom / 2 + up, 0.0))
+    area = values["A"]
+    return values | {"K1": clear * web / area, "K2": 5 / 6 * (bottom * t_bottom + top * t_top) / area}
+
+
+def _i1(flanges: float, web: float, clear: float, height: float) -> Properties:
+    """DIM1 the flange beside the web (both sides), DIM3 the height between the flanges."""
+    t = (height - clear) / 2
+    return _i(height, flanges + web, flanges + web, web, t, t)
+
+
+def _h(inside: float, sides: float, height: float, bar: float) -> Properties:
+    """DIM1 between the uprights, DIM2 both uprights together, DIM4 the thickness of the cross bar."""
+    _positive(inside, sides, height, bar)
+    side, z = sides / 2, inside / 2 + sides / 4
+    parts = ((side, height, -z, 0.0), (side, height, z, 0.0), (inside, bar, 0.0, 0.0))
+    values = _open(parts, ((height, side), (height, side), (inside + side, bar)), (0.0, 0.0))
+    area = values["A"]
+    return values | {"K1": 5 / 6 * sides * height / area, "K2": inside * bar / area}
+
+
+def _cross(arms: float, upright: float, height: float, bar: float) -> Properties:
+    """DIM1 both horizontal arms beside the upright, DIM2 the upright's width, DIM4 the thickness of the arms."""
+    _positive(arms, upright, height, bar, height - bar)
+    z = upright / 2 + arms / 4
+    parts = ((upright, height, 0.0, 0.0), (arms / 2, bar, -z, 0.0), (arms / 2, bar, z, 0.0))
+    values = _open(parts, ((height, upright), (arms, bar)), (0.0, 0.0))
+    area = values["A"]
+    return values | {"K1": 5 / 6 * upright * height / area, "K2": 5 / 6 * (arms + upright) * bar / area}
+
+
+def _t(width: float, height: float, flange: float, web: float) -> Properties:
+    """Flange on top."""
+    clear = height - flange
+    _positive(clear, width - web, flange, web)
+    parts = ((width, flange, 0.0, 0.0), (web, clear, 0.0, -height / 2))
+    values = _open(parts, ((width, flange), (height - flange / 2, web)), (0.0, 0.0))
+    area = values["A"]
+    return values | {"K1": clear * web / area, "K2": 5 / 6 * width * flange / area}
+
+
+def _t1(height: float, web: float, flange: float, bar: float) -> Properties:
+    """Upright flange on the right (DIM1 high, DIM3 thick), web to the left (DIM2 long, DIM4 thick)."""
+    return _turned(_t(height, web + flange, flange, bar))
+
+
+def _t2(width: float, height: float, flange: float, web: float) -> Properties:
+    """Flange below."""
+    values = _t(width, height, flange, web)
+    return values | {"N1": -values["N1"]}
+
+
+def _turned(values: Properties) -> Properties:
+    """A section turned by a quarter, y to z; it must be symmetric about one of its axes."""
+    swapped = {"I1": "I2", "I2": "I1", "K1": "K2", "K2": "K1", "N1": "N2", "N2": "N1"}
+    return {swapped.get(k, k): v for k, v in values.items()}
+
+
+def _chan(width: float, height: float, web: float, flange: float) -> Properties:
+    """Web on the left, flanges to the right."""
+    beside, clear = width - web, height - 2 * flange
+    _positive(beside, clear, web, flange)
+    z, y = web / 2 + beside / 2, (height - flange) / 2
+    parts = ((web, height, 0.0, 0.0), (beside, flange, z, y), (beside, flange, z, -y))
+    b, h = width - web / 2, height - flange
+    out = 3 * b**2 * flange / (6 * b * flange + h * web)
+    values = _open(parts, ((b, flange), (b, flange), (h, web)), (0.0, -out))
+    area = values["A"]
+    return values | {"K1": clear * web / area, "K2": 2 * beside * flange / area}
+
+
+def _chan1(beside: float, web: float, clear: float, height: float) -> Properties:
+    return _chan(beside + web, height, web, (height - clear) / 2)
+
+
+def _chan2(leg: float, base: float, height: float, width: float) -> Properties:
+    """Base below, legs upward."""
+    return _turned(_chan(height, width, base, leg))
+
+
+def _l(width: float, height: float, foot: float, upright: float) -> Properties:
+    """Foot below, DIM3 thick; upright on the left, DIM4 thick. Shear centre where the middle lines meet."""
+    clear, beside = height - foot, width - upright
+    _positive(clear, beside, foot, upright)
+    parts = ((width, foot, beside / 2, 0.0), (upright, clear, 0.0, height / 2))
+    values = _open(parts, ((width - upright / 2, foot), (height - foot / 2, upright)), (0.0, 0.0))
+    area = values["A"]
+    return values | {"K1": clear * upright / area, "K2": beside * foot / area}
+
+
+def _z(flange: float, web: float, clear: float, height: float) -> Properties:
+    """Upper flange to the left of the web, lower one to the right; DIM3 between the flanges."""
+    t = (height - clear) / 2
+    _positive(flange, web, clear, t)
+    y, z = (height - t) / 2, (flange + web) / 2
+    parts = ((web, height, 0.0, 0.0), (flange, t, -z, y), (flange, t, z, -y))
+    side = flange + web / 2
+    values = _open(parts, ((side, t), (side, t), (height - t, web)), (0.0, 0.0))
+    area = values["A"]
+    return values | {"K1": clear * web / area, "K2": 2 * flange * t / area}
+
+
+def _hat(height: float, t: float, top: float, brim: float) -> Properties:
+    """Top above, DIM3 wide; a brim of DIM4 beside each web."""
+    clear = height - 2 * t
+    _positive(clear, top - 2 * t, t, brim)
+    side, foot = (top - t) / 2, top / 2 - t + (brim + t) / 2
+    up = height - t
+    parts = (
+        (top, t, 0.0, up),
+        *((t, clear, sign * side, up / 2) for sign in (-1, 1)),
+        *((brim + t, t, sign * foot, 0.0) for sign in (-1, 1)),
+    )
+    strips = ((2 * side, t), (up, t), (up, t), (brim + t / 2, t), (brim + t / 2, t))
+    values = _open(parts, strips, (_hat_centre(up, 2 * side, brim + t / 2), 0.0))
+    area = values["A"]
+    return values | {"K1": 2 * clear * t / area, "K2": (top - 2 * t + 2 * brim) * t / area}
+
+
+def _hat_centre(h: float, a: float, c: float) -> float:
+    """Height of the shear centre above the brim, from the shear flow under a sideways force; middle lines."""
+    end, side = a / 2 + c, a / 2
+    foot = (end**2 - side**2) / 2  # the flow where brim and web meet, over t
+    web = foot * h + side * h**2 / 2
+    lip = (end**2 * c - (end**3 - side**3) / 3) / 2
+    above = a * (foot + side * h) + (side**2 * a - 2 * side**3 / 3) / 2
+    return (h * above + a * web) / (2 * lip + above)
+
+
+def _hexa(point: float, width: float, height: float) -> Properties:
+    """DIM1 the width of each pointed side, DIM2 the whole width; torsion of a solid after Saint-Venant."""
+    middle = width - 2 * point
+    _positive(middle, point, height)
+    area = height * (middle + point)
+    i1 = middle * height**3 / 12 + point * height**3 / 24
+    out = middle / 2 + point / 3
+    i2 = height * middle**3 / 12 + 2 * (height * point**3 / 36 + height * point / 2 * out**2)
+    return {"A": area, "I1": i1, "I2": i2, "J": area**4 / (4 * pi**2 * (i1 + i2)), "K1": 5 / 6, "K2": 5 / 6}
 
 
 def _positive(*lengths: float) -> None:
@@ -78,6 +259,31 @@ def _positive(*lengths: float) -> None:
         raise ValueError("the dimensions do not make a section: a thickness or a clear width is not positive")
 
 
+def _tube2(outer: float, wall: float) -> Properties:
+    return _tube(outer, outer - wall)
+
+
 SECTIONS: Mapping[str, tuple[int, Callable[..., Properties]]] = MappingProxyType(
-    {"ROD": (1, _rod), "TUBE": (2, _tube), "BAR": (2, _bar), "BOX": (4, _box), "I": (6, _i)}
+    {
+        "ROD": (1, _rod),
+        "TUBE": (2, _tube),
+        "TUBE2": (2, _tube2),
+        "BAR": (2, _bar),
+        "BOX": (4, _box),
+        "BOX1": (6, _box1),
+        "I": (6, _i),
+        "I1": (4, _i1),
+        "H": (4, _h),
+        "CROSS": (4, _cross),
+        "T": (4, _t),
+        "T1": (4, _t1),
+        "T2": (4, _t2),
+        "CHAN": (4, _chan),
+        "CHAN1": (4, _chan1),
+        "CHAN2": (4, _chan2),
+        "L": (4, _l),
+        "Z": (4, _z),
+        "HAT": (4, _hat),
+        "HEXA": (3, _hexa),
+    }
 )

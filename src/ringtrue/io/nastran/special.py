@@ -1,9 +1,8 @@
-"""Cards with a pattern of their own: SPC, MPC, RBE3, PELAS, PMASS, PBUSH, PBEAM, PBARL, PBEAML."""
+"""Cards with a pattern of their own: SPC, MPC, RBE3, PELAS, PMASS, PDAMP, PVISC, PBUSH, PBEAM, PBARL, PBEAML."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -11,79 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.io.nastran.lexer import integers, real
+from ringtrue.errors import UnsupportedCard
+from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
+from ringtrue.io.nastran.lists import dmig, pcomp, pcompg, rbe1
 from ringtrue.io.nastran.sections import SECTIONS
 from ringtrue.model.cards import columns
 from ringtrue.model.model import Ragged, Table
-
-Files = Sequence[str]
-
-
-@dataclass(frozen=True, slots=True)
-class Card:
-    """One card: its name, data fields as text, and where its first line stands."""
-
-    name: str
-    fields: list[str]
-    file: int
-    line: int
-
-
-def whole(text: str) -> int:
-    """One integer; `ValueError` if malformed."""
-    value, good = integers(np.array([text.encode("latin-1")]))
-    if not good[0]:
-        raise ValueError(text)
-    return int(value[0])
-
-
-class _Reader:
-    """Reads fields of one card, blaming the right place."""
-
-    def __init__(self, card: Card, files: Files) -> None:
-        self.card, self.files = card, files
-
-    def text(self, i: int) -> str:
-        return self.card.fields[i] if i < len(self.card.fields) else ""
-
-    def fail(self, name: str, why: str) -> DeckError:
-        c = self.card
-        return DeckError(why, path=self.files[c.file], line=c.line, card=c.name, field=name)
-
-    def whole(self, i: int, name: str, default: int | None = None) -> int:
-        t = self.text(i)
-        if not t and default is not None:
-            return default
-        try:
-            return whole(t)
-        except ValueError:
-            raise self.fail(name, f"{t!r} is not an integer") from None
-
-    def real(self, i: int, name: str, default: float | None = None) -> float:
-        t = self.text(i)
-        if not t and default is not None:
-            return default
-        try:
-            return real(t)
-        except ValueError:
-            raise self.fail(name, f"{t!r} is not a real") from None
-
-
-def _place(rows: Sequence[Card]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    return np.array([c.file for c in rows], dtype=np.int64), np.array([c.line for c in rows], dtype=np.int64)
-
-
-def _ragged(rows: Sequence[Sequence[Any]], dtype: Any) -> Ragged:
-    values = [v for r in rows for v in r]
-    return Ragged(np.array(values, dtype=dtype), np.cumsum([0, *map(len, rows)]).astype(np.int64))
 
 
 def _spc(cards: Sequence[Card], files: Files) -> Table:
     rows: list[tuple[int, int, str, float]] = []
     from_card = []
     for c in cards:
-        r = _Reader(c, files)
+        r = Reader(c, files)
         sid = r.whole(0, "SID")
         for i, g in ((1, "G1"), (4, "G2")):
             if r.text(i):
@@ -96,17 +35,17 @@ def _spc(cards: Sequence[Card], files: Files) -> Table:
         "C": np.array(c_, dtype=np.str_),
         "D": np.array(d_, dtype=np.float64),
     }
-    return Table("SPC", cols, *_place(from_card))
+    return Table("SPC", cols, *places(from_card))
 
 
-def _several(card: str, id_name: str, names: Sequence[str]) -> Callable[[Sequence[Card], Files], Table]:
-    """A card that holds several rows of 1 + len(names) fields."""
+def _several(card: str, id_name: str, names: Sequence[str], pitch: int = 0) -> Callable[[Sequence[Card], Files], Table]:
+    """A card that holds several rows of 1 + len(names) fields, `pitch` fields apart."""
 
     def read(cards: Sequence[Card], files: Files) -> Table:
         ids, values, of = [], [], []
-        width = 1 + len(names)
+        width = pitch or 1 + len(names)
         for c in cards:
-            r = _Reader(c, files)
+            r = Reader(c, files)
             for i in range(0, max(len(c.fields), 1), width):
                 if i == 0 or r.text(i):
                     ids.append(r.whole(i, id_name))
@@ -115,7 +54,7 @@ def _several(card: str, id_name: str, names: Sequence[str]) -> Callable[[Sequenc
         data = np.array(values, dtype=np.float64).reshape(-1, len(names))
         made: dict[str, NDArray[Any]] = {id_name: np.array(ids, dtype=np.int64)}
         made |= {name: data[:, k] for k, name in enumerate(names)}
-        return Table(card, made, *_place(of))
+        return Table(card, made, *places(of))
 
     return read
 
@@ -123,7 +62,7 @@ def _several(card: str, id_name: str, names: Sequence[str]) -> Callable[[Sequenc
 def _mpc(cards: Sequence[Card], files: Files) -> Table:
     sid, g, comp, a = [], [], [], []
     for c in cards:
-        r = _Reader(c, files)
+        r = Reader(c, files)
         sid.append(r.whole(0, "SID"))
         # two terms on a line of eight fields, the first field of a continuation is blank
         at = [i for k in range(0, len(c.fields), 8) for i in (k + 1, k + 4) if r.text(i)]
@@ -132,17 +71,17 @@ def _mpc(cards: Sequence[Card], files: Files) -> Table:
         a.append([r.real(i + 2, "A", 0.0) for i in at])
     cols: dict[str, NDArray[Any] | Ragged] = {
         "SID": np.array(sid, dtype=np.int64),
-        "G": _ragged(g, np.int64),
-        "C": _ragged(comp, np.int64),
-        "A": _ragged(a, np.float64),
+        "G": ragged(g, np.int64),
+        "C": ragged(comp, np.int64),
+        "A": ragged(a, np.float64),
     }
-    return Table("MPC", cols, *_place(cards))
+    return Table("MPC", cols, *places(cards))
 
 
 def _rbe3(cards: Sequence[Card], files: Files) -> Table:
-    eid, ref, refc, g, comp, w = [], [], [], [], [], []
+    eid, ref, refc, g, comp, w, gm, cm = [], [], [], [], [], [], [], []
     for c in cards:
-        r = _Reader(c, files)
+        r = Reader(c, files)
         eid.append(r.whole(0, "EID"))
         ref.append(r.whole(2, "REFGRID"))
         refc.append(r.text(3))
@@ -150,18 +89,33 @@ def _rbe3(cards: Sequence[Card], files: Files) -> Table:
         g.append(nodes)
         comp.append(comps)
         w.append(weights)
+        gm.append([r.whole(i, "GM") for i in _rbe3_um(r)[::2]])
+        cm.append([r.text(i) for i in _rbe3_um(r)[1::2]])
+        if len(gm[-1]) != len(cm[-1]):
+            raise r.fail("CM", "UM lists pairs of a node and its components; one is missing")
     cols: dict[str, NDArray[Any] | Ragged] = {
         "EID": np.array(eid, dtype=np.int64),
         "REFGRID": np.array(ref, dtype=np.int64),
         "REFC": np.array(refc, dtype=np.str_),
-        "G": _ragged(g, np.int64),
-        "C": _ragged(comp, np.str_),
-        "WT": _ragged(w, np.float64),
+        "G": ragged(g, np.int64),
+        "C": ragged(comp, np.str_),
+        "WT": ragged(w, np.float64),
+        "GM": ragged(gm, np.int64),
+        "CM": ragged(cm, np.str_),
     }
-    return Table("RBE3", cols, *_place(cards))
+    return Table("RBE3", cols, *places(cards))
 
 
-def _rbe3_groups(r: _Reader) -> tuple[list[int], list[str], list[float]]:
+def _rbe3_um(r: Reader) -> list[int]:
+    """The fields behind UM that are not blank, up to ALPHA."""
+    names = [r.text(i).upper() for i in range(len(r.card.fields))]
+    if "UM" not in names:
+        return []
+    end = names.index("ALPHA") if "ALPHA" in names else len(names)
+    return [i for i in range(names.index("UM") + 1, end) if names[i]]
+
+
+def _rbe3_groups(r: Reader) -> tuple[list[int], list[str], list[float]]:
     nodes: list[int] = []
     comps: list[str] = []
     weights: list[float] = []
@@ -169,8 +123,6 @@ def _rbe3_groups(r: _Reader) -> tuple[list[int], list[str], list[float]]:
     while i < len(r.card.fields):
         t = r.text(i).upper()
         if t in ("UM", "ALPHA"):
-            if t == "UM":
-                raise r.fail("UM", "an explicit set of dependent DOFs is not supported; leave UM out")
             break
         if not t:
             i += 1
@@ -198,7 +150,7 @@ def _pbush(cards: Sequence[Card], files: Files) -> Table:
     cols: dict[str, list[float]] = {n: [] for n in names}
     pid = []
     for c in cards:
-        r = _Reader(c, files)
+        r = Reader(c, files)
         pid.append(r.whole(0, "PID"))
         row = dict.fromkeys(names, 0.0)
         for start in range(1, len(c.fields), 8):
@@ -212,13 +164,14 @@ def _pbush(cards: Sequence[Card], files: Files) -> Table:
         for name, value in row.items():
             cols[name].append(value)
     data = {"PID": np.array(pid, dtype=np.int64)} | {n: np.array(v, dtype=np.float64) for n, v in cols.items()}
-    return Table("PBUSH", data, *_place(cards))
+    return Table("PBUSH", data, *places(cards))
 
 
 END_A = ("A", "I1", "I2", "I12", "J", "NSM")
 END_B = ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
 _TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB", "CWA", "CWB")
 _TAIL2 = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
+_CENTRE = ("N1", "N2")  # of a section: neutral axis from shear centre, which a PBARL leaves out
 _STATION = ("YES", "YESA", "NO")
 
 
@@ -226,7 +179,7 @@ def _pbeam(cards: Sequence[Card], files: Files) -> Table:
     rows: list[dict[str, float]] = []
     head: list[tuple[int, int]] = []
     for c in cards:
-        r = _Reader(c, files)
+        r = Reader(c, files)
         head.append((r.whole(0, "PID"), r.whole(1, "MID")))
         rows.append(_beam_row(r))
     names = list(rows[0]) if rows else []
@@ -235,10 +188,10 @@ def _pbeam(cards: Sequence[Card], files: Files) -> Table:
         "MID": np.array([h[1] for h in head], dtype=np.int64),
     }
     data |= {n: np.array([row[n] for row in rows], dtype=np.float64) for n in names}
-    return Table("PBEAM", data, *_place(cards))
+    return Table("PBEAM", data, *places(cards))
 
 
-def _stations(r: _Reader) -> tuple[list[tuple[float, int]], int]:
+def _stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
     """(x / length, place of its A) of the stations behind end A, and where the fields behind the stations begin."""
     at = 8 if r.text(8).upper() in _STATION else 16  # the stress points may be left out
     found = []
@@ -250,10 +203,17 @@ def _stations(r: _Reader) -> tuple[list[tuple[float, int]], int]:
 
 def beam_stations(card: Card, files: Files) -> tuple[list[tuple[float, int]], int]:
     """Stations behind end A of a PBEAM: x / length with the place of A, and the field behind the stations."""
-    return _stations(_Reader(card, files))
+    return _stations(Reader(card, files))
 
 
-def _beam_row(r: _Reader) -> dict[str, float]:
+def _straight(r: Reader, name: str, x: float, value: float, a: float, b: float) -> None:
+    """Refuse a station at `x` whose value is not on the straight line from end A to end B."""
+    if abs(value - a - x * (b - a)) > 1e-6 * max(abs(a), abs(b)):
+        why = f"{name} at the station {x} is not on the straight line between the ends"
+        raise UnsupportedCard(r.card.name, path=r.files[r.card.file], line=r.card.line, why=why)
+
+
+def _beam_row(r: Reader) -> dict[str, float]:
     row = {n: r.real(2 + k, n, 0.0) for k, n in enumerate(END_A)}
     row |= dict(zip(END_B, row.values(), strict=True))
     stations, at = _stations(r)
@@ -262,10 +222,7 @@ def _beam_row(r: _Reader) -> dict[str, float]:
             row |= {b: r.real(place + k, b, row[a]) for k, (a, b) in enumerate(zip(END_A, END_B, strict=True))}
     for x, place in stations:
         for k, (a, b) in enumerate(zip(END_A, END_B, strict=True)):
-            straight = row[a] + x * (row[b] - row[a])
-            if abs(r.real(place + k, a, straight) - straight) > 1e-6 * max(abs(row[a]), abs(row[b])):
-                why = f"{a} at the station {x} is not on the straight line between the ends"
-                raise UnsupportedCard("PBEAM", path=r.files[r.card.file], line=r.card.line, why=why)
+            _straight(r, a, x, r.real(place + k, a, row[a] + x * (row[b] - row[a])), row[a], row[b])
     row |= {n: r.real(at + k, n, 1.0 if n in ("K1", "K2") else 0.0) for k, n in enumerate(_TAIL)}
     row |= {n: r.real(at + 8 + k, n, 0.0) for k, n in enumerate(_TAIL2)}
     if not r.text(at + 5):
@@ -276,7 +233,7 @@ def _beam_row(r: _Reader) -> dict[str, float]:
     return row
 
 
-def _section(r: _Reader, at: int) -> tuple[dict[str, float], int]:
+def _section(r: Reader, at: int) -> tuple[dict[str, float], int]:
     """Properties of the section whose dimensions begin at field `at`, NSM among them, and the field behind."""
     c, kind = r.card, r.text(3).upper()
     if kind not in SECTIONS:
@@ -291,46 +248,57 @@ def _section(r: _Reader, at: int) -> tuple[dict[str, float], int]:
     return {**values, "NSM": r.real(at + count, "NSM", 0.0)}, at + count + 1
 
 
-def _bar_row(r: _Reader) -> dict[str, float]:
+def _bar_row(r: Reader) -> dict[str, float]:
     return _section(r, 8)[0]
 
 
-def _tapered_row(r: _Reader) -> dict[str, float]:
+def _tapered_row(r: Reader) -> dict[str, float]:
     row, at = _section(r, 8)
+    row |= {f"{n}A": row.get(n, 0.0) for n in _CENTRE} | {f"{n}B": row.get(n, 0.0) for n in _CENTRE}
     row |= {b: row.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
+    between: list[tuple[float, dict[str, float]]] = []
     while r.text(at).upper() in _STATION:
-        if r.real(at + 1, "X/XB", 1.0) != 1.0:
-            c = r.card
-            raise UnsupportedCard("PBEAML", path=r.files[c.file], line=c.line, why="a station between the ends")
+        x = r.real(at + 1, "X/XB", 1.0)
         if not r.text(at + 2):  # a blank section is that of end A
             break
-        end, at = _section(r, at + 2)
-        row |= {b: end.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
+        section, at = _section(r, at + 2)
+        if x != 1.0:
+            between.append((x, section))
+            continue
+        row |= {b: section.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
+        row |= {f"{n}B": section.get(n, 0.0) for n in _CENTRE}
+    for x, section in between:
+        for a, b in zip(END_A, END_B, strict=True):
+            _straight(r, a, x, section.get(a, 0.0), row.get(a, 0.0), row[b])
     return row
 
 
-def _from_sections(
-    card: str, read: Callable[[_Reader], dict[str, float]], cards: Sequence[Card], files: Files
-) -> Table:
+def _from_sections(card: str, read: Callable[[Reader], dict[str, float]], cards: Sequence[Card], files: Files) -> Table:
     rows = []
     for c in cards:
-        r = _Reader(c, files)
+        r = Reader(c, files)
         rows.append({"PID": r.whole(0, "PID"), "MID": r.whole(1, "MID"), **read(r)})
     made = {}
     for spec in columns(card):
         if not spec.blank:
             kind = np.int64 if spec.kind == "i" else np.float64
             made[spec.name] = np.array([row.get(spec.name, spec.default) for row in rows], dtype=kind)
-    return Table(card, made, *_place(cards))
+    return Table(card, made, *places(cards))
 
 
 EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyType(
     {
         "SPC": _spc,
         "MPC": _mpc,
+        "RBE1": rbe1,
         "RBE3": _rbe3,
         "PELAS": _several("PELAS", "PID", ("K", "GE", "S")),
         "PMASS": _several("PMASS", "PID", ("M",)),
+        "PDAMP": _several("PDAMP", "PID", ("B",)),
+        "PVISC": _several("PVISC", "PID", ("CE", "CR"), 4),
+        "PCOMP": pcomp,
+        "PCOMPG": pcompg,
+        "DMIG": dmig,
         "PBUSH": _pbush,
         "PBEAM": _pbeam,
         "PBARL": partial(_from_sections, "PBAR", _bar_row),  # the table is of PBAR

@@ -10,14 +10,19 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool, Int, frozen
 from ringtrue.errors import DeckError
-from ringtrue.io.nastran.deck import Cards
+from ringtrue.io.nastran.gather import Cards
 from ringtrue.io.nastran.lexer import integers, is_real, reals
 from ringtrue.model.cards import FieldSpec, columns
 from ringtrue.model.model import Ragged, Table
 
 Cells = NDArray[np.bytes_]
 _KINDS = {"i": "an integer", "f": "a real"}
-_ELEMENTS_WITH_PID = frozenset(("CROD", "CTUBE", "CBAR", "CBEAM", "CTRIA3", "CQUAD4", "CELAS1", "CBUSH", "CMASS1"))
+_OWN_PROPERTY = frozenset(  # a blank PID is the element's own number
+    (
+        *("CROD", "CTUBE", "CBAR", "CBEAM", "CVISC", "CBUSH", "CTRIA3", "CQUAD4", "CTRIAR", "CQUADR", "CTRIA6"),
+        *("CQUAD8", "CELAS1", "CELAS3", "CMASS1", "CMASS3", "CDAMP1", "CDAMP3"),
+    )
+)
 
 
 def fault(cards: Cards, card: int, message: str, field: str = "") -> DeckError:
@@ -46,7 +51,8 @@ def make_table(cards: Cards, name: str) -> Table:
 def _joined(parts: Sequence[NDArray[Any] | Ragged], order: Int) -> NDArray[Any] | Ragged:
     plain = [p for p in parts if not isinstance(p, Ragged)]
     if plain:
-        return frozen(np.concatenate(plain)[order])
+        sorted_ = len(plain) == 1 and bool((order[1:] > order[:-1]).all())
+        return frozen(plain[0] if sorted_ else np.concatenate(plain)[order])
     ragged = [p for p in parts if isinstance(p, Ragged)]
     values = np.concatenate([p.values for p in ragged])
     count = np.concatenate([np.diff(p.offsets) for p in ragged])
@@ -69,10 +75,12 @@ def _parse(cards: Cards, name: str, rows: Int, cells: Cells) -> dict[str, NDArra
         cell = cells[:, j] if j < cells.shape[1] else np.full(rows.size, b"", dtype="S1")
         if spec.other:
             whole = ~is_real(cell) & (cell != b"")
-            made[spec.other] = _column(cards, FieldSpec(spec.other), rows, np.where(whole, cell, b""))
+            made[spec.other] = _column(
+                cards, FieldSpec(spec.other, default=spec.other_default), rows, np.where(whole, cell, b"")
+            )
             cell = np.where(whole, b"", cell)
         made[spec.name] = _column(cards, spec, rows, cell)
-    if name in _ELEMENTS_WITH_PID:
+    if name in _OWN_PROPERTY:
         eid = integers(cells[:, 0])[0]
         made["PID"] = np.where(cells[:, 1] == b"", eid, np.asarray(made["PID"]))
     return made
@@ -95,11 +103,16 @@ def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[An
         return np.where(cell == b"", str(spec.default), np.char.decode(cell, "latin-1"))
     given = cell != b""
     parse = integers if spec.kind == "i" else reals
-    values, good = parse(cell[given])
+    if not given.any():
+        return np.full(rows.size, spec.default, dtype=np.int64 if spec.kind == "i" else np.float64)
+    full = bool(given.all())
+    values, good = parse(cell if full else cell[given])
     if not good.all():
         at = np.flatnonzero(given)[~good][0]
         text = cell[at].decode("latin-1")
         raise fault(cards, int(rows[at]), f"{text!r} is not {_KINDS[spec.kind]}", spec.name)
+    if full:
+        return values
     out = np.full(rows.size, spec.default, dtype=np.int64 if spec.kind == "i" else np.float64)
     out[given] = values
     return out

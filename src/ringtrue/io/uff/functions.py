@@ -2,53 +2,48 @@
 
 from __future__ import annotations
 
-import struct
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pyuff
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.dofs import NAMES
-from ringtrue.core.signals import Channel, FrfKind, FrfSet, Quantity
-from ringtrue.errors import DataError
+from ringtrue.core.dofs import NAMES, DofSet
+from ringtrue.core.signals import Channel, FrfKind, FrfSet, Quantity, TimeHistory
+from ringtrue.errors import DataError, InputError, about
+from ringtrue.io.atomic import atomic_write
 from ringtrue.io.plain import RawTable
+from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, Function, read_function, write_function
+from ringtrue.io.uff.scan import scan
+from ringtrue.io.uff.tables import Units, read_units
 
-Sets = list[dict[str, Any]]
 _QUANTITY: dict[int, Quantity] = {8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force"}
 _SI = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
 _KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 _CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
-TIME, FRF, COHERENCE = 1, 4, 6  # function types
+_TIME_AXIS, _FREQUENCY_AXIS = 17, 18
 
 
-def read_sets(path: str | Path, kind: int) -> Sets:
-    """All data sets of one kind, as pyuff's dictionaries.
+def read_functions(path: str | Path) -> tuple[Function, ...]:
+    """All functions (58, 58b) of a universal file, as stored.
 
     Raises
     ------
     DataError
-        If the file is not a universal file or holds no such data set.
+        If the file is not a universal file, holds no function, or one is damaged.
     """
-    if not Path(path).is_file():
-        raise DataError(f"{path}: no such file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of pyuff: chatter on optional fields
-            file = pyuff.UFF(str(path))
-            found = [i for i, t in enumerate(file.get_set_types()) if int(t) == kind]
-            sets = [file.read_sets(i) for i in found]
-    except (ValueError, IndexError, KeyError, UnicodeError, OSError, TypeError, struct.error) as exc:
-        raise DataError(f"{path}: not a readable universal file ({type(exc).__name__}: {exc})") from exc
-    except Exception as exc:
-        # pyuff wraps every failure of its own in a bare Exception
-        raise DataError(f"{path}: not a readable universal file ({exc})") from exc
+    return _functions(path)[0]
+
+
+def _functions(path: str | Path) -> tuple[tuple[Function, ...], Units | None]:
+    blocks = scan(path)
+    sets = [b for b in blocks if b.kind == 58]
     if not sets:
-        raise DataError(f"{path}: no data set {kind} in the file")
-    return sets
+        kinds = sorted({b.kind for b in blocks})
+        raise DataError(f"{path}: no data set 58 in the file; there are {' '.join(map(str, kinds))}")
+    with about(path):
+        units = [read_units(b) for b in blocks if b.kind == 164]
+        return tuple(read_function(b) for b in sets), units[0] if units else None
 
 
 def label(node: int, direction: int) -> str:
@@ -60,136 +55,146 @@ def label(node: int, direction: int) -> str:
 
 def read_time(path: Path) -> RawTable:
     """The time functions of a universal file as (channel, sample); all must have one rate and length."""
-    sets = [s for s in read_sets(path, 58) if s["func_type"] == TIME]
-    if not sets:
+    functions, units = _functions(path)
+    found = [f for f in functions if f.kind == TIME]
+    if not found:
         raise DataError(f"{path}: no time functions (58, function type 1) in the file")
-    rates = [_rate(s, path) for s in sets]
+    rates = [_rate(f, path) for f in found]
     if max(rates) - min(rates) > 1e-4 * max(rates):
         raise DataError(f"{path}: different rates, {min(rates):g} to {max(rates):g} Hz; split the file")
-    length = min(len(s["data"]) for s in sets)
-    data = np.stack([np.real(s["data"][:length]) for s in sets])
-    kinds = [_QUANTITY.get(int(s["ordinate_spec_data_type"]), "unknown") for s in sets]
-    return RawTable(data, rates[0], _names(sets), tuple(_SI.get(k, "") for k in kinds), tuple(kinds))
+    length = min(f.y.size for f in found)
+    kinds = [_QUANTITY.get(f.axes[1].data_type, "unknown") for f in found]
+    data = np.stack([np.real(f.y[:length]) * _factor(q, units) for f, q in zip(found, kinds, strict=True)])
+    return RawTable(data, rates[0], _names(found), tuple(_SI.get(k, "") for k in kinds), tuple(kinds))
 
 
-def _rate(s: dict[str, Any], path: Path) -> float:
-    step = float(s["abscissa_inc"]) if s["abscissa_spacing"] else float(np.median(np.diff(s["x"])))
+def _rate(f: Function, path: Path) -> float:
+    step = float(np.median(np.diff(f.x))) if f.x.size > 1 else 0.0
     if not (np.isfinite(step) and step > 0):
         raise DataError(f"{path}: step of time {step}; it must be positive")
     return 1 / step
 
 
-def _names(sets: Sets) -> tuple[str, ...]:
-    names = [label(int(s["rsp_node"]), int(s["rsp_dir"])) for s in sets]
+def _factor(quantity: str, units: Units | None) -> float:
+    """To SI: data set 164 holds file units per SI unit."""
+    if units is None:
+        return 1.0
+    return 1 / {"force": units.force, "unknown": 1.0}.get(quantity, units.length)
+
+
+def _names(functions: Sequence[Function]) -> tuple[str, ...]:
+    names = [label(*f.response) for f in functions]
     if len(set(names)) == len(names):
         return tuple(names)
     return tuple(f"{n}#{i + 1}" for i, n in enumerate(names))
 
 
 def read_frf_sets(path: str | Path) -> FrfSet:
-    """Frequency response functions of a universal file, SI as stored.
+    """Frequency response functions of a universal file, SI (by data set 164 where it is there).
 
     Raises
     ------
     DataError
         If there are none, references are missing, the lines differ, or a pair of response and reference is absent.
     """
-    sets = [s for s in read_sets(path, 58) if s["func_type"] in (FRF, COHERENCE)]
-    frfs = [s for s in sets if s["func_type"] == FRF]
+    functions, units = _functions(path)
+    frfs = [f for f in functions if f.kind == FRF]
     if not frfs:
         raise DataError(f"{path}: no frequency response functions (58, function type 4) in the file")
-    if all(int(s["ref_node"]) == 0 for s in frfs):
-        raise DataError(f"{path}: the functions name no reference point; ref_node is 0 in all {len(frfs)}")
-    freqs = np.asarray(frfs[0]["x"], dtype=np.float64)
+    if all(f.reference[0] == 0 for f in frfs):
+        raise DataError(f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}")
+    freqs = frfs[0].x
     outputs, inputs = _channels(frfs)
     data = _place(frfs, freqs, outputs, inputs, path)
     lost = np.argwhere(np.isnan(data[0]))
     if lost.size:
         o, i = lost[0]
         raise DataError(f"{path}: no function from {inputs[i].id} to {outputs[o].id} ({len(lost)} pairs are absent)")
-    coherence = _place([s for s in sets if s["func_type"] == COHERENCE], freqs, outputs, inputs, path).real
-    quantity = outputs[0].quantity
+    scale = np.array([_factor(c.quantity, units) for c in outputs]) / _factor("force", units)
+    coherence = _place([f for f in functions if f.kind == COHERENCE], freqs, outputs, inputs, path).real
     return FrfSet(
-        data,
+        data * scale[:, None] if (scale != 1).any() else data,
         freqs,
         outputs,
         inputs,
         np.ascontiguousarray(coherence),
         np.full(len(inputs), np.nan),
-        _KIND.get(quantity, "accelerance"),
+        _KIND.get(outputs[0].quantity, "accelerance"),
         source=str(path),
     )
 
 
-def _channels(frfs: Sets) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-    out = {_response(s): _QUANTITY.get(int(s["ordinate_spec_data_type"]), "unknown") for s in frfs}
+def _channels(frfs: Sequence[Function]) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
+    out = {label(*f.response): _QUANTITY.get(f.axes[1].data_type, "unknown") for f in frfs}
     outputs = tuple(Channel(name, q, _SI.get(q, "")) for name, q in out.items())
-    inputs = tuple(Channel(name, "force", "N") for name in dict.fromkeys(_reference(s) for s in frfs))
+    inputs = tuple(Channel(name, "force", "N") for name in dict.fromkeys(label(*f.reference) for f in frfs))
     return outputs, inputs
 
 
-def _response(s: dict[str, Any]) -> str:
-    return label(int(s["rsp_node"]), int(s["rsp_dir"]))
-
-
-def _reference(s: dict[str, Any]) -> str:
-    return label(int(s["ref_node"]), int(s["ref_dir"]))
-
-
 def _place(
-    sets: Sets, freqs: Float, outputs: Sequence[Channel], inputs: Sequence[Channel], path: str | Path
+    functions: Sequence[Function],
+    freqs: Float,
+    outputs: Sequence[Channel],
+    inputs: Sequence[Channel],
+    path: str | Path,
 ) -> Complex:
     row = {c.id: i for i, c in enumerate(outputs)}
     column = {c.id: i for i, c in enumerate(inputs)}
     data = np.full((freqs.size, len(outputs), len(inputs)), np.nan, dtype=np.complex128)
-    for s in sets:
-        if len(s["x"]) != freqs.size or np.abs(s["x"] - freqs).max() > 1e-6 * max(freqs[-1], 1):
-            raise DataError(f"{path}: function {_response(s)}/{_reference(s)} has other frequency lines")
-        if _response(s) in row and _reference(s) in column:
-            data[:, row[_response(s)], column[_reference(s)]] = s["data"]
+    for f in functions:
+        out, ref = label(*f.response), label(*f.reference)
+        if f.x.size != freqs.size or np.abs(f.x - freqs).max() > 1e-6 * max(freqs[-1], 1):
+            raise DataError(f"{path}: function {out}/{ref} has other frequency lines")
+        if out in row and ref in column:
+            data[:, row[out], column[ref]] = f.y
     return data
 
 
-def write_frf_sets(path: str | Path, frfs: FrfSet) -> None:
-    """Write the FRFs (and coherence where known) as ascii data sets 58, double precision.
+def write_frf_sets(path: str | Path, frfs: FrfSet, *, binary: bool = False) -> None:
+    """Write the FRFs (and coherence where known) as data sets 58, or 58b, double precision.
 
     Raises
     ------
     DataError
         If a channel id is not a point and direction such as `101+Z`.
     """
-    from ringtrue.core.dofs import DofSet
-    from ringtrue.io.atomic import atomic_write
-
     out, inp = DofSet.parse(c.id for c in frfs.outputs), DofSet.parse(c.id for c in frfs.inputs)
-    with atomic_write(path) as part:
-        file = pyuff.UFF(str(part))
+    with atomic_write(path) as part, part.open("wb") as file:
         for j in range(len(frfs.inputs)):
             for i, channel in enumerate(frfs.outputs):
-                place = (int(out.node[i]), int(out.direction[i]), int(inp.node[j]), int(inp.direction[j]))
-                file.write_sets(_set58(FRF, frfs.freqs, frfs.data[:, i, j], place, channel), "add")
-                if np.isfinite(frfs.coherence[:, i, j]).all():
-                    file.write_sets(_set58(COHERENCE, frfs.freqs, frfs.coherence[:, i, j], place, channel), "add")
+                rsp, ref = _pair(out, i), _pair(inp, j)
+                codes = (_FREQUENCY_AXIS, _CODE.get(channel.quantity, 0), _CODE["force"])
+                h, coherence = frfs.data[:, i, j], frfs.coherence[:, i, j]
+                file.write(write_function(FRF, frfs.freqs, h, rsp, ref, codes=codes, text="FRF", binary=binary))
+                if np.isfinite(coherence).all():
+                    codes = (_FREQUENCY_AXIS, 0, 0)
+                    block = write_function(
+                        COHERENCE, frfs.freqs, coherence, rsp, ref, codes=codes, text="Coherence", binary=binary
+                    )
+                    file.write(block)
 
 
-def _set58(kind: int, x: Float, y: Any, place: tuple[int, int, int, int], out: Channel) -> dict[str, Any]:
-    rsp_node, rsp_dir, ref_node, ref_dir = place
-    return {
-        "type": 58,
-        "func_type": kind,
-        "rsp_node": rsp_node,
-        "rsp_dir": rsp_dir,
-        "ref_node": ref_node,
-        "ref_dir": ref_dir,
-        "data": np.asarray(y),
-        "x": np.asarray(x),
-        "id1": "FRF" if kind == FRF else "Coherence",
-        "rsp_ent_name": "NONE",
-        "ref_ent_name": "NONE",
-        "abscissa_spacing": 1,
-        "abscissa_min": float(x[0]),
-        "abscissa_inc": float(x[1] - x[0]) if x.size > 1 else 1.0,
-        "abscissa_spec_data_type": 18,
-        "ordinate_spec_data_type": _CODE.get(out.quantity, 0) if kind == FRF else 0,
-        "orddenom_spec_data_type": 13 if kind == FRF else 0,
-    }
+def _pair(dofs: DofSet, i: int) -> tuple[int, int]:
+    return int(dofs.node[i]), int(dofs.direction[i])
+
+
+def write_time(path: str | Path, history: TimeHistory, *, binary: bool = True) -> None:
+    """Write a time record as data sets 58b (or 58), double precision.
+
+    A channel whose id is no point and direction (`101+Z`) gets its number as point and no direction; its id is kept
+    as the first line of text.
+    """
+    t = np.arange(history.data.shape[1]) / history.rate
+    with atomic_write(path) as part, part.open("wb") as file:
+        for i, channel in enumerate(history.channels):
+            code = (_TIME_AXIS, _CODE.get(channel.quantity, 0), 0)
+            here = _point(channel.id, i)
+            y = np.asarray(history.data[i], dtype=np.float64)
+            file.write(write_function(TIME, t, y, here, (0, 0), codes=code, text=channel.id, binary=binary))
+
+
+def _point(name: str, i: int) -> tuple[int, int]:
+    try:
+        return _pair(DofSet.parse([name]), 0)
+    except InputError:
+        return i + 1, 0

@@ -1,4 +1,4 @@
-"""Data set 55: mode shapes at nodes."""
+"""Mode shapes at nodes: read from data sets 55 or 2414, written as 55."""
 
 from __future__ import annotations
 
@@ -11,11 +11,29 @@ import pyuff
 from ringtrue.core.arrays import Any_
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.errors import DataError
+from ringtrue.errors import DataError, about
 from ringtrue.io.atomic import atomic_write
-from ringtrue.io.uff.functions import label, read_sets
+from ringtrue.io.uff.functions import label
+from ringtrue.io.uff.scan import scan
+from ringtrue.io.uff.shapes import COMPLEX, NORMAL, Shape, read_shape55, read_shape2414
 
-_NORMAL, _COMPLEX = 2, 3  # analysis types
+
+def read_shapes(path: str | Path) -> tuple[Shape, ...]:
+    """All shapes at nodes (55, 2414) of a universal file, as stored.
+
+    Raises
+    ------
+    DataError
+        If the file is not a universal file, holds no shapes, or one is damaged.
+    """
+    with about(path):
+        blocks = scan(path)
+        found = [read_shape55(b) if b.kind == 55 else read_shape2414(b) for b in blocks if b.kind in (55, 2414)]
+        shapes = tuple(s for s in found if s is not None)
+        if not shapes:
+            kinds = " ".join(map(str, sorted({b.kind for b in blocks})))
+            raise DataError(f"{path}: no data set 55 or 2414 with values at nodes; there are {kinds}")
+        return shapes
 
 
 def read_mode_sets(path: str | Path) -> ModeSet:
@@ -26,29 +44,30 @@ def read_mode_sets(path: str | Path) -> ModeSet:
     DataError
         If there are no modes or they are given at different nodes.
     """
-    sets = [s for s in read_sets(path, 55) if s["analysis_type"] in (_NORMAL, _COMPLEX)]
+    sets = [s for s in read_shapes(path) if s.analysis in (NORMAL, COMPLEX)]
     if not sets:
-        raise DataError(f"{path}: no normal or complex modes (55, analysis type 2 or 3) in the file")
-    nodes = np.asarray(sets[0]["node_nums"], dtype=np.int64)
+        raise DataError(f"{path}: no normal or complex modes (analysis type 2 or 3) in the file")
+    first = sets[0]
     for s in sets:
-        if not np.array_equal(np.asarray(s["node_nums"], dtype=np.int64), nodes):
-            raise DataError(f"{path}: mode {s.get('mode_n')} is given at other nodes than the first one")
-    n = int(sets[0]["n_data_per_node"])
-    shapes = np.stack([np.stack([s[f"r{k + 1}"] for k in range(n)], axis=1).ravel() for s in sets], axis=1)
-    labels = tuple(label(int(p), k + 1) for p in nodes for k in range(n))
+        if not np.array_equal(s.nodes, first.nodes) or s.values.shape != first.values.shape:
+            raise DataError(f"{path}: mode {s.number} is given at other nodes than the first one")
+    width = first.values.shape[1]
+    if width > 6:
+        raise DataError(f"{path}: {width} values at a node; modes have 1 to 6")
+    shapes = np.stack([s.values.ravel() for s in sets], axis=1)
+    labels = tuple(label(int(p), k + 1) for p in first.nodes for k in range(width))
     frequency, damping = np.array([_pole(s) for s in sets]).T
     order = np.argsort(frequency, kind="stable")
-    norm = Norm.MASS if all(float(np.real(s.get("modal_m", 0))) == 1 for s in sets) else Norm.UNSCALED
+    norm = Norm.MASS if all(s.mass == 1 for s in sets) else Norm.UNSCALED
     return ModeSet(frequency[order], damping[order], shapes[:, order], labels, norm, str(path))
 
 
-def _pole(s: dict[str, Any]) -> tuple[float, float]:
+def _pole(s: Shape) -> tuple[float, float]:
     """Frequency (Hz) and damping ratio; an absent or zero damping is unknown."""
-    if s["analysis_type"] == _COMPLEX:
-        pole = complex(s["eig"])
-        return abs(pole) / (2 * np.pi), -pole.real / abs(pole)
-    viscous, hysteretic = float(s.get("modal_damp_vis", 0)), float(s.get("modal_damp_his", 0))
-    return float(s["freq"]), viscous or hysteretic / 2 or float("nan")
+    if s.analysis == COMPLEX:
+        size = abs(s.pole)
+        return size / (2 * np.pi), -s.pole.real / size if size else float("nan")
+    return s.frequency, s.viscous or s.hysteretic / 2 or float("nan")
 
 
 def write_mode_sets(path: str | Path, modes: ModeSet) -> None:
@@ -79,7 +98,7 @@ def _set55(modes: ModeSet, k: int, nodes: Any_, shape: Any_) -> dict[str, Any]:
         "type": 55,
         "id1": "ringtrue",
         "model_type": 1,
-        "analysis_type": _COMPLEX if is_complex else _NORMAL,
+        "analysis_type": COMPLEX if is_complex else NORMAL,
         "data_ch": 2,
         "spec_data_type": 8,
         "data_type": 5 if is_complex else 2,

@@ -2,11 +2,30 @@
 
 from __future__ import annotations
 
+import math
+
+from ringtrue.plan.rehearsal import Rehearsal
 from ringtrue.plots import correlation, identification
-from ringtrue.report.parts import Block, Columns, Fact, Facts, Plot, Section, Table, Text, fixed, number, sentence
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Columns,
+    Fact,
+    Facts,
+    Plot,
+    Section,
+    Table,
+    Text,
+    fixed,
+    number,
+    sentence,
+)
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import IdentifyStage, PlanStage
 from ringtrue.study.summary import precision
+
+MISSED = 0.1  # of the best driving-point residue
+SURE = 0.9  # of the virtual tests
 
 
 def section(data: Stages) -> Section | None:
@@ -35,9 +54,76 @@ def section(data: Stages) -> Section | None:
         fig.update_layout(height=430)
         right.append(Plot(fig, "Standard deviations to expect from the planned length of the ambient record."))
     blocks.append(Columns([left, right])) if right else blocks.extend(left)
+    if plan.suspension:
+        blocks.append(Text(_hung(plan)))
+    if plan.loaded.size or plan.rehearsal is not None or data.identify is None:
+        blocks += [_targets(plan), _points(plan)]
     if data.identify is not None and len(data.identify.ambient):
         blocks.append(_verified(plan, data.identify))
     return Section("plan", "Test plan", blocks)
+
+
+def _hung(plan: PlanStage) -> str:
+    nodes = ", ".join(map(str, plan.suspension))
+    steady = "between them" if plan.steady else "not between them: the structure needs a guy"
+    return (
+        f"Suspension at nodes {nodes}, where no target mode moves with more than "
+        f"{number(100 * math.sqrt(plan.suspension_motion), 2)} % of its largest vertical motion; the centre of gravity "
+        f"hangs {steady}."
+    )
+
+
+def _targets(plan: PlanStage) -> Table:
+    """Target modes: how well they are excited and shown, and what the virtual test made of them."""
+    heads = ["FE mode", "f, Hz", "reach, %"]
+    columns: list[list[str | Cell]] = [
+        [str(k + 1) for k in plan.target_modes.tolist()],
+        [fixed(f, 3) for f in plan.target_frequencies.tolist()],
+        [Cell(fixed(100 * r, 0), "bad" if r < MISSED else "") for r in plan.reach.tolist()],
+    ]
+    if plan.shown.size:
+        heads.append("shown, %")
+        columns.append([fixed(100 * s, 0) for s in plan.shown.tolist()])
+    if plan.loaded.size:
+        heads.append("shift by sensors, %")
+        columns.append([fixed(100 * x, 2, sign=True) for x in plan.loaded.tolist()])
+    caption = (
+        "Target modes. Reach: best driving-point residue of the references over that of all channels; shown: MAC of "
+        "the mode with its drawing on the measuring points."
+    )
+    if plan.rehearsal is not None:
+        heads += ["found, %", "σ of f, %", "σ of ζ, %", "MAC, %"]
+        columns += _found(plan.rehearsal)
+        caption += (
+            f" Found and the standard deviations: {plan.rehearsal.trials} virtual tests with blows up to "
+            f"{number(plan.rehearsal.force, 2)} N, {number(plan.rehearsal.invented, 2)} modes a test invented."
+        )
+    return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
+
+
+def _found(r: Rehearsal) -> list[list[str | Cell]]:
+    hints = [f"at least {100 * p:.0f} % with 95 % confidence" for p in r.at_least.tolist()]
+    found: list[str | Cell] = [
+        Cell(fixed(100 * p, 0), "" if p >= SURE else "bad", hint)
+        for p, hint in zip(r.found.tolist(), hints, strict=True)
+    ]
+    rest = (100 * r.frequency_std, 100 * r.damping_std)
+    spread: list[list[str | Cell]] = [[number(x, 2) for x in c.tolist()] for c in rest]
+    return [found, *spread, [fixed(100 * x, 1) for x in r.mac.tolist()]]
+
+
+def _points(plan: PlanStage) -> Table:
+    """Measuring points, and what is struck there."""
+    struck = {p: [r for r in plan.references if r.startswith((f"{p}+", f"{p}-"))] for p in plan.test.points.tolist()}
+    channels: dict[int, int] = {}
+    for p in plan.test.at.tolist():
+        channels[p] = channels.get(p, 0) + 1
+    rows = [
+        (str(p), group, *(fixed(v, 3) for v in xyz), str(channels.get(p, 0)), " ".join(struck[p]))
+        for p, xyz, group in zip(plan.test.points.tolist(), plan.test.xyz.tolist(), plan.test.groups, strict=True)
+    ]
+    heads = ("point", "|part", "x, m", "y, m", "z, m", "channels", "|strike")
+    return Table(heads, rows, "Measuring points, on nodes of the model.", scroll=True)
 
 
 def _verified(plan: PlanStage, found: IdentifyStage) -> Table:

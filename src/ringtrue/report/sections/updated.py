@@ -87,4 +87,6 @@ def suspension(data: Stages) -> Section | None:
     ]
     rows = [(k, fixed(v, 3), number(100 * t.std[k] if k in t.std else None, 2)) for k, v in t.factors.items()]
     blocks.append(Table(("|Suspension parameter", "Factor", "σ, %"), rows, "Tuned stiffnesses of the suspension."))
+    blocks += [Text(f"The pairing is not certain. {v}.") for v in t.ambiguity]
+    blocks += [Text(sentence(v)) for v in t.flags]
     return Section("suspension", "Rigid-body tuning", blocks)

@@ -17,8 +17,9 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
-from ringtrue.identify.hammer import HammerModes, HammerResult, cmif, identify_hammer
+from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.merge import merge_modes
+from ringtrue.identify.peaks import cmif
 from ringtrue.io.records import RecordChannel, read_record, record_info
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.frf import estimate_frf

@@ -1,15 +1,26 @@
-"""The test plan: target modes, measuring points, hammer points, resolution."""
+"""The test plan: target modes, measuring points, hammer points, resolution, and a virtual test of it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError
 from ringtrue.model.frames import positions
+from ringtrue.plan.candidates import select_candidates
+from ringtrue.plan.exciters import rank_sets
+from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim
 from ringtrue.plan.layout import lower_auto_mac, reached, select_points, select_references
+from ringtrue.plan.rehearsal import Conditions, Planned, Rehearsal, rehearse
 from ringtrue.plan.resolution import resolution
+from ringtrue.plan.selection import auto_mac_points, make_redundant, qr_points, worst_loss
+from ringtrue.plan.suspension import loaded_frequencies, suspension_points
+from ringtrue.plan.targets import Targets, choose_targets, effective_mass, in_band, telling_modes
+from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.config import PlanSection
 from ringtrue.study.opened import Progress
@@ -18,24 +29,98 @@ from ringtrue.study.results import ModelStage, PlanStage
 from ringtrue.study.workbench import Workbench
 
 AXES = ("X", "Y", "Z")
+SEED = 7919  # of the virtual test, added to that of the study
+STRIKE: dict[str, Callable[[Float, int], Int]] = {
+    "greedy": select_references,
+    "worst": lambda rows, count: rank_sets(rows, min(count, len(rows)), most=1)[0].rows,
+}
+SAID = {"greedy": "hammer points greedily", "worst": "the best set of hammer points"}
+MODEL_ERROR = 0.01  # relative, of an eigenvalue: half a percent of a frequency
+METHODS = {
+    "independence": "by effective independence (backward elimination)",
+    "qr": "by QR with pivoting of the modal matrix",
+    "auto-mac": "by least auto-MAC (pivoted QR, additions, exchanges)",
+    "information": "by greedy log-determinant of the information about modes and parameters",
+}
 
 
 def _candidates(plan: PlanSection, model: ModelStage) -> tuple[Int, tuple[str, ...]]:
     """Candidate nodes and the region of each."""
-    if not plan.candidates:
-        return model.scene.node, ("",) * model.scene.node.size
-    nodes = [n for group in plan.candidates.values() for n in group]
-    return np.array(nodes), tuple(name for name, group in plan.candidates.items() for _ in group)
+    nodes, region = model.scene.node, ("",) * model.scene.node.size
+    if plan.candidates:
+        nodes = np.array([n for group in plan.candidates.values() for n in group])
+        region = tuple(name for name, group in plan.candidates.items() for _ in group)
+    return nodes, region
+
+
+def _within(desk: Workbench, plan: PlanSection, nodes: Int, region: tuple[str, ...]) -> tuple[Int, tuple[str, ...]]:
+    """The candidates less those that boxes and exclusions take away; fixed nodes always stay."""
+    if not (plan.boxes or plan.keep_out or plan.exclude or plan.fixed):
+        return nodes, region
+    lost = sorted(set(plan.fixed) - set(nodes.tolist()))
+    nodes, region = np.append(nodes, np.array(lost, dtype=np.int64)), (*region, *("",) * len(lost))
+    rows = desk.initial.model["GRID"].find(nodes)
+    if (rows < 0).any():
+        raise ConfigError(f"[plan] fixed: node {int(nodes[rows < 0][0])} is not in the deck")
+    xyz = positions(desk.initial.model)[rows] * desk.length
+    here = [n for n in plan.exclude if n in set(nodes.tolist())]
+    keep = select_candidates(nodes, xyz, boxes=plan.boxes, exclude=here, keep_out=plan.keep_out)
+    keep |= np.isin(nodes, plan.fixed)
+    return nodes[keep], tuple(r for r, yes in zip(region, keep.tolist(), strict=True) if yes)
+
+
+def _rows(desk: Workbench, nodes: Int) -> Int:
+    """Rows of the translations of the nodes among the DOFs of the deck, (n, 3)."""
+    labels = desk.initial.analysis.dofs
+    at = np.stack([labels.find(nodes, np.full(nodes.shape, i + 1)) for i in range(3)], axis=1)
+    if (at < 0).any():
+        raise ConfigError(f"[plan.candidates]: node {int(nodes[(at < 0).any(axis=1)][0])} is not in the deck")
+    return at
 
 
 def _shapes(desk: Workbench, nodes: Int, modes: Int) -> Float:
     """Mass-normalised translations at the candidates, (n, 3, m)."""
     found = desk.initial.modes(desk.deck.fmax).modes
-    labels = desk.initial.analysis.dofs
-    at = np.stack([labels.find(nodes, np.full(nodes.shape, i + 1)) for i in range(3)], axis=1)
-    if (at < 0).any():
-        raise ConfigError(f"[plan.candidates]: node {int(nodes[(at < 0).any(axis=1)][0])} is not in the deck")
-    return np.asarray(found.shapes[at][:, :, modes])
+    return np.asarray(found.shapes[_rows(desk, nodes)][:, :, modes])
+
+
+def _targets(desk: Workbench, plan: PlanSection, f: Float, edge: float) -> Targets:
+    """The target modes: as named, or those of the band that a criterion asks for."""
+    low = max(edge, plan.fmin)
+    if plan.modes:
+        if max(plan.modes) > f.size:
+            raise ConfigError(f"[plan] modes: {max(plan.modes)} of {f.size} modes below fmax of [model]; raise it")
+        return choose_targets(f, {"named": np.isin(np.arange(1, f.size + 1), plan.modes)})
+    within = in_band(f, low, plan.fmax)
+    criteria = _criteria(desk, plan, within) or {f"{low:.4g} to {plan.fmax:.4g} Hz": within}
+    return choose_targets(f, criteria, within=within)
+
+
+def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Bool]:
+    """What [plan] asks of target modes besides the band."""
+    criteria: dict[str, Bool] = {}
+    if not (plan.effective_mass or plan.sensitive or plan.telling):
+        return criteria
+    analysis, modes = desk.initial.analysis, desk.initial.modes(desk.deck.fmax).modes
+    free = np.asarray(analysis.system.local @ modes.shapes)
+    if plan.effective_mass:
+        share = effective_mass(free, analysis.system.mass, analysis.system.rigid_body())
+        criteria[f"effective mass over {100 * plan.effective_mass:g} %"] = share.max(axis=1) > plan.effective_mass
+    parameters = desk.config.candidates()
+    if (plan.sensitive or plan.telling) and not len(parameters):
+        raise ConfigError("[plan] sensitive and telling need a [[candidate]]")
+    if plan.sensitive or plan.telling:
+        lam = (2 * np.pi * modes.frequencies) ** 2
+        slopes = analysis.slopes(parameters)
+        d = np.stack([np.einsum("fm,fm->m", free, s.stiffness @ free - (s.mass @ free) * lam) for s in slopes], axis=1)
+        relative = np.where(within, 1 / np.where(within, lam, 1.0), 0.0)[:, None] * d
+        if plan.sensitive:
+            criteria[f"sensitivity over {plan.sensitive:g}"] = np.abs(relative).sum(axis=1) > plan.sensitive
+        if plan.telling:
+            x = relative * parameters.slope(np.zeros(len(parameters)))
+            at = telling_modes(x, np.ones(len(x)), MODEL_ERROR, parameters.std(), plan.telling)
+            criteria["tells parameters apart"] = np.isin(np.arange(len(x)), at)
+    return criteria
 
 
 def run(desk: Workbench, progress: Progress) -> PlanStage:
@@ -50,23 +135,23 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     model: ModelStage = desk.get("model")
     f = model.modes.frequencies
     edge = elastic_edge(f, desk.config)
-    targets = np.flatnonzero((f > max(edge, plan.fmin)) & (f < plan.fmax))
-    nodes, region = _candidates(plan, model)
+    wanted = _targets(desk, plan, f, edge)
+    targets = wanted.modes
+    nodes, region = _within(desk, plan, *_candidates(plan, model))
     shapes = _shapes(desk, nodes, np.arange(f.size))
     xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(nodes)] * desk.length
     first = np.concatenate([np.flatnonzero((f > 1e-3 * f.max()) & (f <= edge)), targets[: plan.ambient_sensors]])
-    ambient_at = _ambient(plan, shapes[:, :, first], xyz, region)
-    fixed = np.isin(np.arange(nodes.size), ambient_at)
+    ambient_at = _ambient(plan, shapes[:, :, first], xyz, region) if plan.ambient else np.zeros(0, dtype=np.int64)
+    fixed = np.isin(np.arange(nodes.size), ambient_at) | np.isin(nodes, plan.fixed)
     progress(0.3, "measuring points")
-    chosen = select_points(shapes[:, :, targets], xyz, plan.sensors, fixed=fixed, min_distance=plan.min_distance)
-    chosen = lower_auto_mac(shapes[:, :, targets], chosen, plan.max_auto_mac, plan.sensors + 15)
+    chosen = _points(desk, plan, shapes, targets, xyz, nodes, fixed)
     rows = shapes[chosen][:, :, targets].reshape(-1, targets.size)
     labels = tuple(f"{n}+{a}" for n in nodes[chosen].tolist() for a in AXES)
-    hits = select_references(rows, plan.references)
+    hits = STRIKE[plan.strike](rows, plan.references)
     mac = auto_mac(rows)
     need = resolution(f[targets], plan.damping)
     every = resolution(f[first], plan.damping)
-    return PlanStage(
+    stage = PlanStage(
         nodes.size,
         targets,
         _test_model(nodes[chosen], xyz[chosen], labels, [region[i] for i in chosen.tolist()]),
@@ -81,11 +166,105 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         first,
         every.std_frequency,
         every.std_damping,
-        f"triaxial points by effective independence (backward elimination) of {targets.size} target modes, at least "
-        f"{plan.min_distance:g} m apart, then points that lower the worst auto-MAC; hammer points greedily by the "
+        f"triaxial points {METHODS[plan.method]} of {targets.size} target modes, at least "
+        f"{plan.min_distance:g} m apart, then points that lower the worst auto-MAC; {SAID[plan.strike]} by the "
         f"driving-point residue of the mode that is excited worst (least share reached "
         f"{100 * float(reached(rows, hits).min()):.0f} %)",
+        target_frequencies=f[targets],
+        reach=reached(rows, hits),
+        reasons=wanted.reasons,
+        left_by_loss=worst_loss(shapes[chosen][:, :, targets], 1).left,
     )
+    progress(0.6, "what the plan shows and misses")
+    return _judged(desk, plan, stage, shapes, xyz, nodes, chosen, progress)
+
+
+def _points(
+    desk: Workbench, plan: PlanSection, shapes: Float, targets: Int, xyz: Float, nodes: Int, fixed: Bool
+) -> Int:
+    """Measuring points by the method asked for, with the auto-MAC lowered and the redundancy asked for."""
+    phi = shapes[:, :, targets]
+    if plan.method == "independence":
+        chosen = select_points(phi, xyz, plan.sensors, fixed=fixed, min_distance=plan.min_distance)
+    elif plan.method == "qr":
+        chosen = qr_points(phi, plan.sensors, xyz=xyz, min_distance=plan.min_distance, fixed=fixed)
+    elif plan.method == "auto-mac":
+        chosen = auto_mac_points(phi, plan.sensors, xyz=xyz, min_distance=plan.min_distance, fixed=fixed)
+    else:
+        chosen = greedy_logdet(
+            _aims(desk, nodes, phi, targets), plan.sensors, xyz=xyz, min_distance=plan.min_distance, fixed=fixed
+        )
+    chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, plan.sensors + 15)
+    if plan.redundancy:
+        chosen = np.sort(make_redundant(phi, chosen, plan.redundancy, most=2 * plan.sensors + 15))
+    return chosen
+
+
+def _aims(desk: Workbench, nodes: Int, phi: Float, targets: Int) -> list[Aim]:
+    """The modes, and the candidates for the updating where the study names them."""
+    parameters = desk.config.candidates()
+    aims = [mode_aim(phi)]
+    if len(parameters):
+        found = desk.initial.modes(desk.deck.fmax).modes.take(targets)
+        d_lambda, d_phi = desk.initial.analysis.derivatives(found, parameters)
+        slope = parameters.slope(np.zeros(len(parameters)))
+        relative = d_lambda * slope / (2 * np.pi * found.frequencies[:, None]) ** 2
+        d_shapes = d_phi[_rows(desk, nodes)] * slope
+        aims.append(parameter_aim(phi, d_shapes, parameters.std(), relative=relative))
+    return aims
+
+
+def _judged(
+    desk: Workbench,
+    plan: PlanSection,
+    stage: PlanStage,
+    shapes: Float,
+    xyz: Float,
+    nodes: Int,
+    chosen: Int,
+    progress: Progress,
+) -> PlanStage:
+    """The stage with what was asked for besides: drawing, loading, suspension, virtual test."""
+    model: ModelStage = desk.get("model")
+    f, targets = model.modes.frequencies, stage.target_modes
+    seat = np.searchsorted(model.scene.node, nodes[chosen]).clip(max=model.scene.node.size - 1)
+    if (model.scene.node[seat] == nodes[chosen]).all():  # all points lie on what is drawn
+        edges = mesh_edges(model.scene.triangles, model.scene.lines)
+        drawn = model.modes.shapes.reshape(model.scene.node.size, 3, -1)[:, :, targets]
+        stage = replace(stage, shown=shown(model.scene.xyz, edges, seat, drawn))
+        if plan.lines == "mesh":
+            lines = nodes[chosen][wireframe(model.scene.xyz, edges, seat)]
+            stage = replace(stage, test=replace(stage.test, lines=lines))
+    si = np.sqrt(desk.length)  # mass-normalised in t and mm: 1/√t = 1/√(1000 kg)
+    if plan.sensor_mass:
+        added = np.full(chosen.size, plan.sensor_mass)
+        elastic = f > 1e-3 * f.max()
+        loaded = loaded_frequencies(f[elastic], si * shapes[chosen][:, :, elastic], added)
+        stage = replace(stage, loaded=(loaded / f[elastic] - 1)[np.searchsorted(np.flatnonzero(elastic), targets)])
+    if plan.suspension:
+        hung = suspension_points(
+            shapes[:, 2:, targets], xyz, plan.suspension, model.cg * desk.length, min_distance=plan.min_distance
+        )
+        places = tuple(nodes[hung.points].tolist())
+        stage = replace(stage, suspension=places, suspension_motion=hung.motion, steady=hung.steady)
+    if plan.trials:
+        progress(0.7, "virtual test")
+        stage = replace(
+            stage, rehearsal=_rehearsed(desk, plan, stage, si * shapes[chosen].reshape(-1, f.size), progress)
+        )
+    return stage
+
+
+def _rehearsed(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float, progress: Progress) -> Rehearsal:
+    f = desk.get("model").modes.frequencies
+    at = [stage.test.channels.index(r) for r in stage.references]
+    margin = 0.5 * plan.damping * stage.target_frequencies
+    low, high = float((stage.target_frequencies - margin).min()), float((stage.target_frequencies + margin).max())
+    planned = Planned(f, rows, rows[at], stage.test.channels, stage.references, low, high)
+    rng = np.random.default_rng(desk.config.study.seed + SEED)
+    conditions = Conditions(trials=plan.trials, damping=plan.damping, background=plan.background)
+    result = rehearse(planned, conditions, rng, progress=lambda x, t: progress(0.7 + 0.3 * x, t))
+    return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
 
 
 def _ambient(plan: PlanSection, shapes: Float, xyz: Float, region: tuple[str, ...]) -> Int:

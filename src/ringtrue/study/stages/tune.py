@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringtrue.core.arrays import Float
@@ -15,40 +17,80 @@ from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.gauss_newton import update
 from ringtrue.update.objective import Target, Weights
+from ringtrue.update.plausible import plausibility
+from ringtrue.update.suspension import Suspended, tune
 
 # a rigid-body mode on springs leaves no room for model discrepancy but the mass distribution
 WEIGHTS = Weights(frequency=0.005, mac=0.1, shape=0.1)
 
 
-def run(desk: Workbench, progress: Progress) -> TuneStage:
-    """Tune the suspension with the elastic parameters held at their updated values."""
+def target(desk: Workbench) -> Target:
+    """The rigid-body modes of the test.
+
+    Raises
+    ------
+    DataError
+        If there is none.
+    """
     found: CorrelateStage = desk.get("correlate")
-    if not len(found.rigid):
+    n = len(found.rigid)
+    if not n:
         raise DataError(
             "rigid-body tuning: the ambient test holds no rigid-body mode to tune [[suspension]] to; set "
             "correlate.rigid_below above them, or leave [[suspension]] out"
         )
-    reference = reference_modes(desk.get("identify"), desk.config)
-    suspension = desk.config.suspensions()
-    model = desk.suspended(found.rigid.channels, progress)
-    base = np.concatenate([desk.config.candidates().vector(chosen_factors(desk)), np.zeros(len(suspension))])
-    first = len(desk.config.candidates())
-    active = model.with_parameters(range(first, first + len(suspension)), base)
-    n = len(found.rigid)
-    gates = rigid_settings(desk.config)
     std = np.maximum(found.rigid_uncertainty.frequency / found.rigid.frequencies, 1e-4)
-    aim = Target(found.rigid.frequencies, found.rigid.shapes, std, np.ones(n, dtype=bool), WEIGHTS, gates)
-    before = _seen(active, np.zeros(len(suspension)), found.rigid.channels)
-    result = update(active, aim, iterations=desk.config.update.iterations)
-    slope = suspension.slope(result.x) / result.factors
+    gates = rigid_settings(desk.config)
+    return Target(found.rigid.frequencies, found.rigid.shapes, std, np.ones(n, dtype=bool), WEIGHTS, gates)
+
+
+def suspended(desk: Workbench, progress: Progress) -> AtChannels:
+    """The model over the suspension alone, the elastic parameters held at their updated values."""
+    found: CorrelateStage = desk.get("correlate")
+    count = len(desk.config.suspensions())
+    base = np.concatenate([desk.config.candidates().vector(chosen_factors(desk)), np.zeros(count)])
+    first = len(desk.config.candidates())
+    model = desk.suspended(found.rigid.channels, progress)
+    return model.with_parameters(range(first, first + count), base)
+
+
+def tuned(active: AtChannels, aim: Target, iterations: int, progress: Progress) -> Suspended:
+    """Every pairing weighed, from the point that the nearest pairing leads to.
+
+    Test modes that find no partner inside the gates there take no part.
+    """
+    near = update(active, aim, iterations=iterations)
+    used = np.isin(np.arange(aim.used.size), near.residual.pairs[near.residual.used, 0])
+    if not used.any():
+        raise DataError(
+            "rigid-body tuning: no rigid-body mode of the test has a partner in the model; look at the bounds of "
+            "[[suspension]], at the directions of the channels, or at correlate.mac_gate"
+        )
+    return tune(active, replace(aim, used=used), start=near.x, progress=progress)
+
+
+def run(desk: Workbench, progress: Progress) -> TuneStage:
+    """Tune the suspension with the elastic parameters held at their updated values."""
+    aim = target(desk)
+    active = suspended(desk, lambda f, t: progress(0.7 * f, t))
+    before = _seen(active, np.zeros(len(active.parameters)), desk)
+    found = tuned(active, aim, desk.config.update.iterations, lambda f, t: progress(0.7 + 0.3 * f, t))
+    parameters, x = active.parameters, found.best.x
+    factors = parameters.factors(x)
+    slope = parameters.slope(x) / factors
+    reference = reference_modes(desk.get("identify"), desk.config)
     return TuneStage(
         rigid_table(reference, before, desk.config),
-        rigid_table(reference, _seen(active, result.x, found.rigid.channels), desk.config),
-        dict(zip(suspension.names, result.factors.tolist(), strict=True)),
-        dict(zip(suspension.names, (result.std * slope).tolist(), strict=True)),
+        rigid_table(reference, _seen(active, x, desk), desk.config),
+        dict(zip(parameters.names, factors.tolist(), strict=True)),
+        dict(zip(parameters.names, (found.std * slope).tolist(), strict=True)),
+        found.ambiguity(),
+        tuple(f.text for f in plausibility(parameters, x, found.std / parameters.std())),
     )
 
 
-def _seen(active: AtChannels, x: Float, channels: tuple[str, ...]) -> ModeSet:
+def _seen(active: AtChannels, x: Float, desk: Workbench) -> ModeSet:
+    found: CorrelateStage = desk.get("correlate")
     point = active.modes(x)
-    return ModeSet(point.frequencies, np.zeros(point.frequencies.size), point.shapes, channels, source="reduced")
+    zeros = np.zeros(point.frequencies.size)
+    return ModeSet(point.frequencies, zeros, point.shapes, found.rigid.channels, source="reduced")

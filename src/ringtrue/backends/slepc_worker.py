@@ -1,0 +1,145 @@
+"""The part of the `slepc` solver that runs under mpiexec, in a Python that has slepc4py and needs no ringtrue.
+
+    mpiexec -n 4 python slepc_worker.py FOLDER
+
+reads `job.json` and the rows of K and M that each rank owns, and writes `values.npy`, `vectors.npy` (mode, dof) and
+`result.json`. The eigensolver is Krylov-Schur with shift-invert (Stewart, 2001) over MUMPS' LDLᵀ, for a band with
+spectrum slicing (Campos & Roman, Numer. Algorithms 60, 2012); inertia counts prove both.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI  # first: it finds the MPI library that the others were built with
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+EXTRA = 4  # modes above those asked for
+MUMPS = {
+    f"{p}mat_mumps_{k}": v for p in ("", "st_") for k, v in (("icntl_13", 1), ("icntl_24", 1), ("cntl_3", 1e-12))
+}  # for inertia: see SLEPc's manual
+
+
+def load(folder: Path, name: str) -> Any:
+    """The rows of a symmetric matrix that this rank owns."""
+    indptr, indices, data = (np.load(folder / f"{name}_{part}.npy", mmap_mode="r") for part in ("p", "i", "x"))
+    n = indptr.size - 1
+    rank, size = MPI.COMM_WORLD.rank, MPI.COMM_WORLD.size
+    first, last = rank * n // size, (rank + 1) * n // size
+    a, b = int(indptr[first]), int(indptr[last])
+    rows = (indptr[first : last + 1] - a).astype(PETSc.IntType)
+    own = (rows, indices[a:b].astype(PETSc.IntType), np.array(data[a:b]))
+    matrix = PETSc.Mat().createAIJ(((last - first, n), (last - first, n)), csr=own, comm=PETSc.COMM_WORLD)
+    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    return matrix
+
+
+def solver(K: Any, M: Any, shift: float) -> Any:
+    """Krylov-Schur for K φ = λ M φ with a MUMPS factor of K − shift M."""
+    eps = SLEPc.EPS().create(PETSc.COMM_WORLD)
+    eps.setOperators(K, M)
+    eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+    eps.setType(SLEPc.EPS.Type.KRYLOVSCHUR)
+    eps.setTolerances(1e-10, 500)
+    st = eps.getST()
+    st.setType(SLEPc.ST.Type.SINVERT)
+    st.setShift(shift)
+    cholesky(st.getKSP())
+    return eps
+
+
+def cholesky(ksp: Any) -> None:
+    """A direct solution by MUMPS."""
+    ksp.setType(PETSc.KSP.Type.PREONLY)
+    ksp.getPC().setType(PETSc.PC.Type.CHOLESKY)
+    ksp.getPC().setFactorSolverType("mumps")
+
+
+def below(K: Any, M: Any, cut: float) -> int:
+    """Number of eigenvalues under `cut`: the negative pivots of LDLᵀ (Sylvester)."""
+    A = K.copy()
+    A.axpy(-cut, M, structure=PETSc.Mat.Structure.DIFFERENT)
+    A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    ksp = PETSc.KSP().create(PETSc.COMM_WORLD)
+    ksp.setOperators(A)
+    cholesky(ksp)
+    ksp.setUp()
+    return int(ksp.getPC().getFactorMatrix().getInertia()[0])
+
+
+def lowest(K: Any, M: Any, count: int, shift: float) -> tuple[Any, int, bool, str]:
+    """The solver with the lowest modes, how many to take, and whether counts agree."""
+    n = K.getSize()[0]
+    eps = solver(K, M, shift)
+    eps.setTarget(shift)
+    eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+    eps.setDimensions(min(count + EXTRA, n))
+    eps.solve()
+    values = np.sort([eps.getEigenvalue(i).real for i in range(eps.getConverged())])
+    count = min(count, values.size)
+    if values.size < 2:
+        return eps, count, False, "too few eigenvalues converged to count any"
+    upper = values[max(count, 2) - 1 :]
+    upper = values[-2:] if upper.size < 2 else upper
+    gap = int(np.argmax(np.diff(upper)))
+    cut = 0.5 * (upper[gap] + upper[gap + 1])
+    found, there = int((values < cut).sum()), below(K, M, cut) - below(K, M, shift)
+    if found != there:
+        eps.destroy()
+        eps, taken, _, proof = band(K, M, shift, cut)
+        return eps, min(count, taken), taken == there, proof
+    return eps, count, True, f"{there} eigenvalues below {cut:.6g} (rad/s)^2 by inertia, {found} found"
+
+
+def band(K: Any, M: Any, low: float, high: float) -> tuple[Any, int, bool, str]:
+    """The solver with all modes of low <= λ <= high."""
+    eps = solver(K, M, low)
+    eps.setWhichEigenpairs(SLEPc.EPS.Which.ALL)
+    eps.setInterval(low, high)
+    eps.setKrylovSchurDetectZeros(True)
+    eps.solve()
+    found, there = eps.getConverged(), below(K, M, high) - below(K, M, low)
+    proof = f"{there} eigenvalues from {low:.6g} to {high:.6g} (rad/s)^2 by inertia, {found} found"
+    return eps, found, found == there, proof
+
+
+def gathered(eps: Any, K: Any, count: int) -> tuple[Any, Any]:
+    """The lowest `count` values and vectors (mode, dof); on the first rank."""
+    values = np.array([eps.getEigenvalue(i).real for i in range(eps.getConverged())])
+    order = np.argsort(values, kind="stable")[:count]
+    vector = K.createVecRight()
+    scatter, whole = PETSc.Scatter.toZero(vector)
+    vectors = np.empty((order.size, whole.getLocalSize()))
+    for k, i in enumerate(order.tolist()):
+        eps.getEigenvector(i, vector)
+        scatter.scatter(vector, whole, mode=PETSc.ScatterMode.FORWARD)
+        vectors[k] = whole.getArray()
+    return values[order], vectors
+
+
+def main(folder: Path) -> None:
+    """Solve the job of a folder."""
+    job = json.loads((folder / "job.json").read_text())
+    options = PETSc.Options()
+    for name, value in MUMPS.items():
+        options[name] = value
+    K, M = load(folder, "K"), load(folder, "M")
+    if job["band"] is None:
+        eps, count, complete, proof = lowest(K, M, job["count"], job["shift"])
+    else:
+        eps, count, complete, proof = band(K, M, *job["band"])
+    values, vectors = gathered(eps, K, count)
+    if MPI.COMM_WORLD.rank == 0:
+        np.save(folder / "values.npy", values)
+        np.save(folder / "vectors.npy", vectors)
+        result = {"complete": bool(complete), "proof": f"{proof} (SLEPc, {MPI.COMM_WORLD.size} ranks)"}
+        (folder / "result.json").write_text(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

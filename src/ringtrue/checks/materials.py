@@ -1,0 +1,62 @@
+"""Materials that would have negative strain energy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.checks.findings import Finding, at_rows
+from ringtrue.core.arrays import Float
+from ringtrue.model.model import Model
+
+_ZERO = 1e-12  # of the largest eigenvalue: round-off
+
+
+def check_materials(model: Model) -> list[Finding]:
+    """Poisson's ratio of MAT1, E1, E2 and NU12 of MAT8, the matrices of MAT2 and MAT9."""
+    return [*_poisson(model), *_orthotropic(model), *_indefinite(model, "MAT2", 3), *_indefinite(model, "MAT9", 6)]
+
+
+def _poisson(model: Model) -> list[Finding]:
+    """Poisson's ratio, given or from E and G, must lie between -1 and 0.5."""
+    if "MAT1" not in model:
+        return []
+    table = model["MAT1"]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a blank or zero G gives no ratio
+        implied = table["E"] / (2 * table["G"]) - 1
+    ratio = np.where(np.isnan(table["NU"]), implied, table["NU"])
+    rows = np.flatnonzero((ratio <= -1) | (ratio > 0.5))
+    return [at_rows(model, "MAT1", rows, "error", f"Poisson's ratio {ratio[rows[0]]:g}")] if rows.size else []
+
+
+def _orthotropic(model: Model) -> list[Finding]:
+    """E1, E2 > 0 and NU12² < E1 / E2 (Jones, Mechanics of Composite Materials, eq. 2.46)."""
+    if "MAT8" not in model:
+        return []
+    t = model["MAT8"]
+    soft = np.flatnonzero((t["E1"] <= 0) | (t["E2"] <= 0))
+    wrong = np.flatnonzero((t["E1"] > 0) & (t["E2"] > 0) & (t["NU12"] ** 2 * t["E2"] >= t["E1"]))
+    found = [at_rows(model, "MAT8", soft, "error", "E1 and E2 must be over 0")] if soft.size else []
+    if wrong.size:
+        limit = np.sqrt(t["E1"][wrong[0]] / t["E2"][wrong[0]])
+        what = f"NU12 {t['NU12'][wrong[0]]:g} is not below sqrt(E1/E2) = {limit:g}"
+        found.append(at_rows(model, "MAT8", wrong, "error", what))
+    return found
+
+
+def _indefinite(model: Model, card: str, size: int) -> list[Finding]:
+    if card not in model:
+        return []
+    lam = np.linalg.eigvalsh(elasticity(model, card, size))
+    rows = np.flatnonzero(lam[:, 0] < -_ZERO * abs(lam).max(axis=1))
+    what = "its elasticity matrix has a negative eigenvalue"
+    return [at_rows(model, card, rows, "error", what)] if rows.size else []
+
+
+def elasticity(model: Model, card: str, size: int) -> Float:
+    """The symmetric matrices (n, size, size) of MAT2 (3) or MAT9 (6)."""
+    i, j = np.triu_indices(size)
+    values = model[card].stack(*(f"G{a + 1}{b + 1}" for a, b in zip(i.tolist(), j.tolist(), strict=True)))
+    out = np.zeros((len(values), size, size))
+    out[:, i, j] = values
+    out[:, j, i] = values
+    return out

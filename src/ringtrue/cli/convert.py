@@ -1,0 +1,69 @@
+"""`convert`: modes from one file format to another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from ringtrue.cli.show import out
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet
+from ringtrue.errors import DataError, InputError
+from ringtrue.io.modes_json import read_modes, write_modes
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.nastran_results.hdf5 import is_nastran_h5
+from ringtrue.io.nastran_results.modes import READERS, read_nastran_modes
+
+_TRANSLATIONS_ONLY = (".uff", ".unv", ".55")
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(help="Modes: .op2 .f06 .pch .h5 of a solver, or .json .h5 .uff.")],
+    target: Annotated[Path, typer.Argument(help="What to write: .h5 .json .uff.")],
+    deck: Annotated[
+        Path | None, typer.Option(help="The deck of the run: turns displacement frames (CD) to the basic frame.")
+    ] = None,
+) -> int:
+    """Modes from one format to another: results of Nastran or MYSTRAN to a mode set.
+
+    Example: ringtrue convert modes.op2 modes.h5 --deck wing.bdf
+    """
+    modes = _read(source, deck)
+    write_modes(target, _translations(modes) if target.suffix.lower() in _TRANSLATIONS_ONLY else modes)
+    f = modes.frequencies
+    span = f"{f.min():.5g} to {f.max():.5g} Hz"
+    out.print(
+        f"{target}: {len(modes)} modes, {span}, {len(modes.labels)} rows, scale {modes.norm}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    return 0
+
+
+def _read(source: Path, deck: Path | None) -> ModeSet:
+    ext = source.suffix.lower()
+    if ext in READERS and (ext != ".h5" or is_nastran_h5(source)):
+        modes = read_nastran_modes(source, read_deck(deck) if deck else None)
+    elif deck:
+        raise InputError(f"--deck {deck}: {source} is no results file of a solver")
+    else:
+        modes = read_modes(source)
+    if not len(modes):
+        raise DataError(f"{source}: no modes")
+    return modes
+
+
+def _translations(modes: ModeSet) -> ModeSet:
+    """The rows that data set 55 holds here: translations of grid points."""
+    labels = modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
+    keep = np.flatnonzero((np.abs(labels.direction) >= 1) & (np.abs(labels.direction) <= 3))
+    return modes.rows([modes.channels[i] for i in keep.tolist()])
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(convert)

@@ -1,0 +1,281 @@
+"""`plan`: where to measure and to strike, for how long, and what such a test will find."""
+
+from __future__ import annotations
+
+import json as text_json
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.cli.show import json_target, out, progress, rows, write_json
+from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.io.atomic import atomic_write
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.frames import positions
+from ringtrue.model.ports import ModesRequest
+from ringtrue.plan.exciters import reciprocity_pairs
+from ringtrue.plan.rehearsal import missed_words
+from ringtrue.plan.sheet import reach_of, write_test_sheet
+from ringtrue.report.deliver import deliver
+from ringtrue.study.results import PlanStage
+from ringtrue.study.run import StudyRun, run_study
+from ringtrue.study.workbench import LENGTH
+from ringtrue.virtual.sensors import ICP
+
+METHODS = ("independence", "qr", "auto-mac", "information")
+MISSED = 0.1  # of the best driving-point residue
+RIGID = 1e-3  # of the highest frequency
+ABOVE = 1.3  # modes up to here over the band take part in the virtual test
+
+Json = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
+]
+
+
+def plan(
+    deck: Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")],
+    folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where the test sheet goes.")] = None,
+    band: Annotated[tuple[float, float] | None, typer.Option(help="Target modes from F0 to F1, Hz.")] = None,
+    modes: Annotated[str, typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15.")] = "",
+    points: Annotated[int, typer.Option(help="Triaxial measuring points.", min=1)] = 20,
+    references: Annotated[int, typer.Option(help="Points to strike.", min=1)] = 3,
+    method: Annotated[str, typer.Option(help=f"How points are chosen: {', '.join(METHODS)}.")] = METHODS[0],
+    box: Annotated[
+        list[str] | None, typer.Option("--box", metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Points lie in it, m; repeat it.")
+    ] = None,
+    fixed: Annotated[str, typer.Option(metavar="LIST", help="Nodes that are measured in any case.")] = "",
+    distance: Annotated[float | None, typer.Option(metavar="M", help="Least distance of two points.", min=0)] = None,
+    redundancy: Annotated[int, typer.Option(help="Points that may fail.", min=0)] = 0,
+    hang: Annotated[int, typer.Option(help="Points to hang the structure from.", min=0)] = 0,
+    sensor_mass: Annotated[float, typer.Option(metavar="KG", help="Mass of a sensor.", min=0)] = 0.0,
+    damping: Annotated[float, typer.Option(help="Expected damping ratio.", min=1e-6, max=0.5)] = 0.01,
+    trials: Annotated[int, typer.Option(help="Virtual tests of the plan.", min=0)] = 0,
+    background: Annotated[float, typer.Option(metavar="N/√HZ", help="Noise force at each reference.", min=0)] = 0.0,
+    seed: Annotated[int, typer.Option(help="Of the virtual tests.", min=0)] = 0,
+    units: Annotated[str, typer.Option(help=f"Of the deck: {', '.join(LENGTH)}.")] = "SI",
+    json: Json = None,
+) -> int:
+    """Plan a modal test of a deck: a test sheet as CSV, universal file and HTML.
+
+    Example: ringtrue plan frame.bdf --band 5 80 --points 24 --references 3 --trials 10 --out frame-test
+    """
+    for name, value, allowed in (("method", method, METHODS), ("units", units, tuple(LENGTH))):
+        if value not in allowed:
+            raise ConfigError(f"--{name} {value!r}{did_you_mean(value, allowed)}")
+    if not deck.is_file():
+        raise ConfigError(f"{deck}: no such file")
+    folder = folder or deck.with_name(f"{deck.stem}-test")
+    if (folder / "study.toml").exists():
+        raise ConfigError(f"--out {folder}: holds a study.toml; name a folder for the plan alone")
+    section: dict[str, Any] = {
+        "sensors": points,
+        "ambient": False,
+        "strike": "worst",
+        "references": references,
+        "method": method,
+        "modes": numbers(modes, "--modes"),
+        "boxes": [_box(b) for b in box or []],
+        "fixed": numbers(fixed, "--fixed"),
+        "redundancy": redundancy,
+        "suspension": hang,
+        "sensor_mass": sensor_mass,
+        "damping": damping,
+        "lines": "mesh",
+        "trials": trials,
+        "background": background,
+    }
+    with progress("test plan") as show:
+        show(0.0, f"reading {deck}")
+        section |= _from_deck(deck, band, section["modes"], distance, points, LENGTH[units])
+        study = _write_study(folder, deck, units, section, seed)
+        run = run_study(study, out=folder, until="plan", progress=show)
+        deliver(run)
+    stage: PlanStage = run.results["plan"]
+    told = _told(run)
+    files = write_test_sheet(
+        folder,
+        stage.test,
+        stage.references,
+        frequencies=stage.target_frequencies,
+        reach=_reach(run),
+        sensor=ICP,
+    )
+    told["files"] = [str(p) for p in (*files, folder / "report.html")]
+    if json:
+        write_json(told, json)
+    if json != "-":
+        _print(deck, stage, told)
+    return 1 if told["missed"] else 0
+
+
+def numbers(text: str, where: str) -> list[int]:
+    """`7-9,12` as 7 8 9 12.
+
+    Raises
+    ------
+    ConfigError
+        If it is not a list of numbers and ranges.
+    """
+    found: list[int] = []
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        ends = part.split("-")
+        if len(ends) > 2 or not all(e.strip().isdigit() for e in ends) or int(ends[0]) > int(ends[-1]):
+            raise ConfigError(f"{where} {text!r}: {part!r} must be a number or a range such as 7-12")
+        found += range(int(ends[0]), int(ends[-1]) + 1)
+    return found
+
+
+def _box(text: str) -> list[float]:
+    try:
+        values = [float(v) for v in text.replace(",", " ").split()]
+    except ValueError:
+        values = []
+    if len(values) != 6:
+        raise ConfigError(f"--box {text!r}: must be six numbers, X0 Y0 Z0 X1 Y1 Z1")
+    return values
+
+
+def _from_deck(
+    deck: Path, band: tuple[float, float] | None, modes: list[int], distance: float | None, points: int, length: float
+) -> dict[str, Any]:
+    """Band, fmax of the model and distance of points, taken from the deck where they are not given."""
+    if band is not None and not 0 <= band[0] < band[1]:
+        raise ConfigError(f"--band {band[0]} {band[1]}: must be 0 <= F0 < F1")
+    model = read_deck(deck)
+    if distance is None:  # a quarter of the even spacing of the points over the largest extent
+        size = np.ptp(positions(model), axis=0) * length
+        distance = float(0.25 * np.linalg.norm(size) / points)
+    if band is None:
+        with EmbeddedSolver().open(model) as analysis:
+            f = analysis.modes(ModesRequest(max([21, *(m + 1 for m in modes)]))).modes.frequencies
+        elastic = f[f > RIGID * f.max()]
+        if not elastic.size:
+            raise ConfigError(f"{deck}: none of the {f.size} lowest modes is elastic; give --band")
+        last = f[max(modes) - 1] if modes and max(modes) <= f.size else elastic[-2 if elastic.size > 1 else -1]
+        band = (0.5 * float(elastic[0]), 1.001 * float(last))
+    rounded = {"fmin": band[0], "fmax": band[1], "min_distance": distance}
+    return {k: float(f"{v:.6g}") for k, v in rounded.items()}
+
+
+def _write_study(folder: Path, deck: Path, units: str, section: dict[str, Any], seed: int) -> Path:
+    """plan.toml: the settings of this plan, a study that `ringtrue run` takes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "plan.toml"
+    place = Path(os.path.relpath(deck.resolve(), folder.resolve())).as_posix()
+    tables = {
+        "study": {"title": f"Test plan of {deck.name}", "seed": seed},
+        "model": {"deck": place, "units": units, "fmax": float(f"{ABOVE * section['fmax']:.6g}")},
+        "plan": section,
+    }
+    lines = [f"[{name}]\n" + "".join(f"{k} = {_toml(v)}\n" for k, v in table.items()) for name, table in tables.items()]
+    with atomic_write(path) as part:
+        part.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def _toml(value: Any) -> str:
+    """JSON's texts, numbers and lists are TOML's too."""
+    return text_json.dumps(value, ensure_ascii=False)
+
+
+def _reach(run: StudyRun) -> Any:
+    """Driving-point residue of each reference over the best of all channels, (r, target)."""
+    stage: PlanStage = run.results["plan"]
+    found = run.desk.initial.modes(run.desk.deck.fmax).modes.take(stage.target_modes)
+    seen = run.desk.initial.seen(found, stage.test, tolerance=1e-3)
+    at = [stage.test.channels.index(r) for r in stage.references]
+    return reach_of(np.asarray(seen.shapes), at)
+
+
+def _told(run: StudyRun) -> dict[str, Any]:
+    stage: PlanStage = run.results["plan"]
+    names = [str(k + 1) for k in stage.target_modes.tolist()]
+    told: dict[str, Any] = {
+        "candidates": stage.candidates,
+        "points": stage.test.points.tolist(),
+        "channels": list(stage.test.channels),
+        "references": list(stage.references),
+        "reciprocity": [list(p) for p in reciprocity_pairs(stage.references, stage.test.channels)],
+        "rule": stage.rule,
+        "modes": _modes(stage),
+        "missed": [n for n, r in zip(names, stage.reach.tolist(), strict=True) if r < MISSED],
+        "worst_auto_mac": stage.worst_off_diagonal,
+        "left_by_loss": stage.left_by_loss,
+        "frequency_step_hz": stage.frequency_step,
+        "block_s": stage.block,
+        "record_length_s": stage.record_length,
+    }
+    if stage.suspension:
+        told["suspension"] = {
+            "nodes": list(stage.suspension),
+            "motion": stage.suspension_motion,
+            "steady": stage.steady,
+        }
+    if stage.rehearsal is not None:
+        told["virtual_test"] = {
+            "trials": stage.rehearsal.trials,
+            "force_n": stage.rehearsal.force,
+            "invented_per_trial": stage.rehearsal.invented,
+            "doubtful": list(missed_words(stage.rehearsal, names)),
+        }
+    return told
+
+
+def _modes(stage: PlanStage) -> list[dict[str, Any]]:
+    """A row a target mode; what was not asked for is absent."""
+    columns: dict[str, Any] = {
+        "mode": stage.target_modes + 1,
+        "frequency_hz": stage.target_frequencies,
+        "reach": stage.reach,
+        "shown": stage.shown,
+        "loaded": stage.loaded,
+    }
+    if (r := stage.rehearsal) is not None:
+        columns |= {"found": r.found, "found_at_least": r.at_least, "frequency_std": r.frequency_std}
+        columns |= {"damping_std": r.damping_std, "mac": r.mac}
+    columns = {k: v.tolist() for k, v in columns.items() if v.size}
+    return [
+        {k: (v[i] if np.isfinite(v[i]) else None) for k, v in columns.items()} for i in range(stage.target_modes.size)
+    ]
+
+
+def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
+    heads = {
+        "mode": ("mode", "{}"),
+        "frequency_hz": ("f [Hz]", "{:.5g}"),
+        "reach": ("reach", "{:.2f}"),
+        "shown": ("shown", "{:.2f}"),
+        "loaded": ("mass shift", "{:.1e}"),
+        "found": ("found", "{:.2f}"),
+        "frequency_std": ("σf/f", "{:.1e}"),
+        "damping_std": ("σζ/ζ", "{:.1e}"),
+        "mac": ("MAC", "{:.3f}"),
+    }
+    here = [k for k in heads if k in told["modes"][0]]
+    body = [[heads[k][1].format(r[k]) if r[k] is not None else "-" for k in here] for r in told["modes"]]
+    rows(f"{deck}: {len(body)} target modes", [heads[k][0] for k in here], body)
+    lines = [
+        f"{stage.test.points.size} points of {stage.candidates} candidates: {' '.join(map(str, told['points']))}",
+        f"strike at {' '.join(stage.references)}",
+        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; without the most important point "
+        f"{100 * stage.left_by_loss:.0f} % of the information about any mode is left",
+        f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, "
+        f"ambient record {stage.record_length / 60:.3g} min",
+    ]
+    if stage.suspension:
+        lines.append(f"hang at {' '.join(map(str, stage.suspension))}")
+    if told["missed"]:
+        lines.append(f"the references miss mode {', '.join(told['missed'])}: strike at more points")
+    lines += told.get("virtual_test", {}).get("doubtful", [])
+    lines.append("test sheet: " + " ".join(told["files"]))
+    for line in lines:
+        out.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(plan)

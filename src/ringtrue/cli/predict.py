@@ -1,0 +1,173 @@
+"""`predict`: what the validated model is for."""
+
+from __future__ import annotations
+
+from csv import writer
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
+from ringtrue.errors import ConfigError
+from ringtrue.io.atomic import atomic_write
+from ringtrue.study.config import PredictSection, read_config
+from ringtrue.study.predict import Prediction, predict
+from ringtrue.study.store import Store
+from ringtrue.study.workbench import Workbench
+from ringtrue.update.predict import PLANE, RunUp, Unbalance
+
+LOWEST = 0.005  # of the highest speed: the first line
+AXES = ", ".join(PLANE)
+
+
+def run(
+    study: Annotated[Path, typer.Argument(help="study.toml of a study that has been run.")],
+    folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where its results are.")] = None,
+    rotor: Annotated[int | None, typer.Option(metavar="NODE", help="Node that the unbalance acts on.")] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="Of the rotor.")] = None,
+    axis: Annotated[str | None, typer.Option(help=f"Of the rotor: {AXES}.")] = None,
+    grade: Annotated[float | None, typer.Option(metavar="MM/S", help="Balance grade G (ISO 21940-11).")] = None,
+    service: Annotated[float | None, typer.Option(metavar="HZ", help="Service speed.")] = None,
+    fmax: Annotated[float | None, typer.Option("--to", metavar="HZ", help="Highest speed.")] = None,
+    springs: Annotated[
+        list[str] | None,
+        typer.Option("--springs", metavar="NAME=PID[,PID]", help="PBUSH whose forces are wanted; repeat it."),
+    ] = None,
+    lines: Annotated[int, typer.Option(help="Speeds.", min=2)] = 400,
+    draws: Annotated[int, typer.Option(help="Draws of the posterior.", min=20)] = 100,
+    level: Annotated[float, typer.Option(help="Of the bands.", min=0.5, max=0.95)] = 0.9,
+    seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 0,
+    table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write every line.")] = None,
+    json: Annotated[
+        str | None,
+        typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
+    ] = None,
+) -> int:
+    """Unbalance run-up of the rotor on the validated model: response, bearing and support forces, with bands.
+
+    Example: ringtrue predict study.toml --rotor 9001 --mass 1200 --grade 2.5 --springs bearings=58
+    """
+    config = read_config(study)
+    if table is not None and not table.parent.is_dir():
+        raise ConfigError(f"--csv {table}: no folder {table.parent}")
+    stated = {"rotor": rotor, "mass": mass, "axis": axis, "grade": grade, "service": service, "fmax": fmax}
+    chosen = settings(config.predict, stated, springs or [])
+    where = folder or study.parent
+    desk = Workbench(config, study.parent, where, Store(where / "study.h5"))
+    speeds = np.linspace(LOWEST * chosen.fmax, chosen.fmax, lines)
+    unbalance = Unbalance(chosen.mass, chosen.grade, chosen.service)
+    with progress("predict") as show:
+        found = predict(
+            desk,
+            chosen.rotor,
+            chosen.axis,
+            unbalance,
+            chosen.springs,
+            np.random.default_rng(seed),
+            freqs=speeds,
+            draws=draws,
+            level=level,
+            progress=show,
+        )
+    if table is not None:
+        _write(found.run_up, table)
+    if json:
+        write_json(summary(found, unbalance), json)
+    if json != "-":
+        _print(found, unbalance)
+    return 0
+
+
+def settings(section: PredictSection | None, stated: dict[str, Any], springs: list[str]) -> PredictSection:
+    """[predict] of the study with what the options state in its place.
+
+    Raises
+    ------
+    ConfigError
+        If the rotor's node or mass is not given, or an option is not of its form.
+    """
+    held: dict[str, Any] = section.model_dump() if section else {}
+    held |= {k: v for k, v in stated.items() if v is not None}
+    lost = [n for n in ("rotor", "mass") if n not in held]
+    if lost:
+        raise ConfigError(f"--{lost[0]}: give it here, or as {lost[0]} in [predict] of the study")
+    if springs:
+        held["springs"] = dict(_group(s) for s in springs)
+    try:
+        return PredictSection.model_validate(held)
+    except ValueError as e:
+        raise ConfigError(f"predict: {e}") from e
+
+
+def _group(text: str) -> tuple[str, list[int]]:
+    name, _, ids = text.partition("=")
+    numbers = [i.strip() for i in ids.split(",")]
+    if not name or not all(i.isdigit() for i in numbers):
+        raise ConfigError(f"--springs {text!r}: the form is NAME=PID[,PID], as in bearings=58")
+    return name, [int(i) for i in numbers]
+
+
+def summary(found: Prediction, unbalance: Unbalance) -> dict[str, Any]:
+    """What JSON holds."""
+    r = found.run_up
+    return {
+        "unbalance_kg_m": unbalance.moment,
+        "validated_hz": list(r.validated),
+        "level": r.amplitude.level,
+        "discrepancy_percent": 100 * found.discrepancy,
+        "flags": list(found.flags),
+        "speeds_hz": r.freqs.tolist(),
+        "outputs": [
+            {
+                "name": name,
+                "unit": unit,
+                "peak": [float(b[i]) for b in (r.peak.low, r.peak.median, r.peak.high)],
+                "peak_speed_hz": [float(b[i]) for b in (r.peak_speed.low, r.peak_speed.median, r.peak_speed.high)],
+                "low": r.amplitude.low[i].tolist(),
+                "median": r.amplitude.median[i].tolist(),
+                "high": r.amplitude.high[i].tolist(),
+            }
+            for i, (name, unit) in enumerate(zip(r.names, r.units, strict=True))
+        ],
+    }
+
+
+def _print(found: Prediction, unbalance: Unbalance) -> None:
+    r, level = found.run_up, f"{100 * found.run_up.amplitude.level:.0f} %"
+    body = [
+        (
+            name,
+            unit,
+            f"{r.peak.median[i]:.3g}",
+            f"{r.peak.low[i]:.3g} to {r.peak.high[i]:.3g}",
+            f"{r.peak_speed.median[i]:.4g}",
+            "yes" if r.validated[0] <= r.peak_speed.median[i] <= r.validated[1] else "NO",
+        )
+        for i, (name, unit) in enumerate(zip(r.names, r.units, strict=True))
+    ]
+    heads = ("what", "unit", "peak", f"{level} band", "at Hz", "validated")
+    rows(f"Run-up to {r.freqs[-1]:g} Hz, unbalance {unbalance.moment:.4g} kg m", heads, body)
+    low, high = r.validated
+    text = f"validated band: {low:.4g} to {high:.4g} Hz; beyond it no test has checked the model"
+    out.print(text, markup=False, highlight=False, soft_wrap=True)
+    for flag in found.flags:
+        err.print(f"warning: {flag}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _write(r: RunUp, path: Path) -> None:
+    """Speed, whether it is validated, and low, median, high of each output."""
+    with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        sheet = writer(file)
+        names = [f"{n} [{u}] {q}" for n, u in zip(r.names, r.units, strict=True) for q in ("low", "median", "high")]
+        sheet.writerow(["speed [Hz]", "validated", *names])
+        parts = np.stack([r.amplitude.low, r.amplitude.median, r.amplitude.high], axis=1)
+        values = parts.reshape(-1, r.freqs.size).T
+        for f, ok, line in zip(r.freqs.tolist(), r.checked.tolist(), values.tolist(), strict=True):
+            sheet.writerow([f"{f:.6g}", int(ok), *(f"{v:.6g}" for v in line)])
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("predict")(run)

@@ -1,0 +1,264 @@
+"""`update`: the candidates of a study, fitted to a file of test modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from scipy import sparse
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.backends.observed import reduced
+from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
+from ringtrue.core.arrays import Float
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.observation import Observation
+from ringtrue.correlate.assign import PairingSettings
+from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
+from ringtrue.io.modes_json import read_frequency_std, read_modes
+from ringtrue.io.nastran.edit import edit_fields
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.edit import field_changes
+from ringtrue.model.model import Model
+from ringtrue.model.ports import ModesRequest
+from ringtrue.shapes.scale import realise_modes
+from ringtrue.study.config import StudyConfig, read_config
+from ringtrue.study.reference import measured_channels
+from ringtrue.update.multistart import latin_hypercube, multi_start
+from ringtrue.update.objective import Target, Weights
+from ringtrue.update.plausible import plausibility
+from ringtrue.update.residuals import Point
+from ringtrue.update.robust import Huber, Loss, Squares, Tukey
+from ringtrue.update.several import Configuration, Problem
+from ringtrue.update.trust import KINDS, Method, solve
+from ringtrue.update.verified import Verified, solve_verified
+from ringtrue.update.weights import RULES, regularised
+
+ABOVE = 1.5  # modes of the model up to here over the highest test mode
+AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
+STARTED = 30  # iterations of each of several starts
+LOSSES: dict[str, Loss] = {"squares": Squares(), "huber": Huber(), "tukey": Tukey()}
+Progress = Any
+
+
+Json = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The options of the command that say how to update."""
+
+    method: str
+    prior: str
+    loss: str
+    starts: int
+    seed: int
+    checkpoint: Path | None
+
+
+def update(
+    study: Annotated[Path, typer.Argument(help="study.toml with a deck and candidates.")],
+    test: Annotated[Path, typer.Argument(help="Test modes, .json, .h5 or .uff; channels are DOFs such as 101+Z.")],
+    folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where the updated deck goes.")] = None,
+    leave_out: Annotated[str, typer.Option(metavar="LIST", help="Test modes to judge by, from 1: 3,7.")] = "",
+    method: Annotated[str, typer.Option(help=f"{', '.join(KINDS)}.")] = "trust-region",
+    prior: Annotated[str, typer.Option(help=f"Weight of the prior: study, {', '.join(RULES)}.")] = "study",
+    loss: Annotated[str, typer.Option(help=f"Against a wrong mode: {', '.join(LOSSES)}.")] = "squares",
+    frequency: Annotated[
+        float, typer.Option(metavar="%", help="Deviation of a frequency that the best model keeps.", min=1e-3)
+    ] = 1.0,
+    mac: Annotated[float, typer.Option(metavar="%", help="The same for 100 - MAC.", min=1e-3)] = 5.0,
+    starts: Annotated[int, typer.Option(metavar="N", help="Starts; the first is the deck as it is.", min=1)] = 1,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the starts.", min=0)] = 0,
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Keep the last iterate here; go on from it if it is there.")
+    ] = None,
+    json: Annotated[
+        str | None,
+        typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
+    ] = None,
+) -> int:
+    """Update a model to test modes: factors with their uncertainty, deviations before and after, the deck edited.
+
+    Example: ringtrue update study.toml modes.json --leave-out 3,7 --out updated
+    """
+    asked = Asked(method, prior, loss, starts, seed, checkpoint)
+    _check(asked)
+    config = read_config(study)
+    if config.model is None or not config.candidate:
+        raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
+    with progress("updating") as show:
+        show(0.0, "reading")
+        model, target = read_deck(study.parent / config.model.deck), _target(config, test, leave_out, frequency, mac)
+        show(0.1, "reduced basis")
+        problem = _problem(model, config, target[0], target[1])
+        before = problem.evaluate(np.zeros(problem.size)).points[0]
+        done = _solved(replace(problem, loss=LOSSES[loss]), asked, lambda f, t: show(0.3 + 0.7 * f, t))
+    written = _edited(model, config, done, folder)
+    summary = _summary(config, target[0], before, done, written)
+    if json:
+        write_json(summary, json)
+    if json != "-":
+        _print(study, summary)
+    good = done.solution.outcome.ok and done.error <= AGREE
+    if not good:
+        err.print(f"not to be trusted: {summary['why']}", markup=False, highlight=False, soft_wrap=True)
+    return 0 if good else 1
+
+
+def _check(asked: Asked) -> None:
+    """Options before any work."""
+    for name, got, allowed in (
+        ("method", asked.method, list(KINDS)),
+        ("prior", asked.prior, ["study", *RULES]),
+        ("loss", asked.loss, list(LOSSES)),
+    ):
+        if got not in allowed:
+            raise ConfigError(f"--{name} {got!r}{did_you_mean(got, allowed)}")
+    if asked.starts > 1 and asked.checkpoint is not None:
+        raise ConfigError("--checkpoint keeps one iterate: it does not go with --starts")
+    if asked.prior != "study" and asked.checkpoint is not None:
+        raise ConfigError("--checkpoint keeps no weight of the prior: it goes with --prior study only")
+
+
+def _left_out(text: str, count: int) -> list[int]:
+    numbers = [t.strip() for t in text.split(",") if t.strip()]
+    wrong = [t for t in numbers if not t.isdigit() or not 1 <= int(t) <= count]
+    if wrong or len(set(numbers)) >= count:
+        raise ConfigError(f"--leave-out {text}: must name some of the modes 1 to {count}, not all")
+    return [int(t) - 1 for t in numbers]
+
+
+def _target(
+    config: StudyConfig, test: Path, leave_out: str, frequency: float, mac: float
+) -> tuple[Target, tuple[str, ...]]:
+    """What the file says, and its channels."""
+    whole, spread = read_modes(test), read_frequency_std(test)
+    modes: ModeSet = realise_modes(measured_channels(whole))
+    if not len(modes) or not modes.channels:
+        raise DataError(f"{test}: no mode was measured at a common set of channels")
+    kept = np.isin(whole.frequencies, modes.frequencies)
+    relative = np.nan_to_num(spread[kept] / modes.frequencies, nan=0.0)
+    used = ~np.isin(np.arange(len(modes)), _left_out(leave_out, len(modes)))
+    gates = PairingSettings(mac_gate=config.correlate.mac_gate, frequency_gate=config.correlate.frequency_gate)
+    weights = Weights(frequency / 100, mac / 100, config.update.shape_weight)
+    shapes = np.asarray(modes.shapes.real, dtype=np.float64)
+    return Target(modes.frequencies, shapes, relative, used, weights, gates), modes.channels
+
+
+def _problem(model: Model, config: StudyConfig, target: Target, channels: tuple[str, ...]) -> Problem:
+    """The reduced model of the deck at the channels of the test."""
+    with EmbeddedSolver().open(model) as analysis:
+        observation = at_dofs(channels, analysis.dofs)
+        count = len(analysis.modes(ModesRequest(band=(-1.0, ABOVE * float(target.frequencies.max())))).modes)
+    return Problem((Configuration(reduced(model, config.candidates(), observation, count), target),))
+
+
+def at_dofs(channels: tuple[str, ...], dofs: DofSet) -> Observation:
+    """The observation of channels whose names are DOFs, such as 101+Z.
+
+    Raises
+    ------
+    DataError
+        If a name is no DOF of the model.
+    """
+    try:
+        index, sign = dofs.align(DofSet.parse(channels))
+    except InputError as e:
+        raise DataError(f"channels of the test must be DOFs of the deck, such as 101+Z: {e}") from e
+    pick = sparse.csr_array((sign, (np.arange(index.size), index)), shape=(index.size, len(dofs)))
+    return Observation(pick, channels, dofs, 1.0, np.zeros(index.size))
+
+
+def _solved(problem: Problem, asked: Asked, show: Progress) -> Verified:
+    """Starts and weight of the prior on the basis, then the end verified by full solutions."""
+    method, start = Method(asked.method), np.zeros(problem.size)  # type: ignore[arg-type]
+    if asked.starts > 1:
+        more = latin_hypercube(problem.parameters, asked.starts - 1, np.random.default_rng(asked.seed))
+        found = multi_start(problem, np.vstack([start, more]), method, iterations=STARTED, finish=3, progress=show)
+        start = np.array(found.best.y)
+    if asked.prior != "study":
+        chosen = regularised(problem, asked.prior, method, start=start, progress=show)  # type: ignore[arg-type]
+        problem, start = chosen.problem, np.array(chosen.solution.y)
+    if asked.checkpoint is not None:
+        start = np.array(solve(problem, method, start=start, checkpoint=asked.checkpoint, progress=show).y)
+    return solve_verified(problem, method, start=start, tolerance=AGREE, progress=show)
+
+
+def _edited(model: Model, config: StudyConfig, done: Verified, folder: Path | None) -> list[Path]:
+    """The deck with its fields changed in place, in another folder."""
+    if folder is None:
+        return []
+    folder.mkdir(parents=True, exist_ok=True)
+    parameters, factors = config.candidates(), done.solution.factors
+    moved = [i for i, a in enumerate(factors.tolist()) if a != 1.0]
+    return edit_fields(model, field_changes(model, parameters.take(moved), factors[moved]), folder)
+
+
+def _summary(config: StudyConfig, target: Target, before: Point, done: Verified, written: list[Path]) -> dict[str, Any]:
+    end, parameters = done.solution, config.candidates()
+    std = end.std * parameters.slope(end.x) / end.factors
+    flags = plausibility(parameters, end.x, end.identifiability)
+    return {
+        "outcome": end.outcome.value,
+        "why": end.why if end.outcome.ok else f"{end.outcome.value} ({end.why})",
+        "objective": [done.solution.history[0].cost, end.cost],
+        "basis_error": done.error,
+        "full_solutions": done.full_solutions,
+        "parameters": [
+            {"name": n, "factor": float(a), "relative_std": float(s), "posterior_over_prior": float(t)}
+            for n, a, s, t in zip(parameters.names, end.factors, std, end.identifiability, strict=True)
+        ],
+        "flags": [f.text for f in flags],
+        "modes": _modes(target, before, end.end.points[0]),
+        "deck": [str(p) for p in written],
+    }
+
+
+def _modes(target: Target, before: Point, after: Point) -> list[dict[str, Any]]:
+    """Deviation and MAC of each test mode, before and after; null without a partner."""
+    f, k = target.frequencies, target.frequencies.size
+    found: Float = np.full((4, k), np.nan)
+    for i, at in enumerate((before, after)):
+        t, j = at.every.T
+        found[2 * i, t], found[2 * i + 1, t] = 100 * (at.now.frequencies[j] / f[t] - 1), 100 * at.mac
+    names = ("deviation_before_percent", "mac_before_percent", "deviation_percent", "mac_percent")
+    return [
+        {"frequency_hz": float(f[i]), "used": bool(target.used[i])}
+        | {n: None if np.isnan(v) else float(v) for n, v in zip(names, found[:, i], strict=True)}
+        for i in range(k)
+    ]
+
+
+def _print(study: Path, summary: dict[str, Any]) -> None:
+    body: list[tuple[object, ...]] = [
+        (p["name"], f"{p['factor']:.4f}", f"{100 * p['relative_std']:.1f}", f"{p['posterior_over_prior']:.2f}")
+        for p in summary["parameters"]
+    ]
+    rows(f"{study}: parameters", ("parameter", "factor", "± [%]", "posterior/prior"), body)
+    body = [
+        (i + 1, f"{m['frequency_hz']:.5g}", *(_cell(v) for v in list(m.values())[2:]), "" if m["used"] else "left out")
+        for i, m in enumerate(summary["modes"])
+    ]
+    rows("modes", ("#", "f test [Hz]", "Δf before [%]", "MAC", "Δf after [%]", "MAC", ""), body)
+    for line in (summary["why"], *summary["flags"], *(f"deck: {p}" for p in summary["deck"])):
+        out.print(line, markup=False, highlight=False, soft_wrap=True)
+    told = (
+        f"{summary['full_solutions']} full solutions; the reduced model is off by {summary['basis_error']:.1e} at most"
+    )
+    out.print(told, markup=False, highlight=False, soft_wrap=True)
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(update)

@@ -1,0 +1,260 @@
+"""The geometry of a test laid onto the model: best-fit rotation, shift and scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.testmodel import TestModel
+from ringtrue.errors import InputError
+
+MOST_STEPS = 100
+ROUNDS = 6
+TURNS = np.deg2rad([8.0, -8.0, 20.0, -20.0])
+RIVAL = 1.2  # a start that ends within this factor of the least error is as good
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """x_target = scale · R x_source + shift.
+
+    Attributes
+    ----------
+    rotation : (3, 3) float64
+        Proper: no mirror image.
+    shift : (3,) float64, unit of the target
+    scale : float
+    residual : (n,) float64, unit of the target
+        Distance of each source point from its partner.
+    used : (n,) bool
+        False for the points set aside as gross errors.
+    rivals : int
+        Other placements, clearly different, that fit about as well (symmetric geometry); 0 for named points.
+    """
+
+    rotation: Float
+    shift: Float
+    scale: float
+    residual: Float
+    used: Bool
+    rivals: int = 0
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, rotation=np.float64, shift=np.float64, residual=np.float64, used=np.bool_)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residual of the points used."""
+        return float(np.sqrt((self.residual[self.used] ** 2).mean())) if self.used.any() else float("nan")
+
+    def __call__(self, xyz: Float) -> Float:
+        """Source points (n, 3) in the target's frame and unit."""
+        return np.asarray(self.scale * (np.asarray(xyz) @ self.rotation.T) + self.shift)
+
+    def turn(self, axes: Float) -> Float:
+        """Directions (n, 3) in the target's frame."""
+        return np.asarray(np.asarray(axes) @ self.rotation.T)
+
+    def move(self, test: TestModel, unit: float = 1.0) -> TestModel:
+        """The test model in the frame of the target, whose length unit is `unit` metres."""
+        return replace(test, xyz=self(test.xyz) * unit, axes=self.turn(test.axes))
+
+
+def _fit(source: Float, target: Float, weight: Float, scale: bool) -> tuple[Float, Float, float]:
+    """Least squares of Umeyama (1991), weighted."""
+    w = weight / weight.sum()
+    mean_s, mean_t = w @ source, w @ target
+    s, t = source - mean_s, target - mean_t
+    u, d, vh = np.linalg.svd((t * w[:, None]).T @ s)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vh)) or 1.0])
+    rotation = (u * sign) @ vh
+    spread = float(w @ (s**2).sum(axis=1))
+    factor = float(d @ sign) / spread if scale and spread > 0 else 1.0
+    return rotation, mean_t - factor * rotation @ mean_s, factor
+
+
+def _distance(source: Float, target: Float, fit: tuple[Float, Float, float]) -> Float:
+    rotation, shift, scale = fit
+    return np.asarray(np.linalg.norm(scale * source @ rotation.T + shift - target, axis=1))
+
+
+def _check_points(xyz: Float, name: str) -> Float:
+    xyz = np.asarray(xyz, dtype=np.float64)
+    if xyz.ndim != 2 or xyz.shape[1] != 3 or not np.isfinite(xyz).all():
+        raise InputError(f"{name} {xyz.shape}: must be finite (n, 3)")
+    s = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False) if xyz.shape[0] > 2 else np.zeros(3)
+    if s[1] <= 1e-6 * s[0] or s[0] == 0:
+        raise InputError(f"{xyz.shape[0]} {name} lie on a line or in a point: three others are needed for a rotation")
+    return xyz
+
+
+def best_fit(source: Float, target: Float, *, scale: bool = False, tolerance: float | None = None) -> Alignment:
+    """The placement that brings named points onto their partners, robust against gross errors.
+
+    Parameters
+    ----------
+    source, target : (n, 3) float64
+        Row i of one belongs to row i of the other; n >= 3, not in line.
+    scale : bool
+        Fit a common scale too (unknown units).
+    tolerance : float, optional, unit of the target
+        Points farther off are set aside; estimated from the points if not given (three robust standard deviations of
+        the fit of least absolute deviations).
+
+    Notes
+    -----
+    Graduated non-convexity on truncated least squares (Yang, Antonante, Tzoumas and Carlone, 2020): right with up to
+    about half of the points wrong.
+
+    Raises
+    ------
+    InputError
+        If the points do not fix a placement.
+    """
+    source, target = _check_points(source, "source points"), _check_points(target, "target points")
+    if source.shape != target.shape:
+        raise InputError(f"{source.shape[0]} source points for {target.shape[0]} target points")
+    weight = np.ones(source.shape[0])
+    size = float(np.sqrt(((target - target.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    for _ in range(MOST_STEPS):  # least absolute deviations by reweighting
+        r = _distance(source, target, _fit(source, target, weight, scale))
+        weight = 1 / np.maximum(r, 1e-9 * size)
+        weight /= weight.max()
+    limit = tolerance if tolerance is not None else max(3 * 1.4826 * float(np.median(r)), 1e-7 * size)
+    weight = _truncated(source, target, weight, scale, limit)
+    used = weight > 0.5
+    if used.sum() < 3:
+        raise InputError(f"only {int(used.sum())} points agree within {limit:.3g}: the names or units do not fit")
+    fit = _fit(source, target, used.astype(float), scale)
+    return Alignment(*fit, _distance(source, target, fit), used)
+
+
+def _truncated(source: Float, target: Float, weight: Float, scale: bool, limit: float) -> Float:
+    """Weights 0..1 of truncated least squares at `limit`."""
+    r2 = _distance(source, target, _fit(source, target, weight, scale)) ** 2
+    c2 = limit**2
+    mu = max(c2 / max(2 * float(r2.max()) - c2, c2), 1e-12)
+    for _ in range(MOST_STEPS):
+        root = limit * np.sqrt(mu * (mu + 1)) / np.sqrt(np.maximum(r2, 1e-300)) - mu
+        weight = np.where(r2 <= mu / (mu + 1) * c2, 1.0, np.where(r2 >= (mu + 1) / mu * c2, 0.0, root.clip(0, 1)))
+        if np.count_nonzero(weight > 1e-9) < 3 or mu > 1e6:
+            break
+        r2 = _distance(source, target, _fit(source, target, weight, scale)) ** 2
+        mu *= 1.4
+    return np.asarray(weight)
+
+
+def nearest_fit(
+    source: Float, nodes: Float, *, scale: bool = False, keep: float = 0.9, tries: bool = True
+) -> Alignment:
+    """The placement that brings points onto their nearest nodes (iterative closest points, Besl and McKay, 1992).
+
+    Parameters
+    ----------
+    source : (n, 3) float64
+        Test points, any frame.
+    nodes : (k, 3) float64
+        Nodes of the model where sensors can be, not fewer than the points.
+    scale : bool
+        Fit a scale too.
+    keep : float
+        Share of the points used at each step, the nearest; the rest may be gross errors (trimmed: Chetverikov and
+        others, 2002).
+    tries : bool
+        Start from the 24 ways of laying the axes given, and the principal axes, onto each other too, and turn the best
+        a little to leave shallow minima; not from the given place only.
+
+    Notes
+    -----
+    A local method: it needs points spread over the structure as the nodes are. With `rivals` > 0 the geometry is
+    symmetric and named points must decide.
+    """
+    source, nodes = _check_points(source, "test points"), _check_points(nodes, "nodes")
+    tree = KDTree(nodes)
+    found = [_icp(source, nodes, tree, start, scale, keep) for start in _starts(source, nodes, scale, tries)]
+    win = min(found, key=lambda f: f.rms)
+    for _ in range(ROUNDS if tries else 0):  # out of shallow minima, until no turn helps
+        again = [_icp(source, nodes, tree, start, scale, keep) for start in _turned(win, source)]
+        best = min(again, key=lambda f: f.rms)
+        if best.rms > 0.99 * win.rms:
+            break
+        win = best
+    reach = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    near = [f for f in found if f.rms <= RIVAL * win.rms + 1e-9 * reach]
+    return replace(win, rivals=_distinct([f(source) for f in near], win(source), 0.02 * reach))
+
+
+def _distinct(places: list[Float], first: Float, tolerance: float) -> int:
+    """Number of placements that differ from `first` and from each other."""
+    seen = [first]
+    for p in places:
+        if all(np.linalg.norm(p - q, axis=1).max() > tolerance for q in seen):
+            seen.append(p)
+    return len(seen) - 1
+
+
+def _turned(fit: Alignment, source: Float) -> list[tuple[Float, Float, float]]:
+    """The placement turned a little about the middle of the points."""
+    middle, out = _middle(source), []
+    pivot = fit(middle[None])[0]
+    for vector in np.concatenate([s * np.eye(3) for s in TURNS]):
+        turn = Rotation.from_rotvec(vector).as_matrix() @ fit.rotation
+        out.append((turn, pivot - fit.scale * turn @ middle, fit.scale))
+    return out
+
+
+def _middle(xyz: Float) -> Float:
+    """Of the box that holds nearly all points; not the mean: a mesh is finer in places."""
+    low, high = np.quantile(xyz, (0.05, 0.95), axis=0)
+    return np.asarray((low + high) / 2)
+
+
+def _starts(source: Float, nodes: Float, scale: bool, tries: bool) -> list[tuple[Float, Float, float]]:
+    out = [(np.eye(3), np.zeros(3), 1.0)]
+    if not tries:
+        return out
+    cs, cn = _middle(source), _middle(nodes)
+    _, ds, us = np.linalg.svd(source - source.mean(axis=0), full_matrices=False)
+    _, dn, un = np.linalg.svd(nodes - nodes.mean(axis=0), full_matrices=False)
+    factor = float((dn[0] / len(nodes) ** 0.5) / (ds[0] / len(source) ** 0.5)) if scale else 1.0
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        flip = np.eye(3)[list(order)] * np.array(signs)[:, None]
+        if np.linalg.det(flip) > 0:
+            both = (flip, _proper(un).T @ flip @ _proper(us))  # of the axes given, and of the principal ones
+            out += [(rotation, cn - factor * rotation @ cs, factor) for rotation in both]
+    return out
+
+
+def _proper(axes: Float) -> Float:
+    """Rows made a right-handed set."""
+    return np.asarray(axes * np.array([[1.0], [1.0], [np.sign(np.linalg.det(axes))]]))
+
+
+def _nearest(tree: KDTree, xyz: Float) -> tuple[Float, Int]:
+    distance, index = tree.query(xyz)
+    return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.int64)
+
+
+def _icp(
+    source: Float, nodes: Float, tree: KDTree, fit: tuple[Float, Float, float], scale: bool, keep: float
+) -> Alignment:
+    count = max(4, int(np.ceil(keep * len(source))))
+    count, before = min(count, len(source)), np.inf
+    for _ in range(MOST_STEPS):  # each step rests on the last
+        rotation, shift, factor = fit
+        distance, partner = _nearest(tree, factor * source @ rotation.T + shift)
+        used = np.zeros(len(source), dtype=np.bool_)
+        used[np.argsort(distance, kind="stable")[:count]] = True
+        error = float((distance[used] ** 2).mean())
+        if error >= before * (1 - 1e-6):
+            break
+        before = error
+        fit = _fit(source, nodes[partner], used.astype(float), scale)
+    rotation, shift, factor = fit
+    distance, _ = _nearest(tree, factor * source @ rotation.T + shift)
+    return Alignment(rotation, shift, factor, distance, used)

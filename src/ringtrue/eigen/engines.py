@@ -1,0 +1,301 @@
+"""Factorisations of symmetric matrices: PARDISO, rslab, SuperLU and a dense one, in one shape.
+
+Real matrices and complex symmetric ones (A = Aᵀ). Each engine analyses the pattern once, says how much memory the
+factor takes before it is made, and factorises again for other values on the same pattern.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from typing import Literal, Protocol
+
+import numpy as np
+from scipy import linalg, sparse
+from scipy.sparse.linalg import splu
+
+from ringtrue.core.arrays import Any_, Int
+from ringtrue.eigen import memory
+from ringtrue.eigen.pattern import Pattern
+from ringtrue.errors import InputError, NumericalError, OutOfMemory
+
+Method = Literal["auto", "pardiso", "rslab", "superlu", "dense"]
+METHODS: tuple[Method, ...] = ("auto", "pardiso", "rslab", "superlu", "dense")
+PACKAGES = {"pardiso": "pymklpardiso", "rslab": "rslab"}
+DENSE_LIMIT = 300  # rows up to which a dense LDLᵀ is as fast as a sparse one
+# Zero-based. METIS; perturb pivots below 1e-13; no scaling or matching, so that one analysis serves every shift;
+# Bunch-Kaufman.
+_IPARM = {1: 2, 9: 13, 10: 0, 12: 0, 20: 1}
+_REAL, _COMPLEX = -2, 6  # PARDISO's matrix types: real and complex symmetric
+
+
+class Engine(Protocol):
+    """A factorised symmetric matrix whose values can be changed."""
+
+    singular: bool
+    weak: Int  # rows that move most in the singular direction, where the engine knows them
+
+    @property
+    def negatives(self) -> int:
+        """Number of negative eigenvalues, -1 where the method cannot tell."""
+        ...
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the factor, as predicted before it was made; 0 if unknown."""
+        ...
+
+    def refactor(self, values: Any_) -> None:
+        """Other values on the same pattern."""
+        ...
+
+    def strengthen(self, values: Any_) -> bool:
+        """Factorise with stronger pivoting; False if there is none."""
+        ...
+
+    def solve(self, rhs: Any_) -> Any_:
+        """A⁻¹ rhs for rhs (f,) or (f, k)."""
+        ...
+
+    def close(self) -> None:
+        """Free the memory."""
+        ...
+
+
+def installed() -> tuple[Method, ...]:
+    """The methods that can be used here, the preferred one first."""
+    return tuple(m for m in METHODS[1:] if m not in PACKAGES or find_spec(PACKAGES[m]) is not None)
+
+
+def choose(method: Method, size: int) -> Method:
+    """The method that "auto" stands for.
+
+    Raises
+    ------
+    InputError
+        If the method is unknown or its package is not installed.
+    """
+    if method not in METHODS:
+        raise InputError(f"factorisation method {method!r}; allowed are {', '.join(METHODS)}")
+    if method == "auto":
+        return "dense" if size <= DENSE_LIMIT else installed()[0]
+    if method not in installed():
+        raise InputError(f"factorisation method {method!r} needs the package {PACKAGES[method]}; it is not installed")
+    return method
+
+
+def factorise(method: Method, pattern: Pattern, values: Any_, limit: int | None = None) -> Engine:
+    """A factor by a method that `choose` gave.
+
+    Parameters
+    ----------
+    pattern, values : Pattern and (nnz,) float64 or complex128
+        The upper triangle.
+    limit : int, optional
+        Bytes that the factor may take; what is free if not given.
+
+    Raises
+    ------
+    OutOfMemory
+        Before the factor is made.
+    """
+    if method == "pardiso":
+        return Pardiso(pattern, values, limit)
+    if method == "rslab":
+        return Rslab(pattern, values, limit)
+    return SuperLu(pattern, values) if method == "superlu" else Dense(pattern, values)
+
+
+class Dense:
+    """A full matrix; LU for the solves, the spectrum for the inertia."""
+
+    def __init__(self, pattern: Pattern, values: Any_) -> None:
+        self._pattern = pattern
+        self.refactor(values)
+
+    def refactor(self, values: Any_) -> None:
+        """Other values on the same pattern."""
+        upper = self._pattern.matrix(values).toarray()
+        full = upper + np.triu(upper, 1).T
+        size = np.sqrt(np.abs(full).max(axis=1))  # scaled first: rotations and translations differ by decades
+        self._scale = 1 / np.where(size > 0, size, 1.0)
+        scaled = full * self._scale * self._scale[:, None]
+        self.singular, self.weak = False, np.empty(0, dtype=np.int64)
+        hermitian = not np.iscomplexobj(values)
+        spectrum = linalg.eigvalsh(scaled) if hermitian else linalg.svdvals(scaled)
+        self.negatives = int((spectrum < 0).sum()) if hermitian else -1
+        self.singular = bool(np.abs(spectrum).min() <= 1e-15 * np.abs(spectrum).max())
+        if self.singular and hermitian:
+            motion = np.abs(linalg.eigh(scaled)[1][:, np.abs(spectrum).argmin()] * self._scale)
+            self.weak = np.argsort(-motion)[: min(6, int((motion > 0.1 * motion.max()).sum()))]
+        self._lu = None if self.singular else linalg.lu_factor(scaled, check_finite=False)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the factor."""
+        return 8 * self._pattern.size**2
+
+    def strengthen(self, values: Any_) -> bool:
+        """Full pivoting is in use already."""
+        return False
+
+    def solve(self, rhs: Any_) -> Any_:
+        """A⁻¹ rhs."""
+        d = self._scale if rhs.ndim == 1 else self._scale[:, None]
+        assert self._lu is not None
+        return np.asarray(d * linalg.lu_solve(self._lu, d * rhs))
+
+    def close(self) -> None:
+        """Free the memory."""
+        self._lu = None
+
+
+class SuperLu:
+    """SciPy's own: slower, larger, without inertia."""
+
+    negatives = -1
+    bytes = 0
+    weak: Int = np.empty(0, dtype=np.int64)
+
+    def __init__(self, pattern: Pattern, values: Any_) -> None:
+        self._pattern, self._dtype = pattern, values.dtype
+        self.refactor(values)
+
+    def refactor(self, values: Any_) -> None:
+        """Other values on the same pattern."""
+        upper = self._pattern.matrix(values)
+        full = sparse.csc_array(upper + sparse.triu(upper, 1).T)
+        self.singular, self._lu = False, None  # the old factor goes first
+        try:
+            self._lu = splu(full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.1, options={"SymmetricMode": True})
+        except RuntimeError:  # "Factor is exactly singular"
+            self.singular = True
+        except MemoryError as e:
+            raise OutOfMemory(f"SuperLU of {self._pattern.size} rows: out of memory; install py-mkl-pardiso") from e
+
+    def strengthen(self, values: Any_) -> bool:
+        """There is no other pivoting."""
+        return False
+
+    def solve(self, rhs: Any_) -> Any_:
+        """A⁻¹ rhs."""
+        assert self._lu is not None
+        return np.asarray(self._lu.solve(np.ascontiguousarray(rhs, dtype=self._dtype)))
+
+    def close(self) -> None:
+        """Free the memory."""
+        self._lu = None
+
+
+class Pardiso:
+    """LDLᵀ of MKL, in memory (out of core it gave a wrong factor once in some hundred times)."""
+
+    singular = False
+    weak: Int = np.empty(0, dtype=np.int64)
+
+    def __init__(self, pattern: Pattern, values: Any_, limit: int | None = None) -> None:
+        # the class below the public one, which walks through the rows in Python and cannot stop after the analysis
+        from pymklpardiso._mkl_pardiso import PardisoSolver
+
+        self._complex, self._rows = np.iscomplexobj(values), pattern.size
+        self._solver = PardisoSolver(_COMPLEX if self._complex else _REAL, 0)
+        for i, value in _IPARM.items():
+            self._solver.set_iparm(i, value)
+        self._solver.set_pattern(ia=pattern.indptr.astype(np.int64), ja=pattern.indices.astype(np.int64), n=self._rows)
+        with self._calls():
+            self._solver.run_phase(11)
+        memory.require(self.bytes, f"the factorisation of {self._rows} DOFs", limit)
+        self.refactor(values)
+
+    @contextmanager
+    def _calls(self) -> Iterator[None]:
+        """Errors of PARDISO become ours."""
+        try:
+            yield
+        except RuntimeError as e:
+            if "memory" in str(e):
+                raise OutOfMemory(f"{self._rows} DOFs: {e}", needed=self.bytes) from e
+            raise NumericalError(f"{self._rows} DOFs: {e}") from e
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the factor, from the analysis: the peak of the analysis or the factor with its index lists."""
+        peak, kept, numeric = (int(self._solver.get_iparm_value(i)) for i in (14, 15, 16))
+        return 1024 * max(peak, kept + numeric)
+
+    @property
+    def negatives(self) -> int:
+        """Negative eigenvalues by inertia; -1 if pivots were perturbed."""
+        if self._complex or self._solver.get_iparm_value(13):
+            return -1
+        return int(self._solver.get_iparm_value(22))
+
+    def refactor(self, values: Any_) -> None:
+        """Other values on the same pattern."""
+        with self._calls():
+            self._solver.refactor_values(values)
+
+    def strengthen(self, values: Any_) -> bool:
+        """With scaling and weighted matching: slower, for matrices that plain pivoting cannot treat."""
+        self._solver.set_iparm(10, 1)
+        self._solver.set_iparm(12, 1)
+        with self._calls():
+            self._solver.factor(values)
+        return True
+
+    def solve(self, rhs: Any_) -> Any_:
+        """A⁻¹ rhs."""
+        dtype = np.complex128 if self._complex else np.float64
+        with self._calls():
+            return np.asarray(self._solver.solve(np.asfortranarray(rhs, dtype=dtype)))
+
+    def close(self) -> None:
+        """Free the memory."""
+        self._solver.release()
+
+
+class Rslab:
+    """LDLᵀ in Rust, where there is no MKL."""
+
+    singular = False
+    weak: Int = np.empty(0, dtype=np.int64)
+
+    def __init__(self, pattern: Pattern, values: Any_, limit: int | None = None) -> None:
+        import rslab
+
+        rows = sparse.csr_array((values, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
+        self._dtype = values.dtype
+        self._symbolic = rslab.analyze(sparse.csc_array(rows.T), path="ldlt")  # CSC of the lower triangle: same arrays
+        self.bytes = int(self._symbolic.memory_plan(values.dtype.name)["peak_bytes"])
+        memory.require(self.bytes, f"the factorisation of {pattern.size} DOFs", limit)
+        self.refactor(values)
+
+    @property
+    def negatives(self) -> int:
+        """Negative eigenvalues by inertia; -1 if pivots were perturbed."""
+        if self._factor is None or self._factor.n_perturbed or np.issubdtype(self._dtype, np.complexfloating):
+            return -1
+        return int(self._factor.inertia[1])
+
+    def refactor(self, values: Any_) -> None:
+        """Other values on the same pattern."""
+        self._factor, self.singular = None, False  # the old factor goes first
+        try:
+            self._factor = self._symbolic.factor(values)
+        except (RuntimeError, ValueError):  # a zero pivot
+            self.singular = True
+
+    def strengthen(self, values: Any_) -> bool:
+        """There is no other pivoting."""
+        return False
+
+    def solve(self, rhs: Any_) -> Any_:
+        """A⁻¹ rhs."""
+        assert self._factor is not None
+        rhs = np.ascontiguousarray(rhs, dtype=self._dtype)
+        return np.asarray(self._factor.solve(rhs) if rhs.ndim == 1 else self._factor.solve_many(rhs))
+
+    def close(self) -> None:
+        """Free the memory."""
+        self._factor = None

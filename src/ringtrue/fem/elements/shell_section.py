@@ -1,0 +1,222 @@
+"""Sections of shells, integrated over the thickness: PSHELL, PCOMP, PCOMPG, thickness at the corners, offset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.fem.algebra import unit
+from ringtrue.fem.elements.laminate import laminates
+from ringtrue.fem.elements.shell_material import RIGID_SHEAR, layers, turned
+from ringtrue.fem.mesh import Mesh, error, lookup
+from ringtrue.fem.place import frame
+from ringtrue.model.model import Table
+
+DRILL = 1e-6  # what PARAM,K6ROT multiplies
+LAMINATES = ("PCOMP", "PCOMPG")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """Sections of shells (e,): N = A ε + B κ, M = B ε + D κ, Q = S γ, z up along the normal.
+
+    Attributes
+    ----------
+    membrane, coupling, bending : (e, 3, 3)
+    shear : (e, 2, 2)
+    drill : (e,)
+        G t K6ROT 1e-6.
+    density, nsm : (e,)
+        Mass per area that goes with the thickness, and that which does not.
+    loss, offset : (e,)
+    flexible : (e,) bool
+        A triangle must follow the transverse shear: laminates, and PSHELL with a shear material of its own.
+    profile : (e, k)
+        Thickness of the corners over the mean.
+    """
+
+    membrane: Any_
+    coupling: Any_
+    bending: Any_
+    shear: Any_
+    drill: Any_
+    density: Any_
+    nsm: Any_
+    loss: Any_
+    offset: Any_
+    flexible: Bool
+    profile: Any_
+
+    def take(self, rows: Any_ | slice) -> Section:
+        """The sections of some elements: rows, flags or a slice."""
+        return Section(*(getattr(self, f.name)[rows] for f in fields(Section)))
+
+    def weights(self, w: Any_, N: Float, power: int) -> Any_:
+        """Integration weights w (e, gp) times the relative thickness to a power; corner shapes N (gp, k)."""
+        if (self.profile == 1).all():
+            return w
+        return np.asarray(w * (self.profile @ N.T) ** power)
+
+    def masses(self, w: Any_, N: Float) -> Any_:
+        """Mass (e, gp) at the integration points."""
+        return np.asarray(self.density[:, None] * self.weights(w, N, 1) + self.nsm[:, None] * w)
+
+
+def section(m: Mesh, card: str, at: Int, corners: int) -> Section:
+    """The sections of rows `at` (e,) in their material axes.
+
+    Raises
+    ------
+    DeckError, UnsupportedCard
+        If a property or material is absent or of an unknown kind.
+    """
+    t = m.model[card]
+    pid = t["PID"][at]
+    found = {c: m.model[c].find(pid) for c in LAMINATES if c in m.model}
+    shell = np.logical_and.reduce([np.ones(at.size, dtype=bool), *(rows < 0 for rows in found.values())])
+    parts = [(shell, _pshell(m, t, at[shell], corners))] if shell.any() else []
+    parts += [(rows >= 0, _laminate(m, c, rows[rows >= 0], t, at[rows >= 0], corners)) for c, rows in found.items()]
+    parts = [p for p in parts if p[0].any()]
+    if len(parts) == 1:
+        return parts[0][1]
+    made = {}
+    for f in (f.name for f in fields(Section)):
+        values = [(where, getattr(s, f)) for where, s in parts]
+        made[f] = np.zeros((at.size, *values[0][1].shape[1:]), dtype=np.result_type(*(v.dtype for _, v in values)))
+        for where, v in values:
+            made[f][where] = v
+    return Section(**made)
+
+
+def in_axes(s: Section, turn: Any_) -> Section:
+    """The sections in axes in which their material axis has the direction `turn` (e, 2); isotropic ones stay as is."""
+    some = _directed(s)
+    if not some.any():
+        return s
+    c, n = turn[some, 0], turn[some, 1]
+    new: dict[str, Any_] = {}
+    for name in ("membrane", "coupling", "bending"):
+        old = getattr(s, name)
+        plane, through = turned(old[some], s.shear[some], c, n)
+        new[name] = old.astype(np.result_type(old, plane))
+        new[name][some] = plane
+    new["shear"] = s.shear.astype(np.result_type(s.shear, through))
+    new["shear"][some] = through
+    return replace(s, **new)
+
+
+def _directed(s: Section) -> Bool:
+    """Which sections depend on their direction."""
+    some = (s.shear[:, 0, 1] != 0) | (s.shear[:, 0, 0] != s.shear[:, 1, 1])
+    for C in (s.membrane, s.coupling, s.bending):
+        some |= (C[:, :2, 2] != 0).any(axis=1) | (C[:, 0, 0] != C[:, 1, 1])
+        some |= np.abs(C[:, 0, 0] - C[:, 0, 1] - 2 * C[:, 2, 2]) > 1e-12 * np.abs(C[:, 0, 0])
+    return np.asarray(some)
+
+
+def oriented(m: Mesh, card: str, at: Int, s: Section, axes: Any_, x: Any_) -> Section:
+    """The sections in the element axes (e, 3, 3) of flat elements with nodes x (e, k, 3).
+
+    THETA is measured from the side G1-G2.
+    """
+    if not _directed(s).any():
+        return s
+    side = x[:, 1] - x[:, 0]
+    side = unit(side - (side * axes[:, 2]).sum(axis=1)[:, None] * axes[:, 2])
+    axis = material_axis(m, card, at, x.mean(axis=1), side, axes[:, 2])
+    return in_axes(s, np.einsum("eij,ej->ei", axes[:, :2], axis))
+
+
+def material_axis(m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_) -> Any_:
+    """Direction (e, 3) of the material axis in the plane of `normal` (e, 3) at points x (e, 3).
+
+    THETA turns it from `tangent` (e, 3), in the plane; MCID projects the x axis of that frame.
+
+    Raises
+    ------
+    DeckError
+        If the x axis of the frame is along the normal.
+    """
+    t = m.model[card]
+    angle, cid = np.radians(1.0) * t["THETA"][at], t["MCID"][at]
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    out = c * tangent + s * np.cross(normal, tangent)
+    named = cid >= 0
+    if named.any():
+        axis = frame(m, cid[named], x[named].real)[:, 0]
+        n = normal[named]
+        flat = axis - (axis * n).sum(axis=1)[:, None] * n
+        if (np.abs(flat).max(axis=1) < 1e-6).any():
+            bad = int(at[named][np.abs(flat).max(axis=1) < 1e-6][0])
+            raise error(m.model, t, bad, "the x axis of its frame MCID is along the normal; name another frame")
+        out = out.astype(np.result_type(out, flat))
+        out[named] = unit(flat)
+    return np.asarray(out)
+
+
+def thickness(t: Table, at: Int, corners: int, T: Any_) -> tuple[Any_, Any_]:
+    """Mean thickness (e,) and that of the corners over it (e, k): Ti where given (times T for TFLAG 1), else T."""
+    own = t.stack(*(f"T{i}" for i in range(1, corners + 1)))[at]
+    if np.isnan(own).all():
+        return T, np.ones(own.shape)
+    own = np.where((t["TFLAG"][at] == 1)[:, None], own * T[:, None], own)
+    own = np.where(np.isnan(own), T[:, None], own)
+    mean = own.mean(axis=1)
+    return mean, own / np.where(mean == 0, 1.0, mean)[:, None]
+
+
+def _offset(t: Table, at: Int) -> Any_:
+    z = t["ZOFFS"][at]
+    return np.where(np.isnan(z), 0.0, z)
+
+
+def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
+    """PSHELL. MID4 couples by -T² G4: its G4 is 1/T² ∫ -z G dz (MSC Nastran)."""
+    row = lookup(m.model, "PSHELL", t["PID"][at], t, at)
+    p = m.model["PSHELL"]
+    mid1, mid2, mid3, mid4 = (p[c][row] for c in ("MID1", "MID2", "MID3", "MID4"))
+    T, profile = thickness(t, at, corners, p["T"][row])
+    stretch = layers(m.model, mid1, p, row, confined=mid2 < 0)
+    bend = layers(m.model, mid2, p, row)
+    own = (mid2 > 0) & (mid3 > 0)
+    core = layers(m.model, np.where(own, mid3, 0), p, row, core=True).through * p["TST"][row][:, None, None]
+    rigid = (bend.plane[:, 2, 2] * RIGID_SHEAR * 5 / 6)[:, None, None] * np.eye(2)
+    couple = layers(m.model, mid4, p, row).plane
+    first = mid1 > 0
+    turning = np.where(first, stretch.plane[:, 2, 2], bend.plane[:, 2, 2])
+    t1, inertia = T[:, None, None], (p["I12T3"][row] * T**3 / 12)[:, None, None]
+    return Section(
+        stretch.plane * t1,
+        -couple * t1 * t1,
+        bend.plane * inertia,
+        np.where(own[:, None, None], core, rigid) * t1,
+        turning * T * m.model.param("K6ROT", 100.0) * DRILL,
+        np.where(first, stretch.density, bend.density) * T,
+        p["NSM"][row],
+        np.where(first, stretch.loss, bend.loss),
+        _offset(t, at),
+        own & (mid3 != mid2),
+        profile,
+    )
+
+
+def _laminate(m: Mesh, card: str, row: Int, t: Table, at: Int, corners: int) -> Section:
+    """PCOMP, PCOMPG; T1.. of the element do not change it, and its loss is the GE of the property."""
+    rows, inverse = np.unique(row, return_inverse=True)
+    L = laminates(m.model, card, rows)
+    p = m.model[card]
+    return Section(
+        L.membrane[inverse],
+        L.coupling[inverse],
+        L.bending[inverse],
+        L.shear[inverse],
+        L.turning[inverse] * m.model.param("K6ROT", 100.0) * DRILL,
+        L.density[inverse],
+        p["NSM"][row],
+        p["GE"][row],
+        _offset(t, at),
+        np.ones(at.size, dtype=bool),
+        np.ones((at.size, corners)),
+    )

@@ -1,0 +1,123 @@
+"""Elasticity of solid elements: MAT1, or MAT9 in the frame that PSOLID CORDM names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.fem.isotropy import solid
+from ringtrue.fem.mesh import Isotropic, Mesh, error, isotropic, lookup
+from ringtrue.model.frames import axes
+from ringtrue.model.model import Model
+
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))  # x y z xy yz zx, the order of MAT9
+_TERMS = tuple((i, j, f"G{i + 1}{j + 1}") for i in range(6) for j in range(i, 6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anisotropic:
+    """MAT9 rows, one an element: `tensor` (e, 3, 3, 3, 3) in basic, `rho, loss` (e,), real or complex."""
+
+    tensor: Any_
+    rho: Any_
+    loss: Any_
+
+
+def is_anisotropic(model: Model, pid: Int) -> Bool:
+    """Whether each PSOLID id (e,) has a MAT9."""
+    out = np.zeros(pid.shape, dtype=bool)
+    if "MAT9" in model and "PSOLID" in model:
+        p = model["PSOLID"]
+        out = np.asarray(np.isin(pid, p.ids[np.isin(p["MID"], model["MAT9"].ids)]))
+    return out
+
+
+def tensor(C: Any_) -> Any_:
+    """Matrix of elasticity (e, 6, 6), engineering shear, to the tensor (e, 3, 3, 3, 3)."""
+    out = np.empty((len(C), 3, 3, 3, 3), dtype=C.dtype)
+    for i, (a, b) in enumerate(PAIRS):
+        for j, (c, d) in enumerate(PAIRS):
+            for p, q in ((a, b), (b, a)):
+                out[:, p, q, c, d] = out[:, p, q, d, c] = C[:, i, j]
+    return out
+
+
+def turned(C: Any_, R: Any_) -> Any_:
+    """A tensor (e, 3, 3, 3, 3) given in axes R (e, 3, 3), unit vectors as rows, in basic."""
+    return np.asarray(np.einsum("epqrs,epa,eqb,erc,esd->eabcd", C, R, R, R, R, optimize=True))
+
+
+def anisotropic(m: Mesh, psolid: Int, x: Any_, element_axes: Any_) -> Anisotropic:
+    """MAT9 of each element, turned into basic.
+
+    Parameters
+    ----------
+    psolid : (e,) int64
+        Row of PSOLID. Its CORDM is 0 (basic), -1 (`element_axes`, (e, 3, 3)) or a frame, taken at the mean of the
+        nodes x (e, n, 3).
+    """
+    p, t = m.model["PSOLID"], m.model["MAT9"]
+    row = lookup(m.model, "MAT9", p["MID"][psolid], p, psolid)
+    values = t.stack(*(name for _, _, name in _TERMS))[row]
+    C = np.empty((len(row), 6, 6), dtype=values.dtype)
+    for k, (i, j, _) in enumerate(_TERMS):
+        C[:, i, j] = C[:, j, i] = values[:, k]
+    _positive(m, C, row)
+    cid = p["CORDM"][psolid]
+    C4 = tensor(C)
+    if (cid != 0).any():
+        R = np.where((cid == -1)[:, None, None], element_axes, axes(m.model, cid, x.mean(axis=1)))
+        C4 = turned(C4, R)
+    return Anisotropic(C4, t["RHO"][row], t["GE"][row])
+
+
+def _positive(m: Mesh, C: Any_, row: Int) -> None:
+    _, first = np.unique(row, return_index=True)
+    lowest = np.linalg.eigvalsh(C[first].real)
+    bad = np.flatnonzero(lowest[:, 0] < -1e-9 * np.abs(lowest).max(axis=1))
+    if bad.size:
+        at = int(row[first[bad[0]]])
+        raise error(
+            m.model, m.model["MAT9"], at, "its matrix G is not positive; check the signs and places of its terms"
+        )
+
+
+def moduli(m: Mesh, psolid: Int) -> Isotropic:
+    """MAT1 of each row of PSOLID (e,)."""
+    p = m.model["PSOLID"]
+    return isotropic(m.model, p["MID"][psolid], p, psolid)
+
+
+def bulk(iso: Isotropic) -> tuple[Any_, Any_, Any_]:
+    """Bulk modulus, and c11, c12 of what is left when it is taken off; (e,) each."""
+    c11, c12 = solid(iso.E, iso.nu)
+    kappa = (c11 + 2 * c12) / 3
+    return kappa, c11 - kappa, c12 - kappa
+
+
+def nearest(R: Any_) -> Any_:
+    """The rotation nearest to vectors R (e, 3, 3), given as rows: R Qᵀ is symmetric (polar decomposition).
+
+    By Newton's iteration (Higham 1986), through which a complex step passes.
+    """
+    Q = R / np.cbrt(np.abs(np.linalg.det(R.real)))[:, None, None]
+    for _ in range(_POLAR):
+        Q = (Q + np.linalg.inv(Q).swapaxes(1, 2)) / 2
+    return np.asarray(Q)
+
+
+_POLAR = 30  # quadratic once near; 30 serve any element that is not flat to 1e-6
+
+
+def by_normal(along: Any_, other: Any_) -> Any_:
+    """Axes (e, 3, 3) as rows: x along `along` (e, 3), z normal to it and `other`."""
+    z = np.cross(along, other)
+    rows = np.stack([along, np.cross(z, along), z], axis=1)
+    return np.asarray(rows / np.sqrt((rows * rows).sum(axis=2, keepdims=True)))
+
+
+def between(x: Any_, first: list[int], second: list[int]) -> Float:
+    """Vector (e, 3) from the mean of one set of nodes of x (e, n, 3) to the mean of another."""
+    return np.asarray(x[:, second].mean(axis=1) - x[:, first].mean(axis=1))

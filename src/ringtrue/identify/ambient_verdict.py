@@ -1,0 +1,94 @@
+"""The verdict on the candidates of all bands: how sure each is, each mode once, machines told apart, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.identify import variance as var
+from ringtrue.identify.poles import StableDiagram
+from ringtrue.identify.stabilise import Candidates
+from ringtrue.shapes.mac import mac
+from ringtrue.signal.preprocess import Harmonic
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Candidates of one band with shapes in the channels' units, and their confidence."""
+
+    table: Candidates
+    shape: Complex
+    shape_std: Float
+    confidence: Float
+    diagram: StableDiagram
+
+
+def confidence(c: Candidates) -> Float:
+    """(m,) 0..1: agreement of the halves, share of the orders, certainty of the damping, collinearity."""
+    _, sz = c.stds()
+    orders = np.sqrt(c.orders[:, 0] / np.maximum(c.orders[:, 1], 1))
+    known = 1 / (1 + (2 * sz / np.maximum(c.damping, 1e-3)) ** 2)
+    return np.asarray(np.clip(c.halves * orders * known * np.sqrt(c.mpc), 0, 1))
+
+
+def select(found: list[Found], least: float) -> list[tuple[int, int]]:
+    """(band, row) of the modes to report: confident ones, each once, ascending in frequency."""
+    rows = [(b, i) for b, x in enumerate(found) for i in np.flatnonzero(x.confidence >= least).tolist()]
+    if not rows:
+        return []
+    f = np.array([found[b].table.frequencies[i] for b, i in rows])
+    z = np.array([found[b].table.damping[i] for b, i in rows])
+    sf = np.array([found[b].table.stds()[0][i] for b, i in rows])
+    conf = np.array([found[b].confidence[i] for b, i in rows])
+    band = np.array([b for b, _ in rows])
+    psi = np.stack([found[b].shape[:, i] for b, i in rows], axis=1)
+    near = np.abs(f[:, None] - f) < np.maximum(4 * np.hypot(sf[:, None], sf), (z * f)[:, None] + z * f)
+    same = near & _alike(mac(psi, psi), band, conf)
+    keep: list[int] = []
+    for k in np.lexsort((sf / f, -conf.round(1))).tolist():  # greedy: the best first
+        if not same[k, keep].any():
+            keep.append(k)
+    return [rows[k] for k in sorted(keep, key=lambda k: float(f[k]))]
+
+
+def _alike(like: Float, band: Int, conf: Float) -> Bool:
+    """Shapes (MAC `like`) of one mode; two clusters of one band beyond doubt must be more alike to be one."""
+    sure = (np.minimum(conf[:, None], conf) > 0.6) & (band[:, None] == band)
+    return np.asarray(like > np.where(sure, 0.95, 0.8))
+
+
+def machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: float) -> Harmonic | None:
+    """The line that a pole stands on, if its width is no more than that of a line."""
+    narrow = zeta < max(2e-3, resolution / f)
+    near = [h for h in lines if abs(h.frequency - f) < max(1.5 * resolution, 1e-3 * f)]
+    return near[0] if narrow and near else None
+
+
+def reason(c: Candidates, i: int) -> str:
+    sf, sz = c.stds()
+    n, tried = c.orders[i].tolist()
+    sharp = "; refined by maximum likelihood" if c.refined[i] else ""
+    thin = "; so little damping may be a machine of unsteady speed" if c.damping[i] < 2.5e-3 else ""
+    return (
+        f"found at {n} of {tried} orders, std {100 * sf[i] / c.frequencies[i]:.2g} % of frequency and "
+        f"{100 * sz[i] / c.damping[i]:.2g} % of damping, MPC {c.mpc[i]:.2f}, halves of the record agree to "
+        f"{c.halves[i]:.2f}{sharp}{thin}"
+    )
+
+
+def uncertainty(found: list[Found], at: list[tuple[int, int]], channels: int) -> Uncertainty:
+    """Standard deviations and covariance factor; modes of different bands are taken as independent."""
+    m = len(at)
+    if not m:
+        return Uncertainty.independent(np.empty(0), np.empty(0), np.empty((channels, 0)))
+    shape = np.stack([found[b].shape_std[:, i] for b, i in at], axis=1)
+    blocks = np.cumsum([0] + [x.table.deviation.shape[1] for x in found])
+    factor = np.zeros((int(blocks[-1]), 2 * m))
+    for k, (b, i) in enumerate(at):
+        df, dz = var.frequency_damping(found[b].table.pole[[i]], found[b].table.deviation[[i]])
+        factor[blocks[b] : blocks[b + 1], k], factor[blocks[b] : blocks[b + 1], m + k] = df[0], dz[0]
+    size = np.sqrt((factor**2).sum(0))
+    return Uncertainty(size[:m], size[m:], shape, factor)

@@ -1,0 +1,155 @@
+"""Batches of FRFs that disagree: local fits of one structure, each mode tracked through all of them.
+
+Moved accelerometers load the structure with their mass at other places, and days differ in temperature. One global fit
+then splits modes in two; here every batch keeps its own poles, and only the shapes are joined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.errors import InputError
+from ringtrue.identify.hammer import HammerModes, identify_hammer, mode_scale
+from ringtrue.identify.lsfd import noise, normalise, prepare
+from ringtrue.identify.refine import refine, shape_deviations
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalFit:
+    """Modes of several batches.
+
+    Attributes
+    ----------
+    modes : ModeSet
+        Weighted means of the poles over the batches; shapes of all responses, scaled to the first batch.
+    uncertainty : Uncertainty
+        Frequency and damping: of the mean, with the scatter over the batches where it is larger than stated. Shapes:
+        for the participation vectors as they are; the mass scale adds to it.
+    frequency, damping : (batch, m) float64, Hz and fraction of critical
+    std_frequency, std_damping : (batch, m) float64
+    chance : (m,) float64
+        Chance of so much scatter in frequency and damping if the batches agreed (χ² test).
+    reference : int
+        The batch whose modes the others were started from.
+    """
+
+    modes: ModeSet
+    uncertainty: Uncertainty
+    frequency: Float
+    damping: Float
+    std_frequency: Float
+    std_damping: Float
+    chance: Float
+    reference: int
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, frequency=f, damping=f, std_frequency=f, std_damping=f, chance=f)
+
+
+def identify_batches(
+    batches: Sequence[FrfSet], settings: HammerModes | None = None, *, progress: Progress | None = None
+) -> LocalFit:
+    """Modes of a structure measured in several batches that share their inputs.
+
+    The batch with most responses is identified on its own; its poles and participation vectors start the refinement
+    in every other batch, where no pole gets farther than two half bandwidths and one line. The participation vector,
+    which all batches share, ties the scales of their shapes together.
+
+    Parameters
+    ----------
+    batches : sequence of FrfSet
+        Same inputs in the same order; responses may recur, the one of least deviation then counts.
+    settings : HammerModes, optional
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two batches or the inputs differ.
+    DataError
+        If the first batch shows no mode.
+    """
+    if len(batches) < 2 or len({tuple(c.id for c in b.inputs) for b in batches}) > 1:
+        raise InputError("local fits need two or more batches with the same inputs in the same order")
+    settings, tell = settings or HammerModes(), progress or (lambda share, text: None)
+    lead = int(np.argmax([b.data.shape[1] for b in batches]))
+    first = identify_hammer(batches[lead], settings, progress=lambda share, text: tell(0.6 * share, text))
+    band = float(first.freqs[0]), float(first.freqs[-1])
+    found = []
+    for i, batch in enumerate(batches):
+        tell(0.6 + 0.4 * i / len(batches), f"batch {i + 1} of {len(batches)}")
+        found.append(_local(batch, band, first.model))
+    at = np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0)
+    return _joined(batches, [f.take(at) for f in found], first.model.participation[at], lead)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Local:
+    """Modes of one batch: poles with deviations (2, m), shapes for the common participation vectors, relative std."""
+
+    poles: Complex
+    std: Float
+    shapes: Complex
+    deviation: Float
+
+    def take(self, at: Int) -> _Local:
+        return _Local(self.poles[at], self.std[:, at], self.shapes[:, at], self.deviation[:, at])
+
+
+def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Local:
+    at = (batch.freqs >= band[0] * (1 - 1e-9)) & (batch.freqs <= band[1] * (1 + 1e-9)) & (batch.freqs > 0)
+    used = replace(batch, data=batch.data[at], freqs=batch.freqs[at], coherence=batch.coherence[at])
+    lines = prepare(used, noise(used))
+    fit = refine(lines, start.poles, start.participation)
+    common = start.participation
+    factor = (common.conj() * fit.participation).sum(axis=1) / (np.abs(common) ** 2).sum(axis=1)
+    std = np.stack([fit.std_frequency, fit.std_damping])
+    return _Local(fit.poles, std, fit.shapes * factor, shape_deviations(lines, fit, None))
+
+
+def _joined(batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, lead: int) -> LocalFit:
+    poles, std = np.array([f.poles for f in found]), np.array([f.std for f in found])
+    value = np.stack([np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)], axis=1)  # (batch, 2, m)
+    weight = 1 / np.maximum(std, 1e-300) ** 2
+    mean = (weight * value).sum(axis=0) / weight.sum(axis=0)
+    excess = (weight * (value - mean) ** 2).sum(axis=0)
+    n = len(batches) - 1
+    spread = np.sqrt(np.maximum(excess / n, 1) / weight.sum(axis=0))
+    outputs, rows, which = _best(batches, found)
+    shapes = np.array([found[b].shapes[r] for b, r in zip(which, rows, strict=True)])
+    omega = 2 * np.pi * mean[0]
+    pole = omega * (-mean[1] + 1j * np.sqrt(np.maximum(1 - mean[1] ** 2, 0)))
+    none = np.zeros((len(outputs), part.shape[1]), dtype=np.complex128)
+    first = batches[lead]
+    model = normalise(ModalModel(pole, shapes, part, none, none, outputs, first.inputs, first.kind))
+    scaled = model.shapes * mode_scale(model)
+    deviation = np.array([found[b].deviation[r] for b, r in zip(which, rows, strict=True)])
+    norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
+    labels = tuple(c.id for c in outputs)
+    modes = ModeSet(mean[0], mean[1], scaled, labels, norm, first.source or "hammer FRFs, local fits")
+    uncertainty = Uncertainty.independent(spread[0], spread[1], deviation * np.abs(scaled))
+    chance = chi2.sf(excess.sum(axis=0), 2 * n)
+    return LocalFit(modes, uncertainty, value[:, 0], value[:, 1], std[:, 0], std[:, 1], chance, lead)
+
+
+def _best(batches: Sequence[FrfSet], found: Sequence[_Local]) -> tuple[tuple[Channel, ...], list[int], list[int]]:
+    """All responses in the order of their first appearance, and the row and batch that knows each best."""
+    best: dict[str, tuple[float, int, int, Channel]] = {}
+    for b, (batch, f) in enumerate(zip(batches, found, strict=True)):
+        doubt = np.median(f.deviation, axis=1)
+        for r, c in enumerate(batch.outputs):
+            if c.id not in best or doubt[r] < best[c.id][0]:
+                best[c.id] = (float(doubt[r]), r, b, c)
+    return tuple(v[3] for v in best.values()), [v[1] for v in best.values()], [v[2] for v in best.values()]

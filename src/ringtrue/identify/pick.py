@@ -1,0 +1,116 @@
+"""Modes from the poles of all orders where no standard deviation judges them: what most orders show stays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.signals import TimeHistory
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.errors import DataError
+from ringtrue.identify.cluster import cluster_poles
+from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.ssi import unit
+from ringtrue.shapes.complexity import mpc
+from ringtrue.shapes.mac import mac
+from ringtrue.signal.preprocess import detrend
+
+
+def modes_of(
+    poles: PoleSet, channels: tuple[str, ...], *, share: float = 0.5, damping_max: float = 0.2, source: str = ""
+) -> tuple[ModeSet, Uncertainty]:
+    """One mode for each cluster of stable poles that `share` of the orders, from the first that shows it, show.
+
+    A pole is stable if the order before has one within 1 % of its frequency and 5 % of its damping (or four of its
+    standard deviations, where known), MAC above 0.98. `identify.ambient` judges by more than this, and invents less.
+
+    Frequency, damping and standard deviations are medians over the cluster, or the means by inverse variance where
+    the standard deviations are known; the shape is that of the pole nearest to them. The confidence is the share of
+    the orders times the square root of the modal phase collinearity.
+
+    Parameters
+    ----------
+    poles : PoleSet
+    channels : tuple of str
+        Rows of the shapes.
+    share : float
+        0 < share <= 1.
+    damping_max : float
+        Poles with more are dropped.
+    source : str
+    """
+    good = poles.take(_physical(poles, damping_max))
+    label = cluster_poles(good.pole, good.shape, good.order)
+    groups = [np.flatnonzero(label == g) for g in range(int(label.max(initial=-1)) + 1)]
+    shown = np.array([g.size / (poles.orders >= good.order[g].min()).sum() if g.size else 0.0 for g in groups])
+    groups = [g for g, s in zip(groups, shown, strict=True) if s >= share and g.size > 2]
+    part = shown[[i for i, s in enumerate(shown) if s >= share and (label == i).sum() > 2]]
+    rows = np.array([_centre(good, g) for g in groups]).reshape(len(groups), 5)
+    rank = np.argsort(rows[:, 0], kind="stable")
+    rows, at = rows[rank], rows[rank, 4].astype(np.int64)
+    shape = unit(good.shape[:, at])
+    confidence = np.clip(part[rank] * np.sqrt(mpc(shape)), 0, 1) if at.size else np.empty(0)
+    modes = ModeSet(rows[:, 0], rows[:, 1], shape, channels, source=source, confidence=confidence)
+    return modes, Uncertainty.independent(rows[:, 2], rows[:, 3], np.full(shape.shape, np.nan))
+
+
+def _physical(poles: PoleSet, damping_max: float) -> Bool:
+    """(k,) damped, not wildly complex, known to some extent, and stable from one order to the next."""
+    f, z, psi = poles.frequencies, poles.damping, poles.shape
+    ok = (z > 0) & (z < damping_max)
+    if len(psi) > 1:
+        ok &= mpc(psi) > 0.3
+    known = np.isfinite(poles.std_frequency)
+    ok &= ~known | ((poles.std_frequency < 0.5 * z * f) & (poles.std_damping < np.maximum(z, 2e-3)))
+    step = int(np.diff(poles.orders).min(initial=2))
+    before = poles.order[:, None] - poles.order == step
+    reach = 0.05 + 4 * np.nan_to_num(poles.std_damping) / np.maximum(z, 1e-12)
+    like = (np.abs(f[:, None] / f - 1) < 0.01) & (np.abs(z[:, None] - z) < (np.minimum(reach, 0.3) * z)[:, None])
+    return np.asarray(ok & (before & like & (mac(psi, psi) > 0.98)).any(1))
+
+
+def _centre(p: PoleSet, at: Int) -> tuple[float, float, float, float, float]:
+    """Frequency, damping, their standard deviations, and the most typical pole of the cluster `at`."""
+    f, z, sf, sz = p.frequencies[at], p.damping[at], p.std_frequency[at], p.std_damping[at]
+    known = np.isfinite(sf).all() and (sf > 0).all()
+    # relative to the damping: the variance of a pole grows with it, weights from it alone would favour a small one
+    w = z / (sf / f) ** 2 if known else np.ones(at.size)
+    mf, mz = (float(w @ x / w.sum()) if known else float(np.median(x)) for x in (f, z))
+    best = at[np.argmin((f / mf - 1) ** 2 + (0.01 * (z / mz - 1)) ** 2)]
+    return mf, mz, float(np.median(sf)), float(np.median(sz)), float(best)
+
+
+def prepared(history: TimeHistory) -> tuple[Float, Float]:
+    """Signals without mean and trend (ch, sample) in units of their root mean square, and those (ch,).
+
+    Raises
+    ------
+    DataError
+        If a channel is constant or not finite.
+    """
+    data = detrend(history.data)
+    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
+    if lost := [c.id for c, s in zip(history.channels, scale, strict=True) if not (np.isfinite(s) and s > 0)]:
+        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
+    return data / scale[:, None], scale
+
+
+def positions(history: TimeHistory, references: tuple[str, ...]) -> Int:
+    """(ref,) int64 rows of the reference channels.
+
+    Raises
+    ------
+    DataError
+        If one is absent.
+    """
+    ids = [c.id for c in history.channels]
+    if lost := [x for x in references if x not in ids]:
+        raise DataError(f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}")
+    return np.array([ids.index(x) for x in references], dtype=np.int64)
+
+
+def rescaled(poles: PoleSet, scale: Float) -> PoleSet:
+    """The poles with shapes in the units of the channels, `scale` (ch,), largest component 1."""
+    shape: Complex = unit(poles.shape * scale[:, None])
+    return PoleSet(poles.order, poles.pole, shape, poles.std_frequency, poles.std_damping)

@@ -1,0 +1,241 @@
+"""Maximum likelihood of each mode on its own spectrum: what a subspace estimate leaves on the table.
+
+A spatial filter (minimum variance, Capon 1969) takes one mode out of the spectral matrix; pole and background are
+fitted to the filtered periodogram by Whittle's likelihood (1953), whose expected value accounts for the length of the
+record (Sykulski et al. 2019); for one mode in white noise this is Au's (2011) Bayesian FFT. The statistical floor
+(Gersch 1974) is reached where the mode stands clear of the noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.fft import prev_fast_len, rfft
+
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
+from ringtrue.errors import DataError
+
+RELATIVE = 4e-4  # width of a bin over its frequency
+REACH = 20.0  # half bandwidths to each side of a mode that its fit uses
+SPAN = 0.35  # of the frequency, at most
+MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for instance
+ITERATIONS = 80
+HALVINGS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpectralBins:
+    """Spectral matrix averaged over bins of neighbouring lines.
+
+    Attributes
+    ----------
+    freqs : (bin,) float64, Hz
+    count : (bin,) float64
+        Lines averaged.
+    cross : (bin, ch, ch) complex64
+    duration : float, s
+        Of one periodogram.
+    """
+
+    freqs: Float
+    count: Float
+    cross: Any_
+    duration: float
+
+    def __add__(self, other: SpectralBins) -> SpectralBins:
+        """The average of two stretches of one record, equally long."""
+        if self.freqs.shape != other.freqs.shape or not np.allclose(self.duration, other.duration):
+            raise DataError("spectra of stretches of different length do not add")
+        n = self.count + other.count
+        a, b = (x.astype(np.float32)[:, None, None] for x in (self.count / n, other.count / n))
+        return SpectralBins(self.freqs, n, a * self.cross + b * other.cross, self.duration)
+
+
+def spectral_bins(data: Any_, rate: float, band: tuple[float, float]) -> SpectralBins:
+    """Periodograms of `data` (ch, sample) at `rate` Hz within `band` (Hz), in bins of constant relative width."""
+    n = int(prev_fast_len(data.shape[1], real=True))
+    first, last = int(np.ceil(max(band[0] * n / rate, 1))), int(min(band[1] * n / rate, n // 2 - 1))
+    scale = np.float32(1 / np.sqrt(n * rate / 2))
+    y = np.stack([rfft(x[:n].astype(np.float32))[first : last + 1] * scale for x in data], axis=1)
+    edges = [first]
+    while edges[-1] <= last:  # a few sub-bands, with bins of one width each
+        edges.append(max(int(edges[-1] * 1.2), edges[-1] + 1))
+    parts = [_sub_band(y[a - first : b - first], a) for a, b in pairwise(edges)]
+    f, count, cross = (np.concatenate(p) for p in zip(*parts, strict=True))
+    return SpectralBins(f * rate / n, count, cross, n / rate)
+
+
+def _sub_band(y: Any_, first: int) -> tuple[Float, Float, Any_]:
+    """Bins of the lines `y` (line, ch) from line `first`: place in lines, count, matrix."""
+    k = max(1, min(int(RELATIVE * first), len(y)))
+    m = len(y) // k
+    z = y[: m * k].reshape(m, k, -1)
+    cross = z.transpose(0, 2, 1) @ z.conj() / np.float32(k)
+    place = np.asarray(first + np.arange(m) * k + 0.5 * (k - 1), dtype=np.float64)
+    return place, np.full(m, float(k)), np.asarray(cross)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """Modes refined one by one.
+
+    Attributes
+    ----------
+    frequency : (m,) float64, Hz
+    damping : (m,) float64
+    covariance : (m, 2, 2) float64
+        Of ln frequency and ln damping.
+    misfit : (m,) float64
+        Mean squared error over its expectation, 1 for a perfect model.
+    ok : (m,) bool
+        False where the fit did not settle; the start stands then.
+    """
+
+    frequency: Float
+    damping: Float
+    covariance: Float
+    misfit: Float
+    ok: Bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Curve:
+    """One mode's spectrum over ν = f/f_start: level and its logarithmic derivatives."""
+
+    level: Float
+    d_freq: Float
+    d_zeta: Float
+
+
+def _lorentz(nu: Float, nu0: float, zeta: float, slope: float, turns: float) -> _Curve:
+    """(ν/ν0)^slope over |ν0² − ν² + 2iζν0ν|², peak 1; `turns` = duration · f_start corrects for the finite length."""
+    d = (nu0**2 - nu**2) ** 2 + 4 * zeta**2 * nu0**2 * nu**2
+    level = 4 * zeta**2 * nu0**4 / d * (nu / nu0) ** slope
+    q = 2 * np.pi * turns * (zeta * nu0 + 1j * (nu - nu0 * np.sqrt(1 - min(zeta, 0.9) ** 2)))
+    finite = (1 / q - (1 - np.exp(-q)) / q**2).real / (1 / q).real
+    return _Curve(
+        level * finite,
+        4 - slope - nu0 * (4 * nu0 * (nu0**2 - nu**2) + 8 * zeta**2 * nu0 * nu**2) / d,
+        2 - 8 * zeta**2 * nu0**2 * nu**2 / d,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Whittle fit of one filtered spectrum: θ = ln ν0, ln ζ, slope, ln A, ln of the background at both ends, then
+    ln of each neighbour's level."""
+
+    nu: Float
+    power: Float
+    count: Float
+    turns: float
+    near: tuple[tuple[float, float], ...]
+    mean: Float
+    prior: Float
+
+    def spectrum(self, theta: Float) -> tuple[Float, Float]:
+        """S (bin,) and its logarithmic derivatives (bin, parameter)."""
+        nu0, zeta, slope = float(np.exp(theta[0])), float(np.exp(theta[1])), float(theta[2])
+        own = _lorentz(self.nu, nu0, zeta, slope, self.turns)
+        x = (self.nu - self.nu[0]) / (self.nu[-1] - self.nu[0])
+        rest = [_lorentz(self.nu, f, z, slope, self.turns).level for f, z in self.near]
+        parts = np.stack([own.level, 1 - x, x, *rest], axis=1) * np.exp(theta[3:])
+        s = np.maximum(parts.sum(1), 1e-300)
+        share = parts / s[:, None]
+        first = share[:, :1] * np.stack([own.d_freq, own.d_zeta, np.log(self.nu / nu0)], axis=1)
+        return s, np.concatenate([first, share], axis=1)
+
+    def cost(self, s: Float, theta: Float) -> float:
+        """Negative log posterior."""
+        return float(self.count @ (np.log(s) + self.power / s) + 0.5 * self.prior @ (theta - self.mean) ** 2)
+
+    def run(self) -> tuple[Float, Float, float, bool]:
+        """θ, covariance, misfit and whether Fisher scoring settled."""
+        theta = self.mean.copy()
+        s, g = self.spectrum(theta)
+        cost, done = self.cost(s, theta), False
+        for _ in range(ITERATIONS):
+            info = (g.T * self.count) @ g + np.diag(self.prior)
+            slope = g.T @ (self.count * (self.power / s - 1)) - self.prior * (theta - self.mean)
+            step = np.linalg.solve(info, slope)
+            # the posterior can still rise by half of this: below, nothing is left to gain
+            if done := bool(slope @ step < 1e-4):
+                break
+            step *= min(1.0, 0.7 / np.abs(step).max())
+            for _ in range(HALVINGS):
+                s_new, g_new = self.spectrum(theta + step)
+                if (c := self.cost(s_new, theta + step)) < cost:
+                    break
+                step = step / 2
+            else:
+                break
+            theta, s, g, cost = theta + step, s_new, g_new, c
+        info = (g.T * self.count) @ g + np.diag(self.prior)
+        misfit = float((self.count * (self.power / s - 1) ** 2).sum() / max(s.size - theta.size, 1))
+        return theta, np.asarray(np.linalg.inv(info), dtype=np.float64), misfit, done
+
+
+def _filter(b: SpectralBins, at: Int, f: float, half: float, psi: Complex, others: tuple[Complex, Int]) -> Complex:
+    """w (ch,) with wᴴψ = 1 that passes least of the noise and of the other modes around, shapes and bins `others`."""
+    off = at[np.abs(b.freqs[at] - f) > 2.5 * half]
+    r = b.cross[off if off.size > 2 * psi.size else at].mean(0, dtype=np.complex128)
+    for v, k in zip(others[0].T, others[1], strict=True):  # the few modes nearby
+        r = r + np.outer(v, v.conj()) * np.trace(b.cross[k]).real / np.vdot(v, v).real
+    r = 0.5 * (r + r.conj().T) + 1e-6 * np.trace(r).real / psi.size * np.eye(psi.size)
+    x = np.linalg.solve(r, psi)
+    return np.asarray(x / np.vdot(psi, x))
+
+
+def refine(
+    bins: SpectralBins, frequency: Float, damping: Float, shape: Complex, slope: tuple[float, float] = (4.0, 1.5)
+) -> Fitted:
+    """Refine modes by maximum likelihood, two rounds, the others held.
+
+    Parameters
+    ----------
+    bins : SpectralBins
+    frequency : (m,) float64, Hz
+    damping : (m,) float64
+    shape : (ch, m) complex128
+    slope : (mean, std)
+        Of the exponent of ω in the response: 4 for accelerations under a flat force, 2 for velocities, 0 for
+        displacements.
+    """
+    m = frequency.size
+    f, z = frequency.copy(), damping.copy()
+    cov, misfit, ok = np.full((m, 2, 2), np.nan), np.full(m, np.nan), np.zeros(m, dtype=np.bool_)
+    for _ in range(2):
+        f0, z0 = f.copy(), z.copy()
+        for i in range(m):  # modes
+            if (fit := _prepare(bins, i, f0, z0, shape, slope)) is None:
+                continue
+            theta, c, chi, good = fit.run()
+            new_f, new_z = f0[i] * np.exp(theta[0]), np.exp(theta[1])
+            near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002) and 0.4 < new_z / damping[i] < 2.5
+            if good and near and chi < MISFIT:
+                f[i], z[i], cov[i], misfit[i], ok[i] = new_f, new_z, c[:2, :2] * max(chi, 1.0), chi, True
+    return Fitted(f, z, cov, misfit, ok)
+
+
+def _prepare(b: SpectralBins, i: int, f: Float, z: Float, psi: Complex, slope: tuple[float, float]) -> _Fit | None:
+    """The filtered spectrum of mode `i` with a start; None where lines are too few or too coarse."""
+    half = z[i] * f[i]
+    reach = min(REACH * half, SPAN * f[i])
+    at = np.flatnonzero(np.abs(b.freqs - f[i]) < reach)
+    if at.size < 30 or half < 1.5 * np.median(np.diff(b.freqs[at])):
+        return None
+    others = np.flatnonzero((np.abs(f - f[i]) < reach) & (np.arange(f.size) != i))
+    where = np.abs(b.freqs[:, None] - f[others]).argmin(0)
+    w = _filter(b, at, f[i], half, psi[:, i], (psi[:, others], where))
+    power = np.maximum(((b.cross[at] @ w) @ w.conj()).real, 1e-300)
+    nu, few = b.freqs[at] / f[i], max(at.size // 10, 3)
+    peak = np.median(power[np.argsort(np.abs(nu - 1))[: max(few, 5)]])
+    ends = np.array([np.median(power[:few]), np.median(power[-few:])]) / 2
+    level = 1e-2 * power[np.abs(nu[:, None] - f[others] / f[i]).argmin(0)]
+    mean = np.array([0.0, np.log(z[i]), slope[0], *np.log([peak, *ends, *level])])
+    # weak priors keep levels that the data do not show from running away
+    prior = np.concatenate([[1e-6, 1e-4, slope[1] ** -2, 1e-4], np.full(mean.size - 4, 1 / 9)])
+    near = tuple((float(f[j] / f[i]), float(z[j])) for j in others)
+    return _Fit(nu, power, b.count[at], b.duration * f[i], near, mean, prior)

@@ -1,0 +1,142 @@
+"""LabVIEW measurement text (.lvm): segments, decimal commas, with or without columns of time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.errors import DataError
+from ringtrue.io.plain import RawTable, numbers, read_text
+
+_END = "***End_of_Header***"
+_SPECIAL = ("***Start_of_Special***", "***End_of_Special***")
+_JOIN = 0.5  # samples that a segment may begin off the end of the one before
+
+
+def read_lvm(path: Path) -> RawTable:
+    """The record of a LabVIEW measurement file; segments that follow each other without a gap are joined.
+
+    Raises
+    ------
+    DataError
+        If a header or the step of time is missing, or the segments have gaps: then take `read_lvm_segments`.
+    """
+    parts = read_lvm_segments(path)
+    first = parts[0][1]
+    if len(parts) == 1:
+        return first
+    starts = np.array([start for start, _ in parts])
+    lengths = np.array([t.data.shape[1] for _, t in parts])
+    rate = first.rate or 0.0
+    off = np.abs((np.diff(starts)) * rate - lengths[:-1])
+    same = all(t.names == first.names and t.rate == first.rate for _, t in parts)
+    if not same or not (off <= _JOIN).all():
+        raise DataError(
+            f"{path}: {len(parts)} segments that do not follow each other; read them one by one with read_lvm_segments"
+        )
+    data = np.concatenate([t.data for _, t in parts], axis=1)
+    return RawTable(data, first.rate, first.names, first.units, first.quantities)
+
+
+def read_lvm_segments(path: Path) -> tuple[tuple[float, RawTable], ...]:
+    """The start (s, of its header's clock and X0) and the samples of every segment.
+
+    Raises
+    ------
+    DataError
+        If a header, the step of time or samples are missing.
+    """
+    lines = _without_special(read_text(path).splitlines())
+    ends = [i for i, x in enumerate(lines) if x.startswith(_END)]
+    if not lines or not lines[0].startswith("LabVIEW") or len(ends) < 2:
+        raise DataError(f"{path}: not a LabVIEW measurement file with both headers")
+    head = _table(lines[: ends[0]], "," if _comma_separated(lines[: ends[0]]) else "\t")
+    separator = "," if (head.get("Separator") or [""])[0].lower() == "comma" else "\t"
+    bounds = [_segment_start(lines, e) for e in ends[1:]] + [len(lines)]
+    return tuple(
+        _segment(lines[ends[k] + 1 if k == 0 else bounds[k] : bounds[k + 1]], head, separator, path)
+        for k in range(len(ends) - 1)
+    )
+
+
+def _comma_separated(lines: Sequence[str]) -> bool:
+    return any(x.startswith("Separator,") for x in lines)
+
+
+def _without_special(lines: Sequence[str]) -> list[str]:
+    out, inside = [], False
+    for line in lines:
+        inside = inside or line.startswith(_SPECIAL[0])
+        if not inside:
+            out.append(line)
+        inside = inside and not line.startswith(_SPECIAL[1])
+    return out
+
+
+def _segment_start(lines: Sequence[str], end: int) -> int:
+    """The first line of the header that ends at line `end`: the one that names the channels."""
+    at = end
+    while at > 0 and not lines[at].startswith("Channels") and not lines[at - 1].startswith(_END):
+        at -= 1
+    return at
+
+
+def _table(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
+    rows = (x.rstrip().split(separator) for x in lines)
+    return {r[0]: [v.strip() for v in r[1:]] for r in rows if r and r[0]}
+
+
+def _segment(
+    lines: Sequence[str], head: Mapping[str, Sequence[str]], separator: str, path: Path
+) -> tuple[float, RawTable]:
+    end = next(i for i, x in enumerate(lines) if x.startswith(_END))
+    table = _table(lines[:end], separator)
+    comma = list(head.get("Decimal_Separator", ())[:1]) == [","]
+    try:
+        n = int(table["Channels"][0])
+        steps = [float(x.replace(",", ".")) for x in table.get("Delta_X", [])[:n]]
+        start = float((table.get("X0") or ["0"])[0].replace(",", ".") or 0) + _clock((table.get("Time") or [""])[0])
+    except (KeyError, IndexError, ValueError) as exc:
+        raise DataError(f"{path}: header of a segment without Channels, or with a number that is none ({exc})") from exc
+    if not 0 < n <= 100_000 or len(steps) != n or not np.isfinite(steps).all() or max(steps) != min(steps):
+        raise DataError(f"{path}: {n} channels with steps of time Delta_X {steps[:8]}: as many equal ones are needed")
+    columns = _columns(n, (head.get("X_Columns") or ["One"])[0].lower())
+    title = lines[end + 1].split(separator) if end + 1 < len(lines) else []
+    names = [title[c].strip() if c < len(title) else "" for c in columns]
+    names = [x or f"ch{i + 1}" for i, x in enumerate(names)]
+    data = _data(list(_rows(lines[end + 2 :], columns, separator)), comma, path)
+    units = (*table.get("Y_Unit_Label", [])[:n], *("",) * n)[:n]
+    return start, RawTable(data, 1 / steps[0] if steps[0] else 0.0, tuple(names), units, ("",) * n)
+
+
+def _columns(n: int, kind: str) -> list[int]:
+    """Where the samples stand: after one column of x (empty where there is none), or after one for each channel."""
+    return list(range(1, 2 * n, 2)) if kind == "multi" else list(range(1, n + 1))
+
+
+def _rows(lines: Sequence[str], columns: Sequence[int], separator: str) -> Iterator[str]:
+    for line in lines:
+        cells = line.split(separator)
+        if line.strip() and not line.startswith("***"):
+            yield " ".join(cells[c] if c < len(cells) and cells[c].strip() else "x" for c in columns)
+
+
+def _data(rows: Sequence[str], comma: bool, path: Path) -> Float:
+    try:
+        return numbers(rows, " ", comma, path)
+    except DataError as exc:
+        raise DataError(f"{path}: a row of samples is not complete or not a number ({exc})") from exc
+
+
+def _clock(text: str) -> float:
+    """Seconds of the day; 0 where there is no clock."""
+    whole, _, part = text.replace(",", ".").partition(".")
+    try:
+        t = datetime.strptime(whole.strip(), "%H:%M:%S")
+    except ValueError:
+        return 0.0
+    return 3600.0 * t.hour + 60.0 * t.minute + t.second + (float(f"0.{part}") if part.isdigit() else 0.0)

@@ -1,0 +1,135 @@
+"""Tables of samples in MATLAB files, v4 to v7.3."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy.io import loadmat, savemat
+from scipy.io.matlab import MatReadError
+
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.io.atomic import atomic_write
+from ringtrue.io.mat5 import is_mat5, read_mat5
+from ringtrue.io.plain import RawTable, columns_first, named_rate, numbered
+from ringtrue.io.si import known
+
+_SIZE_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of level 4, by its precision
+_PEEK = 1 << 16
+_NAMES = ("channels", "names", "labels", "channel_names", "ids")
+_UNITS = ("units", "unit")
+_BROKEN = (MatReadError, ValueError, OSError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
+
+
+def read_mat(path: Path) -> RawTable:
+    """The largest real 2-D variable of a MATLAB file, also within a structure.
+
+    The rate comes from `fs`, `rate` or `dt`; names and units from cell arrays `channels` (or `names`, `labels`) and
+    `units` of as many texts as there are channels.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged or holds no such variable.
+    """
+    values = _flat(_read_73(path) if h5py.is_hdf5(path) else _read_5(path))
+    arrays = [v for v in values.values() if isinstance(v, np.ndarray) and v.ndim == 2 and v.dtype.kind in "fiu"]
+    if not arrays or max(a.size for a in arrays) < 2:
+        raise DataError(f"{path}: no real 2-D variable; there are {', '.join(values) or 'none'}")
+    data = columns_first(max(arrays, key=lambda a: a.size), path)
+    blank = numbered(data, named_rate({k.rpartition(".")[2]: v for k, v in values.items()}))
+    names = _texts(values, _NAMES, data.shape[0]) or blank.names
+    units = tuple(known(u) for u in _texts(values, _UNITS, data.shape[0]) or blank.units)
+    return RawTable(data, blank.rate, names, units, blank.quantities)
+
+
+def _read_73(path: Path) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+
+    def keep(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and not name.startswith("#"):
+            text = item.attrs.get("MATLAB_class") == b"char" and item.size < _PEEK
+            raw = item[()]
+            found[name.replace("/", ".")] = "".join(map(chr, np.ravel(raw).tolist())) if text else raw
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(keep)
+    except (OSError, RuntimeError, KeyError, ValueError, MemoryError, TypeError) as exc:
+        raise DataError(f"{path}: not a readable MATLAB 7.3 file ({exc})") from exc
+    return found
+
+
+def _read_5(path: Path) -> dict[str, Any]:
+    """Level 5 by ringtrue's own reader, as scipy's ends the process on damaged files; level 4 by scipy."""
+    with path.open("rb") as file:
+        head = file.read(128)
+    if is_mat5(head):
+        return read_mat5(path)
+    _check_4(path)
+    try:
+        found = loadmat(path)
+    except _BROKEN as exc:
+        raise DataError(f"{path}: not a readable MATLAB file ({type(exc).__name__}: {exc})") from exc
+    return {k: v for k, v in found.items() if not k.startswith("__")}
+
+
+def _check_4(path: Path) -> None:
+    """The matrices of a level 4 file must lie within it: type, rows, columns, imaginary part, length of the name."""
+    raw = path.read_bytes()
+    at = 0
+    order = "<" if raw[:4] and 0 <= struct.unpack("<i", raw[:4].ljust(4, b"\0"))[0] < 5000 else ">"
+    while at < len(raw):
+        if at + 20 > len(raw):
+            raise DataError(f"{path}: not a readable MATLAB file: it is cut or damaged")
+        kind, rows, columns, imaginary, name = struct.unpack_from(f"{order}5i", raw, at)
+        size = _SIZE_4.get(kind % 100 // 10, 0)
+        if not 0 <= kind < 5000 or not size or min(rows, columns) < 0 or imaginary not in (0, 1) or not 0 < name < 1024:
+            raise DataError(f"{path}: not a readable MATLAB file: no matrix at byte {at}")
+        at += 20 + name + rows * columns * size * (1 + imaginary)
+        if at > len(raw):
+            raise DataError(f"{path}: not a readable MATLAB file: a matrix of {rows} x {columns} passes its end")
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Fields of structures as `name.field`."""
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return out
+
+
+def _texts(values: Mapping[str, Any], names: tuple[str, ...], count: int) -> tuple[str, ...] | None:
+    """A cell array or char matrix of `count` texts."""
+    for key, value in values.items():
+        if key.rpartition(".")[2].lower() in names and isinstance(value, np.ndarray) and value.size == count:
+            texts = [v if isinstance(v, str) else "" for v in value.ravel().tolist()]
+            if (all(texts) and len(set(texts)) == count) or key.rpartition(".")[2].lower() in _UNITS:
+                return tuple(t.strip() for t in texts)
+    return None
+
+
+def write_mat(path: str | Path, history: TimeHistory) -> None:
+    """Write a record as MATLAB v5: `data` (sample, channel), `fs`, cell arrays `channels` and `units`, `source`.
+
+    Raises
+    ------
+    DataError
+        If the record is longer than the format allows (2 GB).
+    """
+    if history.data.nbytes >= 2**31:
+        raise DataError(f"{path}: {history.data.nbytes / 2**30:.3g} GB; MATLAB v5 holds 2 GB: write .h5")
+    content = {
+        "data": np.asarray(history.data).T,
+        "fs": history.rate,
+        "channels": np.array([c.id for c in history.channels], dtype=object),
+        "units": np.array([c.unit for c in history.channels], dtype=object),
+        "source": history.source,
+    }
+    with atomic_write(path) as part:
+        savemat(str(part), content, appendmat=False)

@@ -1,0 +1,223 @@
+"""Sparse matrices from the files that solvers and scripts write.
+
+MATLAB .mat (v5, v7.3), Nastran OUTPUT4, MatrixMarket, HDF5, Abaqus *MATRIX GENERATE, Harwell-Boeing (Ansys HBMAT),
+scipy .npz.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from scipy import io as scipy_io
+from scipy import sparse
+
+from ringtrue.core.arrays import Any_
+from ringtrue.core.dofs import DofSet
+from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.op4 import read_op4
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_FORTRAN = re.compile(r"\((?:\d*P,?)?(\d+)\s*[IEDFG](\d+)(?:\.\d+)?(?:E\d+)?\)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatrixFile:
+    """What a file holds.
+
+    Attributes
+    ----------
+    matrices : mapping of str to csr_array
+        By the name in the file, or the file's own name where it has none.
+    arrays : mapping of str to ndarray
+        Vectors and scalars beside them (MATLAB, HDF5).
+    dofs : DofSet or None
+        Names of the rows, where the file has them (Abaqus).
+    """
+
+    matrices: Mapping[str, sparse.csr_array]
+    arrays: Mapping[str, Any_]
+    dofs: DofSet | None = None
+
+    def __getitem__(self, name: str) -> sparse.csr_array:
+        """A matrix by name.
+
+        Raises
+        ------
+        DataError
+            If there is none of that name.
+        """
+        if name not in self.matrices:
+            raise DataError(f"no matrix {name!r}{did_you_mean(name, self.matrices)}")
+        return self.matrices[name]
+
+
+def read_matrices(path: str | Path) -> MatrixFile:
+    """Read a file of matrices; the kind is told by its ending and first bytes.
+
+    Raises
+    ------
+    DataError
+        If the file is absent, of no known kind, or broken.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    with path.open("rb") as f:
+        start = f.read(8)
+    if start == _HDF5 or (path.suffix.lower() == ".mat" and h5py.is_hdf5(path)):
+        return _hdf5(path)
+    if start.startswith(b"%%Matri"):
+        return _one(path, sparse.csr_array(sparse.coo_array(scipy_io.mmread(path, spmatrix=False))))
+    kinds: dict[str, Callable[[Path], MatrixFile]] = {
+        ".mat": _matlab,
+        ".op4": lambda p: MatrixFile(read_op4(p), {}),
+        ".mtx": _abaqus,
+        ".npz": lambda p: _one(p, sparse.csr_array(sparse.load_npz(p))),
+        **dict.fromkeys((".hb", ".rb", ".rsa", ".rua", ".matrix", ".full"), _harwell_boeing),
+    }
+    kind = kinds.get(path.suffix.lower())
+    if kind is None:
+        raise DataError(f"{path}: matrices in a {path.suffix or 'nameless'} file{did_you_mean(path.suffix, kinds)}")
+    return kind(path)
+
+
+def _one(path: Path, matrix: sparse.csr_array, dofs: DofSet | None = None) -> MatrixFile:
+    return MatrixFile({path.stem: matrix}, {}, dofs)
+
+
+def _matlab(path: Path) -> MatrixFile:
+    try:
+        found = scipy_io.loadmat(path, spmatrix=False)
+    except (ValueError, TypeError, OSError) as e:
+        raise DataError(f"{path}: not a MATLAB file: {e}") from e
+    matrices: dict[str, sparse.csr_array] = {}
+    arrays: dict[str, Any_] = {}
+    for name, value in found.items():
+        if name.startswith("__"):
+            continue
+        if isinstance(value, (sparse.coo_array, sparse.csc_array)):
+            matrices[name] = sparse.csr_array(value)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fciu":
+            _sort(name, value, matrices, arrays)
+    return MatrixFile(matrices, arrays)
+
+
+def _sort(name: str, value: Any_, matrices: dict[str, sparse.csr_array], arrays: dict[str, Any_]) -> None:
+    """Square arrays of more than one row are matrices."""
+    if value.ndim == 2 and value.shape[0] == value.shape[1] > 1:
+        matrices[name] = sparse.csr_array(value)
+    else:
+        arrays[name] = value
+
+
+def _hdf5(path: Path) -> MatrixFile:
+    matrices: dict[str, sparse.csr_array] = {}
+    arrays: dict[str, Any_] = {}
+    with h5py.File(path) as f:
+        turned = path.suffix.lower() == ".mat"  # MATLAB stores columns first
+
+        def visit(name: str, item: h5py.Group | h5py.Dataset) -> None:
+            if isinstance(item, h5py.Group):
+                if (made := _sparse_group(item)) is not None:
+                    matrices[name] = made
+            elif item.dtype.kind in "fciu" and _sparse_group(item.parent) is None:
+                value = item[()]
+                _sort(name, np.asarray(value.T if turned and np.ndim(value) == 2 else value), matrices, arrays)
+
+        f.visititems(visit)
+    return MatrixFile(matrices, arrays)
+
+
+def _sparse_group(g: h5py.Group) -> sparse.csr_array | None:
+    """MATLAB's data, ir, jc; scipy's and AnnData's data, indices, indptr; triplets data, row, col."""
+    if {"data", "ir", "jc"} <= set(g) and "MATLAB_sparse" in g.attrs:
+        n = int(g.attrs["MATLAB_sparse"])
+        parts = (g["data"][()], g["ir"][()].astype(np.int64), g["jc"][()].astype(np.int64))
+        return sparse.csr_array(sparse.csc_array(parts, shape=(n, parts[2].size - 1)))
+    shape = g.attrs["shape"] if "shape" in g.attrs else g["shape"][()] if "shape" in g else None
+    size = None if shape is None else (int(shape[0]), int(shape[1]))
+    if {"data", "indices", "indptr"} <= set(g):
+        text = g.attrs.get("encoding-type", g.attrs.get("format", "csr"))
+        made = sparse.csc_array if "csc" in str(text) else sparse.csr_array
+        return sparse.csr_array(made((g["data"][()], g["indices"][()], g["indptr"][()]), shape=size))
+    if {"data", "row", "col"} <= set(g):
+        return sparse.csr_array((g["data"][()], (g["row"][()], g["col"][()])), shape=size)
+    return None
+
+
+def _abaqus(path: Path) -> MatrixFile:
+    """Lines `node, dof, node, dof, value` (MATRIX INPUT, LABELS) or `row, column, value` (COORDINATE)."""
+    try:
+        text = path.read_text(encoding="ascii").replace(",", " ")
+        rows = np.array([x.split() for x in text.splitlines() if x.strip() and x.strip()[0] not in "*#%"])
+        numbers = np.char.replace(np.char.upper(rows), "D", "E").astype(np.float64)
+        if numbers.ndim != 2 or numbers.shape[1] not in (3, 5):
+            raise ValueError(f"lines of {numbers.shape[-1]} numbers; 3 or 5 are known")
+    except ValueError as e:
+        raise DataError(f"{path}: not a matrix of Abaqus: {e}") from e
+    if numbers.shape[1] == 3:
+        i, j = (numbers[:, :2].astype(np.int64) - 1).T
+        return _one(path, _whole(numbers[:, 2], i, j, int(max(i.max(), j.max())) + 1))
+    ends = numbers[:, :4].astype(np.int64)
+    if ends[:, 1::2].min() < 0 or ends[:, 1::2].max() > 6:
+        raise DataError(f"{path}: degree of freedom {ends[:, 1::2].max()}; known are 1 to 6")
+    every, place = np.unique(np.concatenate([ends[:, :2], ends[:, 2:]]), axis=0, return_inverse=True)
+    i, j = place.reshape(2, -1)
+    dofs = DofSet(every[:, 0], every[:, 1].astype(np.int8))
+    return _one(path, _whole(numbers[:, 4], i, j, len(every)), dofs)
+
+
+def _whole(values: Any_, i: Any_, j: Any_, n: int) -> sparse.csr_array:
+    """The matrix; if only one triangle is there, the other one too."""
+    a = sparse.csr_array((values, (i, j)), shape=(n, n))
+    if (i >= j).all() or (i <= j).all():
+        a = sparse.csr_array(a + a.T - sparse.diags_array(a.diagonal(), format="csr"))
+    return a
+
+
+def _harwell_boeing(path: Path) -> MatrixFile:
+    """Assembled Harwell-Boeing or Rutherford-Boeing, as Ansys HBMAT writes (its mapping file is not needed here)."""
+    try:
+        lines = path.read_text(encoding="ascii").splitlines()
+        counts = [int(x) for x in lines[1].split()]
+        kind, (n_rows, n_columns, nonzero) = lines[2][:3].upper(), (int(x) for x in lines[2][3:].split()[:3])
+        pointer, index, value = _formats(lines[3])
+        at = 4 + (len(counts) > 4 and counts[4] > 0)
+        indptr, at = _fixed(lines, at, n_columns + 1, *pointer)
+        indices, at = _fixed(lines, at, nonzero, *index)
+        per = 2 if kind[0] == "C" else 1
+        data, _ = _fixed(lines, at, per * nonzero, *value) if kind[0] != "P" else (np.ones(nonzero), at)
+    except (ValueError, IndexError, UnicodeDecodeError) as e:
+        raise DataError(f"{path}: not a Harwell-Boeing file: {e}") from e
+    if kind[2] != "A" or kind[1] not in "SUR":
+        raise DataError(f"{path}: matrix type {kind}; known are assembled ones, symmetric or not (RSA, RUA)")
+    if per == 2:
+        data = data.view(np.complex128)
+    shape = (n_rows, n_columns)
+    a = sparse.csr_array(sparse.csc_array((data, indices.astype(np.int64) - 1, indptr.astype(np.int64) - 1), shape))
+    if kind[1] == "S":
+        a = sparse.csr_array(a + a.T - sparse.diags_array(a.diagonal(), format="csr"))
+    return _one(path, a)
+
+
+def _formats(line: str) -> list[tuple[int, int]]:
+    """(numbers a line, width) of pointers, indices and values."""
+    found = [(int(n), int(w)) for n, w in _FORTRAN.findall(line)]
+    if len(found) < 2:
+        raise ValueError(f"formats {line!r}")
+    return [*found, (1, 1)][:3]
+
+
+def _fixed(lines: list[str], at: int, count: int, per: int, width: int) -> tuple[Any_, int]:
+    """`count` numbers of fixed width, `per` a line, from line `at`; and the line after them."""
+    used = -(-count // per)
+    if at + used > len(lines):
+        raise ValueError(f"it ends at line {len(lines)}, before line {at + used}")
+    joined = "".join(x[: per * width].ljust(per * width) for x in lines[at : at + used])
+    parts = [joined[i : i + width].upper().replace("D", "E") for i in range(0, count * width, width)]
+    return np.array(parts, dtype=np.float64), at + used

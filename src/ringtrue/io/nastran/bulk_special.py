@@ -1,0 +1,137 @@
+"""Cards of special layout as text: constraints, laminates, beams, bushes and matrices, a card at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from ringtrue.io.nastran.writer import Value, format_card
+from ringtrue.model.model import Table
+
+
+def large_card(card: str, fields: Sequence[Value]) -> str:
+    """A card in large fields, whose lines come in pairs."""
+    text = format_card(card, fields, large=True)
+    return text if text.count("\n") % 2 == 0 else text + "*\n"
+
+
+def _spc(t: Table) -> Iterator[str]:
+    for sid, g, c, d in zip(*(t[k].tolist() for k in ("SID", "G", "C", "D")), strict=True):
+        yield format_card("SPC", (sid, g, c if c != "0" else None, d))
+
+
+def _mpc(t: Table) -> Iterator[str]:
+    g, c, a = (t.ragged(k) for k in "GCA")
+    for i, sid in enumerate(t["SID"].tolist()):
+        terms = list(zip(g.row(i).tolist(), c.row(i).tolist(), a.row(i).tolist(), strict=True))
+        fields: list[Value] = [sid]
+        for k, term in enumerate(terms):
+            fields += [*(term[0], term[1] or None, term[2])]
+            if k % 2 and k + 1 < len(terms):
+                fields += [None, None]
+        yield large_card("MPC", fields)
+
+
+def _rbe3(t: Table) -> Iterator[str]:
+    g, c, w = (t.ragged(k) for k in ("G", "C", "WT"))
+    for i, (eid, ref, refc) in enumerate(zip(*(t[k].tolist() for k in ("EID", "REFGRID", "REFC")), strict=True)):
+        fields: list[Value] = [eid, None, ref, refc]
+        before: tuple[float, str] | None = None
+        for node, comp, weight in zip(g.row(i).tolist(), c.row(i).tolist(), w.row(i).tolist(), strict=True):
+            if (weight, comp) != before:
+                fields += [weight, comp]
+                before = (weight, comp)
+            fields.append(node)
+        dependent = [v for k in ("GM", "CM") if k in t.columns for v in [t.ragged(k).row(i).tolist()]]
+        for k, pair in enumerate(zip(*dependent, strict=True)):
+            if k % 3 == 0:  # UM opens a line, three pairs stand on each
+                fields += [None] * (-len(fields) % 8) + (["UM"] if not k else [None])
+            fields += pair
+        yield format_card("RBE3", fields)
+
+
+def _pbush(t: Table) -> Iterator[str]:
+    for i, pid in enumerate(t["PID"].tolist()):
+        lines: list[list[Value]] = []
+        for flag, names in _BUSH.items():
+            values = [float(t[n][i]) for n in names]
+            if any(values):
+                lines.append([flag, *(v or None for v in values), *[None] * (6 - len(values))])
+        fields: list[Value] = [pid]
+        for k, line in enumerate(lines or _NO_STIFFNESS):
+            fields += [*([None] if k else []), *line]
+        yield large_card("PBUSH", fields)
+
+
+_NO_STIFFNESS: list[list[Value]] = [["K"]]
+_BUSH = {"K": [f"K{i}" for i in range(1, 7)], "B": [f"B{i}" for i in range(1, 7)], "GE": ["GE"]}
+_BEAM_A, _BEAM_B = ("A", "I1", "I2", "I12", "J", "NSM"), ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
+_BEAM_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")
+_BEAM_AXIS = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
+
+
+def _pbeam(t: Table) -> Iterator[str]:
+    for i in range(len(t)):
+
+        def values(names: Sequence[str], i: int = i) -> list[Value]:
+            return [float(t[n][i]) for n in names]
+
+        blank: list[Value] = [None] * 8
+        fields = [int(t["PID"][i]), int(t["MID"][i]), *values(_BEAM_A), *blank]
+        fields += ["YES", 1.0, *values(_BEAM_B), *blank]
+        fields += [*values(_BEAM_TAIL), None, None, *values(_BEAM_AXIS)]
+        yield large_card("PBEAM", fields)
+
+
+def _rbe1(t: Table) -> Iterator[str]:
+    pairs = {k: t.ragged(k) for k in ("GN", "CN", "GM", "CM")}
+    for i, eid in enumerate(t["EID"].tolist()):
+        fields: list[Value] = [eid]
+        for flag, (g, c) in ((None, ("GN", "CN")), ("UM", ("GM", "CM"))):
+            terms = list(zip(pairs[g].row(i).tolist(), pairs[c].row(i).tolist(), strict=True))
+            for k in range(0, len(terms), 3):
+                fields += [flag if k == 0 else None] if flag or k else []
+                line = [v for term in terms[k : k + 3] for v in term]
+                fields += [*line, *[None] * (-len(fields) - len(line) & 7)]
+        yield format_card("RBE1", fields)
+
+
+def _laminate(t: Table) -> Iterator[str]:
+    names = (("GPLYID",) if t.card == "PCOMPG" else ()) + ("MID", "T", "THETA", "SOUT")
+    plies = [t.ragged(n) for n in names]
+    for i in range(len(t)):
+        fields: list[Value] = [int(t["PID"][i])]
+        fields += [None if np.isnan(t["Z0"][i]) else float(t["Z0"][i])]
+        fields += [float(t[n][i]) for n in ("NSM", "SB")] + [str(t["FT"][i]) or None]
+        fields += [float(t[n][i]) for n in ("TREF", "GE")] + [str(t["LAM"][i]) or None]
+        for ply in zip(*(p.row(i).tolist() for p in plies), strict=True):
+            fields += [*ply, *([None] * 3 if t.card == "PCOMPG" else [])]
+        yield large_card(t.card, fields)
+
+
+def _dmig(t: Table) -> Iterator[str]:
+    terms = {k: t.ragged(k) for k in ("GJ", "CJ", "GI", "CI", "A", "B")}
+    for i, name in enumerate(t["NAME"].tolist()):
+        head = [int(t[k][i]) for k in ("IFO", "TIN", "TOUT", "POLAR")]
+        yield format_card("DMIG", (name, 0, *(h or None for h in head), None, int(t["NCOL"][i]) or None))
+        rows = {k: v.row(i) for k, v in terms.items()}
+        column = rows["GJ"] * 8 + rows["CJ"]
+        for key in np.unique(column).tolist():
+            fields: list[Value] = [name, key // 8, key % 8, None]
+            for at in np.flatnonzero(column == key).tolist():
+                fields += [int(rows["GI"][at]), int(rows["CI"][at]), float(rows["A"][at]), float(rows["B"][at]) or None]
+            yield large_card("DMIG", fields)
+
+
+SPECIAL: dict[str, Callable[[Table], Iterator[str]]] = {
+    "SPC": _spc,
+    "MPC": _mpc,
+    "RBE3": _rbe3,
+    "PBUSH": _pbush,
+    "PBEAM": _pbeam,
+    "RBE1": _rbe1,
+    "PCOMP": _laminate,
+    "PCOMPG": _laminate,
+    "DMIG": _dmig,
+}

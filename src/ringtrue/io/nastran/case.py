@@ -1,0 +1,108 @@
+"""Case control: the choices of the subcase that computes modes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from ringtrue.errors import DeckError
+from ringtrue.io.nastran.fields import whole
+from ringtrue.io.nastran.lexer import real
+from ringtrue.model.model import CaseControl
+
+_COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?\s*=\s*(.*?)\s*", re.I | re.S)
+_SUBCASE = re.compile(r"\s*SUBC\w*", re.I)
+_NAMES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC")
+_SHORT = {"METH": "METHOD", "TITL": "TITLE", "AUTO": "AUTOSPC"}  # Nastran reads the first four characters
+_TEXT = re.compile(r"\s*(TITL|SUBT|LABE)", re.I)
+_TERM = re.compile(r"(?:\(?\s*([^*()\s]+?)\s*\)?\s*\*)?\s*([A-Z]\w*)", re.I)
+
+
+def commands(top: Sequence[str]) -> dict[str, str]:
+    """The choices that hold in the first subcase with a METHOD, else in the first subcase.
+
+    Parameters
+    ----------
+    top : sequence of str
+        Executive and case control lines.
+    """
+    begun = not any(re.match(r"\s*CEND\b", line, re.I) for line in top)
+    common: dict[str, str] = {}
+    subcases: list[dict[str, str]] = []
+    for line in _joined(top):
+        begun = begun or bool(re.match(r"\s*CEND\b", line, re.I))
+        if begun and _SUBCASE.match(line):
+            subcases.append({})
+        found = _COMMAND.fullmatch(line)
+        name = found[1].upper() if found else ""
+        name = _SHORT.get(name[:4], name)
+        if begun and found and name in _NAMES:
+            (subcases[-1] if subcases else common)[name] = found[3]
+    chosen = next((s for s in subcases if "METHOD" in s), subcases[0] if subcases else {})
+    return {**common, **chosen}
+
+
+def _joined(top: Iterable[str]) -> list[str]:
+    """Commands without comments; a line that ends in a comma goes on in the next."""
+    out: list[str] = []
+    for raw in top:
+        line = raw.split("$")[0].rstrip()
+        if out and out[-1].endswith(",") and not _TEXT.match(out[-1]):
+            out[-1] += " " + line.strip()
+        elif line:
+            out.append(line)
+    return out
+
+
+def case_control(top: Sequence[str]) -> CaseControl:
+    """The choices of the lines above BEGIN BULK.
+
+    Raises
+    ------
+    DeckError
+        If K2GG, M2GG or B2GG names no matrices.
+    """
+    found = commands(top)
+    number = {k: int(v) for k, v in found.items() if re.fullmatch(r"\d{1,18}", v, re.A)}
+    return CaseControl(
+        found.get("TITLE", ""),
+        number.get("METHOD", 0),
+        number.get("SPC", 0),
+        number.get("MPC", 0),
+        **{name.lower(): _matrices(name, found) for name in ("K2GG", "M2GG", "B2GG")},
+    )
+
+
+def _matrices(name: str, found: Mapping[str, str]) -> tuple[tuple[float, str], ...]:
+    """`1.25*KA, KB` as factors and names."""
+    made = []
+    for part in found[name].split(",") if name in found else ():
+        term = _TERM.fullmatch(part.strip())
+        try:
+            made.append((real(term[1]) if term and term[1] else 1.0, term[2].upper() if term else ""))
+        except ValueError:
+            term = None
+        if term is None:
+            raise DeckError(f"{name} = {found[name]}: allowed are names of DMIG matrices, as in 1.5*KA, KB")
+    return tuple(made)
+
+
+def params(top: Sequence[str]) -> dict[str, int | float | str]:
+    """PARAM and AUTOSPC commands above BEGIN BULK; they go before those in the bulk data."""
+    out: dict[str, int | float | str] = {}
+    for line in _joined(top):
+        parts = [p.strip() for p in line.split(",")]
+        if parts[0].upper() == "PARAM" and len(parts) > 2 and parts[1]:
+            out[parts[1].upper()] = value(parts[2].upper())
+    auto = commands(top).get("AUTOSPC", "").upper()
+    return out | ({"AUTOSPC": auto} if auto in ("YES", "NO") else {})
+
+
+def value(text: str) -> int | float | str:
+    """The value of a PARAM: an integer, a real or a word."""
+    for read in (whole, real):
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text

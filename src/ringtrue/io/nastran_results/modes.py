@@ -1,0 +1,70 @@
+"""Modes of any results file of a Nastran-like program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.nastran_results.f06 import read_f06
+from ringtrue.io.nastran_results.hdf5 import read_nastran_h5
+from ringtrue.io.nastran_results.op2 import read_op2
+from ringtrue.io.nastran_results.punch import read_punch
+from ringtrue.io.nastran_results.recorded import RecordedModes, to_mode_set
+from ringtrue.model.model import Model
+
+READERS = {
+    ".op2": read_op2,
+    ".f06": read_f06,
+    ".pch": read_punch,
+    ".h5": read_nastran_h5,
+}
+
+
+def read_recorded(path: str | Path) -> RecordedModes:
+    """Modes as the file gives them, by its ending: .op2, .f06, .pch or .h5.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged or holds no real modes.
+    """
+    path = Path(path)
+    ext = path.suffix.lower()
+    if ext not in READERS:
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, READERS)}")
+    return READERS[ext](path)
+
+
+def read_nastran_modes(path: str | Path, model: Model | None = None, *, mass_normalised: bool = False) -> ModeSet:
+    """Modes of a results file in the basic frame.
+
+    Parameters
+    ----------
+    path : path
+        .op2, .f06, .pch or .h5 (of MSC Nastran).
+    model : Model, optional
+        The deck of the run: turns shapes from the displacement frames (CD) and knows how they were scaled.
+    mass_normalised : bool
+        The shapes have unit modal mass although the file does not say so.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged, holds no real modes or is of another model.
+    """
+    found = read_recorded(path)
+    try:
+        known = mass_normalised or (model is not None and asks_for_unit_mass(model))
+        return to_mode_set(found, model, mass_normalised=known, source=str(path))
+    except DataError as e:
+        raise DataError(f"{path}: {e}") from e
+
+
+def asks_for_unit_mass(model: Model) -> bool:
+    """Whether the deck's EIGRL scales the shapes to unit modal mass, as it does if it says nothing."""
+    if "EIGRL" not in model:
+        return False
+    table = model["EIGRL"]
+    chosen = table["NORM"][table["SID"] == model.case.method] if model.case.method else table["NORM"]
+    return bool(chosen.size and all(str(n).upper() in ("", "MASS") for n in chosen))

@@ -1,0 +1,163 @@
+"""Modes as a program recorded them, and what makes a `ModeSet` of them: frames, scale and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.errors import DataError
+from ringtrue.model.frames import axes, positions
+from ringtrue.model.model import Model
+
+SCALE = 1e-4  # modal masses this near to 1 are 1: a program prints seven digits
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedModes:
+    """Modes of a results file, node by node.
+
+    Attributes
+    ----------
+    eigenvalues : (m,) float64, (rad/s)²
+    modal_mass : (m,) float64
+        Generalised masses; NaN where the file does not say.
+    nodes : (n,) int64
+    scalar : (n,) bool
+        Scalar points: their motion is the first component.
+    motion : (n, 6, m) float64
+        Translations and rotations in each node's displacement frame (or basic, see `frames`).
+    frames : (n,) int64
+        The displacement frame (CD) of each node as the file says; -1 where it does not; 0 is basic.
+    """
+
+    eigenvalues: Float
+    modal_mass: Float
+    nodes: Int
+    scalar: Bool
+    motion: Float
+    frames: Int
+
+    def __post_init__(self) -> None:
+        freeze_fields(
+            self,
+            eigenvalues=np.float64,
+            modal_mass=np.float64,
+            nodes=np.int64,
+            scalar=np.bool_,
+            motion=np.float64,
+            frames=np.int64,
+        )
+        n, m = self.nodes.size, self.eigenvalues.size
+        if not m or not n:
+            raise DataError("no modes with shapes: ask the program for DISPLACEMENT = ALL")
+        if self.motion.shape != (n, 6, m) or self.modal_mass.shape != (m,) or self.scalar.shape != (n,):
+            raise DataError(f"{m} eigenvalues and {n} nodes do not fit shapes {self.motion.shape}")
+        if np.unique(self.nodes).size != n:
+            raise DataError("a node occurs twice in a mode: the file holds several subcases or superelements")
+        if not (np.isfinite(self.eigenvalues).all() and np.isfinite(self.motion).all()):
+            raise DataError("a number is not finite")
+
+
+def gathered(
+    eigenvalues: Float, modal_mass: Float, rows: Sequence[tuple[Int, Bool, Float]], frames: dict[int, int] | None = None
+) -> RecordedModes:
+    """One object of the rows of each mode: nodes (n,), scalar (n,), motion (n, 6), equal nodes in all modes.
+
+    Raises
+    ------
+    DataError
+        If the modes are given at different nodes.
+    """
+    if not rows:
+        raise DataError("no modes with shapes: ask the program for DISPLACEMENT = ALL")
+    nodes, scalar, _ = rows[0]
+    for k, (other, _, _) in enumerate(rows):
+        if not np.array_equal(other, nodes):
+            raise DataError(
+                f"mode {k + 1} is given at {other.size} nodes, mode 1 at {nodes.size}: the file is cut off?"
+            )
+    known = frames or {}
+    cd = np.array([known.get(n, -1) for n in nodes.tolist()], dtype=np.int64)
+    return RecordedModes(eigenvalues, modal_mass, nodes, scalar, np.stack([r[2] for r in rows], axis=2), cd)
+
+
+def to_mode_set(
+    found: RecordedModes, model: Model | None = None, *, mass_normalised: bool = False, source: str = ""
+) -> ModeSet:
+    """Modes in ascending frequency, in the basic frame, of unit modal mass where the file gives the masses.
+
+    Parameters
+    ----------
+    found : RecordedModes
+    model : Model, optional
+        The deck; its displacement frames (CD) turn the shapes to basic. Rows then follow the order of its GRID cards.
+    mass_normalised : bool
+        The shapes are known to have unit modal mass although the file does not say so.
+    source : str
+
+    Raises
+    ------
+    DataError
+        If a node is not in the model, or shapes are in displacement frames that only the deck defines.
+    """
+    found = _basic(found, model)
+    shapes, norm = _scaled(found, mass_normalised)
+    order = np.argsort(found.eigenvalues, kind="stable")
+    lam = found.eigenvalues[order]
+    frequencies = np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi)
+    dofs, rows = _labels(found)
+    flat = shapes.reshape(-1, lam.size)[rows]
+    return ModeSet(frequencies, np.zeros(lam.size), flat[:, order], dofs, norm, source)
+
+
+def _scaled(found: RecordedModes, mass_normalised: bool) -> tuple[Float, Norm]:
+    mass = found.modal_mass
+    if not (mass > 0).all():
+        return found.motion, Norm.MASS if mass_normalised else Norm.UNSCALED
+    factor = np.where(np.abs(mass - 1) < SCALE, 1.0, 1 / np.sqrt(mass))
+    return found.motion * factor, Norm.MASS
+
+
+def _labels(found: RecordedModes) -> tuple[DofSet, Int]:
+    """Six DOFs a grid point and one a scalar point, grid points first, and their places in (node, 6)."""
+    order = np.argsort(found.scalar, kind="stable")
+    n = np.where(found.scalar[order], 1, 6)
+    node = np.repeat(found.nodes[order], n)
+    component = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n)
+    direction = np.where(np.repeat(found.scalar[order], n), 0, component + 1)
+    return DofSet(node, direction), 6 * np.repeat(order, n) + component
+
+
+def _basic(found: RecordedModes, model: Model | None) -> RecordedModes:
+    if model is None:
+        turned = (found.frames > 0) & ~found.scalar
+        if turned.any():
+            raise DataError(
+                f"node {found.nodes[turned][0]} moves in displacement frame {found.frames[turned][0]}; "
+                "name the deck, too, to turn its shapes to the basic frame"
+            )
+        return found
+    grid = model["GRID"]
+    at = grid.find(found.nodes)
+    lost = (at < 0) & ~found.scalar & ~np.isin(found.nodes, _scalar_points(model))
+    if lost.any():
+        raise DataError(f"node {found.nodes[lost][0]} is not in the deck: the results are of another model")
+    scalar = at < 0
+    order = np.lexsort((np.arange(at.size), at, scalar))
+    at, frames = at[order], found.frames[order]
+    turn = np.broadcast_to(np.eye(3), (at.size, 3, 3)).copy()
+    g = ~scalar[order] & (frames != 0)
+    turn[g] = axes(model, grid["CD"][at[g]], positions(model)[at[g]])
+    local = found.motion[order].reshape(at.size, 2, 3, -1)
+    basic = np.einsum("nji,nkjm->nkim", turn, local).reshape(at.size, 6, -1)
+    zero = np.zeros(at.size, dtype=np.int64)
+    return RecordedModes(found.eigenvalues, found.modal_mass, found.nodes[order], scalar[order], basic, zero)
+
+
+def _scalar_points(model: Model) -> Int:
+    return model["SPOINT"].ragged("ID").values if "SPOINT" in model else np.empty(0, dtype=np.int64)

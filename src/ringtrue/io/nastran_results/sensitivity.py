@@ -1,0 +1,174 @@
+"""The design sensitivity matrix of SOL 200: DSCM2 with DSCMCOL in OP2 and HDF5, printed in F06, or as CSV."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.nastran_results.op2 import Op2Table, matrix, read_tables
+
+_WORDS = 9  # of a response in DSCMCOL: internal id, id, type, then by type
+_EIGENVALUE, _DISPLACEMENT = 4, 5  # response types: Quick Reference Guide, DSCMCOL
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivities:
+    """Derivatives of responses to design variables.
+
+    Attributes
+    ----------
+    response : (r,) int64
+        Id of the DRESP1; one with several grid points gives several rows.
+    grid, component : (r,) int64
+        Of a displacement response; 0 else.
+    variable : (v,) int64
+        Ids of the DESVARs.
+    values : (r, v) float64
+    """
+
+    response: Int
+    grid: Int
+    component: Int
+    variable: Int
+    values: Float
+
+    def __post_init__(self) -> None:
+        i = np.int64
+        freeze_fields(self, response=i, grid=i, component=i, variable=i, values=np.float64)
+        r, v = self.response.size, self.variable.size
+        if not r or not v:
+            raise DataError("no design sensitivities")
+        if self.values.shape != (r, v) or self.grid.shape != (r,) or self.component.shape != (r,):
+            raise DataError(f"{r} responses and {v} design variables do not fit a matrix of {self.values.shape}")
+        if not np.isfinite(self.values).all():
+            raise DataError("a sensitivity is not finite")
+
+
+def read_sensitivities(path: str | Path) -> Sensitivities:
+    """Sensitivities from .op2, .f06, .h5 or .csv.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged or holds none.
+    """
+    path = Path(path)
+    readers = {".op2": _op2, ".f06": _f06, ".h5": _h5, ".csv": _csv}
+    ext = path.suffix.lower()
+    if ext not in readers:
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, readers)}")
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    try:
+        return readers[ext](path)
+    except (ValueError, KeyError, OSError, RuntimeError) as e:
+        raise e if isinstance(e, DataError) and str(path) in str(e) else DataError(f"{path}: {e}") from e
+
+
+def _op2(path: Path) -> Sensitivities:
+    """A column of DSCM2 for each response, a row for each design variable."""
+    found: dict[str, Op2Table] = {}
+    for table in read_tables(path):
+        found[table.name] = table  # the last design cycle
+    if "DSCM2" not in found or "DSCMCOL" not in found:
+        raise DataError("no DSCM2 and DSCMCOL: ask for DSAPRT(EXPORT,END=SENS) = ALL and PARAM,POST,-1")
+    columns = found["DSCMCOL"]
+    words = [columns.ints(b"".join(r.blocks)) for r in columns.records[1:]]
+    first = words[0].reshape(-1, _WORDS) if words and words[0].size % _WORDS == 0 else np.empty((0, _WORDS), np.int64)
+    values = matrix(found["DSCM2"]).T
+    return _labelled(first, values[: len(first)], _variables(found.get("DESTAB"), values.shape[1]))
+
+
+def _variables(destab: Op2Table | None, count: int) -> Int:
+    """External ids of the design variables; words of DESTAB: internal id, id, label, bounds."""
+    if destab is not None:
+        ids = [int(destab.ints(b"".join(r.blocks))[1]) for r in destab.records[1:]]
+        if len(ids) == count:
+            return np.array(ids, dtype=np.int64)
+    return np.arange(1, count + 1)
+
+
+def _labelled(columns: Int, values: Float, variables: Int) -> Sensitivities:
+    """Rows of the matrix with their words in DSCMCOL."""
+    moved = columns[:, 2] == _DISPLACEMENT
+    grid, component = np.where(moved, columns[:, 3], 0), np.where(moved, columns[:, 4], 0)
+    return Sensitivities(columns[:, 1], grid, component, variables, values)
+
+
+_RESPONSE = re.compile(r"DRESP1\s+ID\s*=\s*(\d+)\s+RESPONSE\s+TYPE\s*=\s*(\w+)")
+_GRID = re.compile(r"GRID\s+ID\s*=\s*(\d+)\s+COMP(?:ONENT)?\s*(?:NO\.?)?\s*=\s*(\d+)")
+_PAIR = re.compile(r"(?<![\w.])(\d+)\s+(?:([A-Z]\w{0,7})\s+)?([-+]?\d\.\d+(?:E[-+]?\d+|[-+]\d+))(?![\w.])")
+
+
+def _f06(path: Path) -> Sensitivities:
+    """Printed blocks: a response, then pairs of design variable and coefficient in columns."""
+    rows: list[tuple[int, int, int]] = []
+    values: list[dict[int, float]] = []
+    for line in path.read_text(encoding="latin-1").splitlines():
+        head = _RESPONSE.search(line)
+        if head:
+            rows.append((int(head[1]), 0, 0))
+            values.append({})
+        where = _GRID.search(line)
+        if where and rows:
+            rows[-1] = (rows[-1][0], int(where[1]), int(where[2]))
+        if rows and not head and not where and "VALUE" not in line:
+            values[-1] |= {int(v): _real(x) for v, _, x in _PAIR.findall(line)}
+    variables = sorted({v for row in values for v in row})
+    if not rows or not variables:
+        raise DataError("no printed design sensitivities: ask for DSAPRT(FORMATTED,END=SENS) = ALL")
+    lost = next(((r[0], v) for r, row in zip(rows, values, strict=True) for v in variables if v not in row), None)
+    if lost:
+        raise DataError(f"response {lost[0]} has no coefficient of design variable {lost[1]}: the file is cut off?")
+    labels = np.array(rows, dtype=np.int64)
+    table = np.array([[row[v] for v in variables] for row in values])
+    return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], np.array(variables), table)
+
+
+def _real(text: str) -> float:
+    return float(text if "E" in text else re.sub(r"(?<=\d)([-+])", r"E\1", text))
+
+
+def _h5(path: Path) -> Sensitivities:
+    """The same data blocks as in OP2, wherever they stand in the file: `DSCM2` (row, column) and `DSCMCOL`."""
+    found: dict[str, Any] = {}
+
+    def visit(name: str, item: Any) -> None:
+        last = name.rsplit("/", 1)[-1].upper()
+        if isinstance(item, h5py.Dataset) and last in ("DSCM2", "DSCMCOL"):
+            found[last] = item[()]
+
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+    if "DSCM2" not in found or "DSCMCOL" not in found:
+        raise DataError("no data sets DSCM2 and DSCMCOL")
+    columns = found["DSCMCOL"]
+    if columns.dtype.names:
+        columns = np.stack([columns[n].astype(np.int64) for n in columns.dtype.names], axis=1)
+    columns = np.asarray(columns, dtype=np.int64).reshape(-1, _WORDS)
+    values = np.asarray(found["DSCM2"], dtype=np.float64)
+    values = values.T if values.shape[0] != len(columns) else values
+    return _labelled(columns, values, np.arange(1, values.shape[-1] + 1))
+
+
+def _csv(path: Path) -> Sensitivities:
+    """A head `response,grid,component,<id of each design variable>`, a line a response."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        lines = [line for line in csv.reader(file) if any(c.strip() for c in line)]
+    head = [c.strip() for c in lines[0]] if lines else []
+    if [h.lower() for h in head[:3]] != ["response", "grid", "component"]:
+        raise DataError(f"the head must begin with response,grid,component; got {','.join(head[:3])!r}")
+    if any(len(line) != len(head) for line in lines):
+        raise DataError(f"a line has not {len(head)} cells: the file is cut off?")
+    cells = np.array(lines[1:], dtype=np.str_).reshape(-1, len(head))
+    labels = cells[:, :3].astype(np.int64)
+    variables = np.array(head[3:]).astype(np.int64)
+    return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], variables, cells[:, 3:].astype(np.float64))

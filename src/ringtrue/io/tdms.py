@@ -1,0 +1,111 @@
+"""National Instruments TDMS files, read with nptdms."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nptdms import TdmsFile
+
+from ringtrue.core.arrays import Float
+from ringtrue.errors import DataError
+from ringtrue.io.plain import RawTable
+from ringtrue.io.si import known
+
+_TAGS = (b"TDSm", b"TDSh")
+_LEAD_IN = struct.Struct("<4sIIQQ")
+_UNIT = ("unit_string", "NI_UnitDescription", "Unit", "unit")
+_TOO_MANY = 1 << 20  # objects or properties: a damaged count, not a file
+
+
+def read_tdms(path: Path) -> RawTable:
+    """The channels of a TDMS file, (channel, sample); all must have one rate (`wf_increment`) and length.
+
+    Ids are the names of the channels, `group/name` where a name occurs in several groups. Units that ringtrue does not
+    know stay out.
+
+    Raises
+    ------
+    DataError
+        If it is no TDMS file, it is damaged, holds no numbers, or rates or lengths differ.
+    """
+    with _opened(path) as file:
+        found = [c for g in file.groups() for c in g.channels() if len(c) and c.dtype.kind in "fiu"]
+        if not found:
+            raise DataError(f"{path}: no channel with numbers in the file")
+        lengths = sorted({len(c) for c in found})
+        if len(lengths) > 1:
+            raise DataError(
+                f"{path}: channels of {lengths[0]} to {lengths[-1]} samples; they must be equal: split the file"
+            )
+        rates = [_rate(c.properties) for c in found]
+        known = [r for r in rates if r is not None]
+        if known and max(known) - min(known) > 1e-6 * max(known):
+            raise DataError(f"{path}: rates from {min(known):g} to {max(known):g} Hz; split the file")
+        data = np.stack([_values(c) for c in found])
+        units = tuple(_unit(c.properties) for c in found)
+        return RawTable(data, known[0] if known else None, _names(found), units, ("",) * len(found))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[TdmsFile]:
+    raw = path.read_bytes()
+    _check_segments(raw, path)
+    try:
+        with TdmsFile.open(BytesIO(raw)) as file:  # in memory a damaged length cannot ask for more than there is
+            yield file
+    except DataError:
+        raise
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, OverflowError) as exc:
+        raise DataError(f"{path}: not a readable TDMS file ({type(exc).__name__}: {exc})") from exc
+    except (MemoryError, RuntimeError, UnicodeError, ArithmeticError, AssertionError, struct.error) as exc:
+        raise DataError(f"{path}: a damaged TDMS file ({type(exc).__name__}: {exc})") from exc
+
+
+def _check_segments(raw: bytes, path: Path) -> None:
+    """The chain of segments and their counts of objects, before nptdms believes them."""
+    at, seen = 0, 0
+    while at + _LEAD_IN.size <= len(raw):
+        tag, mask, _, after, data_at = _LEAD_IN.unpack_from(raw, at)
+        if tag not in _TAGS:
+            break
+        seen += 1
+        order = ">" if mask & 64 else "<"
+        if order == ">":
+            after, data_at = struct.unpack_from(">QQ", raw, at + 12)
+        if after != 2**64 - 1 and (data_at > after or at + _LEAD_IN.size + data_at > len(raw)):
+            raise DataError(f"{path}: segment {seen} has its samples {data_at} bytes on, past its end: the file is cut")
+        if mask & 2 and at + _LEAD_IN.size + 4 <= len(raw):
+            (objects,) = struct.unpack_from(f"{order}I", raw, at + _LEAD_IN.size)
+            if objects > min(_TOO_MANY, len(raw)):
+                raise DataError(f"{path}: segment {seen} announces {objects} objects: the file is damaged")
+        at = at + _LEAD_IN.size + after if after != 2**64 - 1 else len(raw)
+    if not seen:
+        raise DataError(f"{path}: not a TDMS file")
+
+
+def _values(channel: Any) -> Float:
+    return np.asarray(channel[:], dtype=np.float64)
+
+
+def _rate(properties: dict[str, Any]) -> float | None:
+    step = properties.get("wf_increment")
+    if step is None:
+        return None
+    return 1 / float(step) if float(step) else 0.0
+
+
+def _unit(properties: dict[str, Any]) -> str:
+    return known(next((str(properties[k]) for k in _UNIT if properties.get(k)), ""))
+
+
+def _names(channels: list[Any]) -> tuple[str, ...]:
+    names = [c.name for c in channels]
+    if len(set(names)) == len(names):
+        return tuple(names)
+    return tuple(f"{c.group_name}/{c.name}" for c in channels)

@@ -1,0 +1,220 @@
+"""Data set 58 and 58b, one function: header, abscissa and ordinates, in every case of the standard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Float
+from ringtrue.errors import DataError
+from ringtrue.io.uff.fields import numbers, parse_int, reals, row, words
+from ringtrue.io.uff.scan import Block
+
+TIME, FRF, COHERENCE = 1, 4, 6  # function types
+_PLACE = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
+_FORM = (10, 10, 10, 13, 13, 13)
+_AXIS = (10, 5, 5, 5, 21, 21)
+_HEADER = 11
+_REAL_SINGLE, _REAL_DOUBLE, _COMPLEX_SINGLE, _COMPLEX_DOUBLE = 2, 4, 5, 6
+_WIDTHS = {  # ordinate type, even spacing: columns of a line
+    (_REAL_SINGLE, True): (13,) * 6,
+    (_REAL_SINGLE, False): (13,) * 6,
+    (_COMPLEX_SINGLE, True): (13,) * 6,
+    (_COMPLEX_SINGLE, False): (13,) * 6,
+    (_REAL_DOUBLE, True): (20,) * 4,
+    (_REAL_DOUBLE, False): (13, 20) * 2,
+    (_COMPLEX_DOUBLE, True): (20,) * 4,
+    (_COMPLEX_DOUBLE, False): (13, 20, 20),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """What an axis measures: specific data type, exponents of length, force and temperature, label, unit."""
+
+    data_type: int
+    exponents: tuple[int, int, int]
+    label: str
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Function:
+    """One function at a nodal degree of freedom.
+
+    Attributes
+    ----------
+    kind : int
+        Function type: 1 time, 2 auto spectrum, 3 cross spectrum, 4 FRF, 6 coherence, ...
+    ids : tuple of str
+        The five lines of text.
+    response, reference : (node, direction)
+    names : tuple of str
+        Entities of response and reference.
+    x : (n,) float64
+        Abscissa.
+    y : (n,) float64 or complex128
+        Ordinates.
+    even : bool
+        The abscissa has one step.
+    axes : tuple of Axis
+        Abscissa, ordinate, its denominator, z.
+    """
+
+    kind: int
+    ids: tuple[str, ...]
+    response: tuple[int, int]
+    reference: tuple[int, int]
+    names: tuple[str, str]
+    x: Float
+    y: Any_
+    even: bool
+    axes: tuple[Axis, ...]
+
+
+def read_function(block: Block) -> Function:
+    """The function of a data set.
+
+    Raises
+    ------
+    DataError
+        If the header or the samples are damaged or cut.
+    """
+    lines = _head(block)
+    place = words(row(lines, 5), _PLACE)
+    kind, rsp, ref, names = _place(place, row(lines, 5))
+    form = numbers(row(lines, 6), _FORM)
+    ordinate, count, even = int(form[0]), int(form[1]), form[2] != 0
+    if (ordinate, even) not in _WIDTHS or count < 1:
+        raise DataError(f"ordinate type {ordinate} with {count} points; types are 2, 4, 5, 6 with 1 or more")
+    values = _samples(block, ordinate, count, even)
+    x, y = _split(values, ordinate, even, form[3], form[4], count)
+    axes = tuple(_axis(words(x_, _AXIS)) for x_ in lines[7:11])
+    return Function(kind, tuple(x_.strip() for x_ in lines[:5]), rsp, ref, names, x, y, even, axes)
+
+
+def _head(block: Block) -> list[str]:
+    text = block.text if block.binary is not None else b"\n".join(_split_lines(block.text, _HEADER)[0])
+    lines = text.decode("latin-1").splitlines()
+    if len(lines) < _HEADER:
+        raise DataError(f"the header of data set 58 has {len(lines)} of {_HEADER} lines")
+    return lines
+
+
+def _split_lines(text: bytes, count: int) -> tuple[list[bytes], bytes]:
+    """The first lines and what follows, without splitting the rest."""
+    at, lines = 0, []
+    for _ in range(count):
+        end = text.find(b"\n", at)
+        if end < 0:
+            break
+        lines.append(text[at:end].rstrip(b"\r"))
+        at = end + 1
+    return lines, text[at:]
+
+
+def _place(place: Sequence[str], line: str) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, str]]:
+    try:
+        kind, *_ = (parse_int(p) for p in place[:4])
+        rsp, ref = (parse_int(place[5]), parse_int(place[6])), (parse_int(place[8]), parse_int(place[9]))
+        return kind, rsp, ref, (place[4], place[7])
+    except DataError:  # columns shifted by the vendor: names without blanks, divided by blanks
+        free = line.split()
+        if len(free) != len(_PLACE):
+            raise
+        kind, rsp, ref = parse_int(free[0]), (5, 6), (8, 9)
+        pairs = [(parse_int(free[a]), parse_int(free[b])) for a, b in (rsp, ref)]
+        return kind, pairs[0], pairs[1], (free[4], free[7])
+
+
+def _axis(fields: Sequence[str]) -> Axis:
+    try:
+        kind, *exponents = (parse_int(f) for f in fields[:4])
+    except DataError:
+        return Axis(0, (0, 0, 0), "", "")
+    return Axis(kind, (exponents[0], exponents[1], exponents[2]), fields[4], fields[5])
+
+
+def _per_point(ordinate: int, even: bool) -> int:
+    return (1 if ordinate in (_REAL_SINGLE, _REAL_DOUBLE) else 2) + (0 if even else 1)
+
+
+def _samples(block: Block, ordinate: int, count: int, even: bool) -> Float:
+    """The numbers as they stand, flat."""
+    wanted = count * _per_point(ordinate, even)
+    if block.binary is None:
+        return reals(_split_lines(block.text, _HEADER)[1], _WIDTHS[ordinate, even], wanted)
+    order = ">" if block.big_endian else "<"
+    double = ordinate in (_REAL_DOUBLE, _COMPLEX_DOUBLE)
+    if double and not even and len(block.binary) < wanted * 8:  # the abscissa of uneven double data is single
+        return _mixed(block.binary, order, _per_point(ordinate, even) - 1, count)
+    size = 8 if double else 4
+    if len(block.binary) < wanted * size:
+        raise DataError(f"{len(block.binary)} bytes of samples where {wanted * size} are announced; the file is cut")
+    return np.frombuffer(block.binary, f"{order}f{size}", wanted).astype(np.float64)
+
+
+def _mixed(raw: bytes, order: str, ordinates: int, count: int) -> Float:
+    point = np.dtype([("x", f"{order}f4"), ("y", f"{order}f8", (ordinates,))])
+    if len(raw) < count * point.itemsize:
+        raise DataError(f"{len(raw)} bytes of samples where {count * point.itemsize} are announced; the file is cut")
+    table = np.frombuffer(raw, point, count)
+    return np.asarray(np.column_stack([table["x"], table["y"]]), dtype=np.float64).ravel()
+
+
+def _split(values: Float, ordinate: int, even: bool, low: float, step: float, count: int) -> tuple[Float, Any_]:
+    table = values.reshape(count, -1)
+    x: Float = low + step * np.arange(count, dtype=np.float64) if even else table[:, 0].copy()
+    y = table if even else table[:, 1:]
+    return x, (y[:, 0].copy() if y.shape[1] == 1 else y[:, 0] + 1j * y[:, 1])
+
+
+def write_function(
+    kind: int,
+    x: Float,
+    y: Any_,
+    response: tuple[int, int],
+    reference: tuple[int, int],
+    *,
+    codes: tuple[int, int, int],
+    text: str = "NONE",
+    binary: bool = False,
+) -> bytes:
+    """A data set 58 of even spacing, double precision.
+
+    Parameters
+    ----------
+    kind : int
+        Function type.
+    x : (n,) float64
+    y : (n,) float64 or complex128
+    response, reference : (node, direction)
+    codes : (abscissa, ordinate, denominator)
+        Specific data types, 17 time, 18 frequency, 8 displacement, 11 velocity, 12 acceleration, 13 force.
+    text : str
+        First line of text.
+    binary : bool
+        58b, little endian.
+    """
+    flat = np.ascontiguousarray(y, dtype=np.complex128 if np.iscomplexobj(y) else np.float64).view(np.float64)
+    ordinate = _COMPLEX_DOUBLE if np.iscomplexobj(y) else _REAL_DOUBLE
+    step = float(x[1] - x[0]) if x.size > 1 else 1.0
+    names = f"{'NONE':<10}{response[0]:10d}{response[1]:4d} {'NONE':<10}{reference[0]:10d}{reference[1]:4d}"
+    head = [text[:80] or "NONE", *("NONE",) * 4, f"{kind:5d}{0:10d}{0:5d}{0:10d} {names}"]
+    head.append(f"{ordinate:10d}{x.size:10d}{1:10d}{float(x[0]):13.5E}{step:13.5E}{0.0:13.5E}")
+    head += [f"{c:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}" for c in (*codes, 0)]
+    number = f"{58:6d}"
+    if binary:
+        number += f"b{1:6d}{2:6d}{_HEADER:12d}{flat.nbytes:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
+    start = "\n".join(["    -1", number, *head, ""]).encode("latin-1", "replace")
+    return start + (flat.astype("<f8").tobytes() if binary else _ascii(flat)) + b"\n    -1\n"
+
+
+def _ascii(flat: Float) -> bytes:
+    """4E20.12."""
+    whole = flat.size // 4 * 4
+    lines = [("%20.12E" * 4) % tuple(r) for r in flat[:whole].reshape(-1, 4).tolist()]
+    rest = flat[whole:].tolist()
+    return "\n".join([*lines, *([("%20.12E" * len(rest)) % tuple(rest)] if rest else [])]).encode()

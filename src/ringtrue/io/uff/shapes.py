@@ -1,0 +1,141 @@
+"""Shapes in universal files: data sets 55 and 2414 at nodes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.errors import DataError
+from ringtrue.io.uff.fields import integers, parse_real, reals, row
+from ringtrue.io.uff.scan import Block
+
+NORMAL, COMPLEX = 2, 3  # analysis types
+AT_NODES = 1  # location of data in 2414
+_NODE = re.compile(r"^\s*\d+\s*$")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """Values at nodes.
+
+    Attributes
+    ----------
+    analysis : int
+        0 unknown, 1 static, 2 normal mode, 3 complex mode, 4 transient, 5 frequency response, 7 complex, 2nd order.
+    number : int
+        Of the mode; 0 where it is no mode.
+    frequency : float, Hz
+    mass, viscous, hysteretic : float
+        Modal mass and damping.
+    pole : complex, rad/s
+        Of a complex mode, else 0.
+    nodes : (n,) int64
+    values : (n, k) float64 or complex128
+    name : str
+    """
+
+    analysis: int
+    number: int
+    frequency: float
+    mass: float
+    viscous: float
+    hysteretic: float
+    pole: complex
+    nodes: Int
+    values: Any_
+    name: str
+
+
+def read_shape55(block: Block) -> Shape:
+    """Data set 55."""
+    lines = block.lines()
+    head = integers([row(lines, 5)])
+    if head.size < 6:
+        raise DataError(f"data set 55: record 6 has {head.size} of 6 integers")
+    analysis, kind, width = int(head[1]), int(head[4]), int(head[5])
+    counts = integers([row(lines, 6)])
+    whole, real, at = _specific(lines, counts)
+    frequency, mass, viscous, hysteretic = ([*real, 0.0, 0.0, 0.0, 0.0])[:4] if analysis != COMPLEX else (0.0,) * 4
+    pole = complex(*real[:2]) if analysis == COMPLEX and len(real) > 1 else 0j
+    number = whole[1] if analysis in (NORMAL, COMPLEX) and len(whole) > 1 else 0
+    nodes, values = _values(lines[at:], width, kind in (5, 6))
+    return Shape(analysis, number, frequency, mass, viscous, hysteretic, pole, nodes, values, row(lines, 0).strip())
+
+
+def _specific(lines: Sequence[str], counts: Int) -> tuple[list[int], list[float], int]:
+    """Integers and reals of the analysis, and the line after them; both may go over several lines."""
+    if counts.size < 2 or not (0 <= counts[0] <= 80 and 0 <= counts[1] <= 80):
+        raise DataError(f"data set 55: record 7 begins with {counts[:2].tolist()}, counts of integers and reals")
+    n_int, n_real = int(counts[0]), int(counts[1])
+    whole = counts[2:].tolist()
+    at = 7
+    while len(whole) < n_int:
+        more = integers([row(lines, at)]).tolist()
+        if not more:
+            raise DataError("data set 55: integers of record 7 are missing")
+        whole, at = whole + more, at + 1
+    used = -(-n_real // 6)
+    real = _line_reals([row(lines, at + k) for k in range(used)], n_real)
+    return whole, real, at + used
+
+
+def _line_reals(lines: Sequence[str], count: int) -> list[float]:
+    words = " ".join(lines).split()
+    if len(words) == count:
+        return [parse_real(w) for w in words]
+    return list(reals("\n".join(lines).encode("latin-1", "replace"), (13,) * 6, count).tolist())
+
+
+def _values(lines: Sequence[str], width: int, is_complex: bool, fields: int = 6) -> tuple[Int, Any_]:
+    """Node line and value lines, in turn."""
+    count = width * (2 if is_complex else 1)
+    if not 0 < width <= 1000:
+        raise DataError(f"{width} values at a node; it must be 1 or more")
+    rows = -(-count // fields)
+    if len(lines) % (1 + rows):
+        raise DataError(
+            f"{len(lines)} lines of values, not a multiple of {1 + rows} a node: the file is cut or damaged"
+        )
+    nodes = np.array([_node(x) for x in lines[:: 1 + rows]], dtype=np.int64)
+    body = [x for i, x in enumerate(lines) if i % (1 + rows)]
+    flat = _flat(body, rows, count, nodes.size)
+    values = flat.reshape(nodes.size, count)
+    return nodes, (values[:, ::2] + 1j * values[:, 1::2] if is_complex else values)
+
+
+def _node(line: str) -> int:
+    found = integers([line])
+    if not found.size:
+        raise DataError(f"line {line.strip()[:40]!r} must be the number of a node")
+    return int(found[0])
+
+
+def _flat(body: Sequence[str], rows: int, count: int, nodes: int) -> Float:
+    text = "\n".join(body).encode("latin-1", "replace")
+    return reals(text, (13,) * 6, nodes * count)
+
+
+def read_shape2414(block: Block) -> Shape | None:
+    """Data set 2414 at nodes; None where it is at elements or points."""
+    lines = block.lines()
+    if not _NODE.match(row(lines, 0)):
+        raise DataError(f"data set 2414: {row(lines, 0).strip()[:40]!r} must be its label")
+    location = integers([row(lines, 2)])
+    if location.size and location[0] != AT_NODES:
+        return None
+    head = integers([row(lines, 8)])
+    if head.size < 6:
+        raise DataError(f"data set 2414: record 9 has {head.size} of 6 integers")
+    specific = integers([row(lines, 9)]).tolist()
+    first = _line_reals([row(lines, 11)], 6)
+    second = _line_reals([row(lines, 12)], 6)
+    nodes, values = _values(lines[13:], int(head[5]), int(head[4]) in (5, 6))
+    analysis = int(head[1])
+    pole = complex(second[0], second[1]) if analysis == COMPLEX else 0j
+    number = int(specific[5]) if len(specific) > 5 else 0
+    name = row(lines, 1).strip()
+    return Shape(analysis, number, first[1], first[3], first[4], first[5], pole, nodes, values, name)

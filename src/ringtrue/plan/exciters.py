@@ -1,0 +1,239 @@
+"""Where to strike or shake: driving-point residues, QR of M·Φ, sets ranked by the mode they excite worst, MIF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import comb
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.errors import InputError
+from ringtrue.plan.layout import select_references
+
+_MOST_SETS = 200_000
+_CHUNK = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExciterSet:
+    """Points struck or shaken, and what they reach.
+
+    Attributes
+    ----------
+    rows : (k,) int64
+        Positions in the candidate rows, ascending.
+    reach : (m,) float64, 0..1
+        Best driving-point residue of the set over the best of all candidates, mode by mode.
+    missed : (x,) int64
+        Modes below the limit.
+    """
+
+    rows: Int
+    reach: Float
+    missed: Int
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, rows=np.int64, reach=np.float64, missed=np.int64)
+
+    @property
+    def worst(self) -> float:
+        """Reach of the mode that is excited worst."""
+        return float(self.reach.min(initial=1.0))
+
+
+def driving_point_residues(shapes: Float, frequencies: Float) -> Float:
+    """|Residue| of the receptance at each row, φ²/(2ω), (r, m) float64, 1/(kg·rad/s); 0 for a rigid-body mode.
+
+    Parameters
+    ----------
+    shapes : (r, m) float64, mass-normalised
+    frequencies : (m,) float64, Hz
+    """
+    omega = 2 * np.pi * np.asarray(frequencies, dtype=np.float64)
+    elastic = omega > 1e-6 * omega.max(initial=0.0)
+    return np.asarray(np.where(elastic, shapes**2 / (2 * np.where(elastic, omega, 1.0)), 0.0))
+
+
+def qr_exciters(shapes: Float, mass: Any, rows: Int, count: int) -> Int:
+    """Rows to excite by pivoted QR of (MΦ)ᵀ (Schedlinski and Link 1996): force patterns that part the modes best.
+
+    A force f excites the modes with Φᵀf, and f = MΦ excites each alone; the rows of MΦ that are largest and least
+    alike come closest to it with few forces.
+
+    Parameters
+    ----------
+    shapes : (dof, m) float64, mass-normalised
+    mass : (dof, dof) sparse or dense
+    rows : (r,) int64
+        DOFs that can be excited.
+    count : int
+        At most m.
+
+    Returns
+    -------
+    (count,) int64
+        DOFs, in order of choice.
+
+    Raises
+    ------
+    InputError
+        If `count` is not in 1..m or there are fewer rows.
+    """
+    most = min(shapes.shape[1], len(rows))
+    if not 1 <= count <= most:
+        raise InputError(f"{count} exciters for {shapes.shape[1]} modes at {len(rows)} rows: must be 1 to {most}")
+    forces = np.asarray(mass @ shapes)[rows]
+    _, pivots = linalg.qr(forces.T, mode="r", pivoting=True)
+    return np.asarray(np.asarray(rows, dtype=np.int64)[pivots[:count]])
+
+
+def rank_points(shapes: Float, limit: float = 0.1) -> tuple[ExciterSet, ...]:
+    """All single rows, best first by the worst driving-point residue over the modes.
+
+    Parameters
+    ----------
+    shapes : (r, m) float64, mass-normalised
+    limit : float
+        Modes with less reach count as missed.
+    """
+    return _ranked(_share(shapes), np.arange(len(shapes))[:, None], limit, len(shapes))
+
+
+def rank_sets(shapes: Float, count: int, *, limit: float = 0.1, most: int = 10) -> tuple[ExciterSet, ...]:
+    """The best sets of `count` rows by the worst driving-point residue over all target modes.
+
+    All sets are looked at where there are few enough; otherwise those of a pool (for each mode the rows that reach it
+    best, the greedy choice, and the single rows that miss least), the best of them improved by exchanging single rows.
+
+    Parameters
+    ----------
+    shapes : (r, m) float64, mass-normalised
+    count : int
+    limit : float
+    most : int
+        Sets to return.
+
+    Raises
+    ------
+    InputError
+        If there are fewer rows than `count`.
+    """
+    r = len(shapes)
+    if not 1 <= count <= r:
+        raise InputError(f"sets of {count} of {r} rows: must be 1 to {r}")
+    share = _share(shapes)
+    pool = np.arange(r) if comb(r, count) <= _MOST_SETS else _pool(shapes, share, count)
+    sets = np.array(list(combinations(pool.tolist(), count)), dtype=np.int64)
+    best = _ranked(share, sets, limit, most)
+    if pool.size == r:
+        return best
+    better = [_exchanged(share, b.rows) for b in best]
+    return _ranked(share, np.unique(np.stack([*better, *(b.rows for b in best)]), axis=0), limit, most)
+
+
+def _share(shapes: Float) -> Float:
+    square = np.asarray(shapes, dtype=np.float64) ** 2
+    return np.asarray(square / np.maximum(square.max(axis=0), 1e-300))
+
+
+def _pool(shapes: Float, share: Float, count: int) -> Int:
+    """As many promising rows as can be combined fully."""
+    size = count
+    while size < len(share) and comb(size + 1, count) <= _MOST_SETS:
+        size += 1
+    by_mode = np.argsort(-share, axis=0, kind="stable")[:size].ravel()  # best of every mode, then the second best, ...
+    level = np.argsort(-np.log(share + 1e-3).sum(axis=1), kind="stable")
+    greedy = select_references(shapes, count)
+    mixed = np.concatenate([greedy, np.stack([level[:size], np.resize(by_mode, min(size, level.size))], 1).ravel()])
+    _, first = np.unique(mixed, return_index=True)
+    return np.sort(mixed[np.sort(first)][:size])
+
+
+def _exchanged(share: Float, rows: Int) -> Int:
+    """The set with single rows replaced by any other as long as that helps the modes that are excited worst."""
+    rows = np.array(rows)
+    while True:
+        before = _worth(share[rows].max(axis=0))
+        for i in range(rows.size):
+            others = share[np.delete(rows, i)].max(axis=0, initial=0.0)
+            rows[i] = int(np.argmax(_worth(np.maximum(share, others))))
+        if _worth(share[rows].max(axis=0)) <= before * (1 + 1e-9):
+            return np.sort(rows)
+
+
+def _worth(reach: Float) -> Float:
+    """The least reach, and a little of the mean, which parts sets with the same least one."""
+    return np.asarray(reach.min(axis=-1) + 1e-6 * reach.mean(axis=-1))
+
+
+def _ranked(share: Float, sets: Int, limit: float, most: int) -> tuple[ExciterSet, ...]:
+    """Best sets by the least reach, ties by the mean of the logarithms."""
+    worst, mean = np.empty(len(sets)), np.empty(len(sets))
+    for at in range(0, len(sets), _CHUNK):  # bounds the memory
+        reach = share[sets[at : at + _CHUNK]].max(axis=1)
+        worst[at : at + _CHUNK] = reach.min(axis=1)
+        mean[at : at + _CHUNK] = np.log(reach + 1e-12).mean(axis=1)
+    best = np.lexsort((-mean, -np.round(worst, 12)))[:most]
+    return tuple(_exciter_set(share, np.sort(sets[i]), limit) for i in best)
+
+
+def _exciter_set(share: Float, rows: Int, limit: float) -> ExciterSet:
+    reach = share[rows].max(axis=0)
+    return ExciterSet(rows, reach, np.flatnonzero(reach < limit))
+
+
+def mode_indicator(data: Complex, weights: Float | None = None) -> tuple[Float, Float]:
+    """Multivariate mode indicator function and the forces that reach it.
+
+    The least of fᵀAf/fᵀ(A + B)f with A = HᵣᵀHᵣ and B = HᵢᵀHᵢ of the parts in phase and in quadrature (Williams,
+    Crowley and Vold 1985): it dips to 0 where real forces f drive all responses in quadrature, at a phase resonance.
+
+    Parameters
+    ----------
+    data : (freq, out, in) complex128
+        Receptance or accelerance.
+    weights : (out,) float64, optional
+        Such as the mass at each response.
+
+    Returns
+    -------
+    values : (freq, in) float64, 0..1, ascending
+    forces : (freq, in, in) float64
+        [freq, :, k] is the unit force pattern of the k-th value: force appropriation.
+    """
+    root = 1.0 if weights is None else np.sqrt(np.asarray(weights))[:, None]
+    real, imag = data.real * root, data.imag * root
+    a = real.transpose(0, 2, 1) @ real
+    b = a + imag.transpose(0, 2, 1) @ imag
+    low = np.linalg.cholesky(b + 1e-14 * np.trace(b, axis1=1, axis2=2)[:, None, None] * np.eye(b.shape[1]))
+    half = np.linalg.solve(low, np.linalg.solve(low, a).transpose(0, 2, 1))
+    values, vectors = np.linalg.eigh(0.5 * (half + half.transpose(0, 2, 1)))
+    forces = np.linalg.solve(low.transpose(0, 2, 1), vectors)
+    return np.clip(values, 0, 1), np.asarray(forces / np.linalg.norm(forces, axis=1, keepdims=True))
+
+
+def appropriated_force(shapes: Float, mode: int) -> tuple[Float, Float]:
+    """Forces (r,) at the rows that excite one mode and least of the others, and what they do to each, (m,).
+
+    Least squares of Φᵀf = e_mode; with as many rows as modes the others stay still.
+
+    Parameters
+    ----------
+    shapes : (r, m) float64, mass-normalised, at the exciters
+    mode : int
+    """
+    wanted = np.zeros(shapes.shape[1])
+    wanted[mode] = 1.0
+    force = np.linalg.lstsq(shapes.T, wanted, rcond=None)[0]
+    return np.asarray(force), np.asarray(shapes.T @ force)
+
+
+def reciprocity_pairs(references: Sequence[str], channels: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Pairs of references that are measured as responses too: H(a, b) must equal H(b, a) in the test."""
+    here = set(channels)
+    return tuple((a, b) for a, b in combinations([r for r in references if r in here], 2))

@@ -1,0 +1,345 @@
+"""A virtual test of the plan: signals with the planned points, hammer and sensors; identified and correlated.
+
+What comes out are the modes that will be found, with which probability and which error, before anyone goes on site.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from scipy import fft, stats
+
+from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.pairing import Pairing
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.correlate.pairing import PairingSettings, pair_modes
+from ringtrue.errors import DataError, InputError
+from ringtrue.identify.hammer import HammerModes, identify_hammer
+from ringtrue.signal.frf import estimate_frf
+from ringtrue.signal.hits import HammerSettings
+from ringtrue.virtual.events import Pulses, pulse_spectrum
+from ringtrue.virtual.hammer import HammerPlan, hammer_record, strike
+from ringtrue.virtual.noise import coloured
+from ringtrue.virtual.response import decay_time, lines, response_spectrum
+from ringtrue.virtual.sensors import FORCE_CELL, ICP, Chain, Sensor
+
+Progress = Callable[[float, str], None]
+_RATE = 3.2  # over fmax: the recorder's filter is flat up to 0.4 of the rate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Planned:
+    """A structure as planned to be measured.
+
+    Attributes
+    ----------
+    frequencies : (m,) float64, Hz
+        All modes that take part, those beside the band too; rigid-body modes count as mass lines.
+    outputs : (o, m) float64
+        Mass-normalised shapes in SI at the channels.
+    inputs : (i, m) float64
+        At the points and directions struck.
+    channels, references : tuple of str
+        Equal ids mark a driving point.
+    fmin, fmax : float, Hz
+        Band of the test.
+    """
+
+    frequencies: Float
+    outputs: Float
+    inputs: Float
+    channels: tuple[str, ...]
+    references: tuple[str, ...]
+    fmin: float
+    fmax: float
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, frequencies=np.float64, outputs=np.float64, inputs=np.float64)
+        m, o, i = self.frequencies.size, len(self.channels), len(self.references)
+        if self.outputs.shape != (o, m) or self.inputs.shape != (i, m) or not i:
+            raise InputError(
+                f"outputs {self.outputs.shape}, inputs {self.inputs.shape} for {m} modes, {o} channels, {i} references"
+            )
+        if not 0 <= self.fmin < self.fmax or not self.targets.any():
+            raise InputError(f"no mode between {self.fmin:g} and {self.fmax:g} Hz")
+
+    @property
+    def targets(self) -> Bool:
+        """(m,) bool, modes in the band."""
+        return np.asarray((self.frequencies >= self.fmin) & (self.frequencies <= self.fmax))
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """How the test is made.
+
+    Attributes
+    ----------
+    trials : int
+    damping : float
+        Expected ratio.
+    damping_scatter : float
+        Of its logarithm, mode by mode and trial by trial.
+    frequency_scatter : float
+        Relative error of the model's frequencies, drawn likewise.
+    background : float, N/√Hz
+        White force at each reference all the time.
+    sensor : Sensor
+        Of the responses; an accelerometer.
+    hammer : HammerPlan, optional
+        By default a hammer that fits the structure: `fitting_hammer`.
+    pairing : PairingSettings
+        When a mode counts as found.
+    """
+
+    trials: int = 10
+    damping: float = 0.01
+    damping_scatter: float = 0.2
+    frequency_scatter: float = 0.01
+    background: float = 0.0
+    sensor: Sensor = ICP
+    hammer: HammerPlan | None = None
+    pairing: PairingSettings = field(default_factory=lambda: PairingSettings(mac_gate=0.8, frequency_gate=0.03))
+
+    def __post_init__(self) -> None:
+        if self.trials < 1 or not 0 < self.damping < 1 or min(self.damping_scatter, self.background) < 0:
+            raise InputError(
+                f"virtual test: trials {self.trials} (1 or more), damping {self.damping} (0..1), scatter and "
+                f"background {self.damping_scatter}, {self.background} (0 or more)"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rehearsal:
+    """What the trials found of each mode in the band.
+
+    Attributes
+    ----------
+    frequencies : (t,) float64, Hz
+        Of the model.
+    found : (t,) float64, 0..1
+        Share of the trials that found the mode.
+    at_least : (t,) float64, 0..1
+        Lower 95 % confidence bound of that probability (Clopper and Pearson 1934).
+    frequency_bias, frequency_std : (t,) float64
+        Relative, of the trials that found it; NaN where none did, the deviation where fewer than two did.
+    damping_bias, damping_std : (t,) float64
+        Relative.
+    mac : (t,) float64
+        Mean of the trials that found it.
+    invented : float
+        Modes a trial that pair with none of the structure.
+    trials : int
+    force : float, N
+        Largest planned peak of a blow.
+    """
+
+    frequencies: Float
+    found: Float
+    at_least: Float
+    frequency_bias: Float
+    frequency_std: Float
+    damping_bias: Float
+    damping_std: Float
+    mac: Float
+    invented: float
+    trials: int
+    force: float
+
+    def __post_init__(self) -> None:
+        names = ("frequencies", "found", "at_least", "frequency_bias", "frequency_std", "damping_bias", "damping_std")
+        freeze_fields(self, **dict.fromkeys((*names, "mac"), np.float64))
+
+    def take(self, modes: Int) -> Rehearsal:
+        """The chosen modes (k,) of the band, in the given order."""
+        arrays = [f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)]
+        return replace(self, **{name: getattr(self, name)[modes] for name in arrays})
+
+
+def modal_model(plan: Planned, frequencies: Float, damping: Float) -> ModalModel:
+    """The structure as poles and residues: φψᵀ/(2iω_d) at each pole, rigid-body modes as the term L/s².
+
+    Parameters
+    ----------
+    frequencies, damping : (m,) float64
+        In place of those of the plan, Hz and ratio.
+    """
+    elastic = plan.frequencies > 1e-3 * plan.fmax
+    w, z = 2 * np.pi * frequencies[elastic], damping[elastic]
+    wd = w * np.sqrt(1 - z**2)
+    rigid = plan.outputs[:, ~elastic] @ plan.inputs[:, ~elastic].T
+    return ModalModel(
+        -z * w + 1j * wd,
+        plan.outputs[:, elastic] / (2j * wd),
+        plan.inputs[:, elastic].T.astype(np.complex128),
+        rigid.astype(np.complex128),
+        np.zeros(rigid.shape, dtype=np.complex128),
+        tuple(Channel(c, "acceleration", "m/s^2") for c in plan.channels),
+        tuple(Channel(c, "force", "N") for c in plan.references),
+        norm=Norm.MASS,
+    )
+
+
+def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int = 5) -> HammerPlan:
+    """A hammer whose blows fill half the sensors' range at most and reach to `fmax`.
+
+    The tip gives contact times of 0.4 to 0.7 over fmax (first zero of a half-sine at 1.5 over the time), the block
+    lasts until the slowest mode has decayed to 1 %.
+
+    Parameters
+    ----------
+    model : ModalModel
+    fmax : float, Hz
+    sensor : Sensor
+        Of the responses.
+    """
+    rate = _RATE * fmax
+    contact = (0.4 / fmax, 0.7 / fmax)
+    block = float(np.clip(decay_time(model, np.log(100)), 40 / fmax, 200.0))
+    peak = sensor.range / sensor.sensitivity / max(_peak_response(model, contact[0], block, rate), 1e-300)
+    top = float(min(0.5 * peak, FORCE_CELL.range / FORCE_CELL.sensitivity))
+    return HammerPlan(hits, block, max(0.01 * block, 24 / rate), 0.3 * block, peak=(0.5 * top, top), contact=contact)
+
+
+def _peak_response(model: ModalModel, contact: float, block: float, rate: float) -> float:
+    """Largest acceleration of any output by a blow of 1 N at any input."""
+    n = 2 * int(np.ceil(0.5 * min(block, 2000 / rate) * rate))
+    top = 0.0
+    for i in range(len(model.inputs)):  # a handful of references
+        blow = Pulses(np.array([4 / rate]), np.array([contact]), np.array([2 / np.pi * contact]), np.array([i]))
+        force = pulse_spectrum(blow, len(model.inputs), n, rate)
+        top = max(top, float(np.abs(fft.irfft(response_spectrum(model, force, lines(n, rate)), n)).max()))
+    return top
+
+
+def rehearse(
+    plan: Planned,
+    conditions: Conditions,
+    rng: np.random.Generator,
+    *,
+    progress: Progress | None = None,
+) -> Rehearsal:
+    """Test the plan on signals: strike, record, estimate FRFs, identify and correlate, trial by trial.
+
+    Each trial draws other dampings, frequencies, calibration errors, blows and noise.
+
+    Parameters
+    ----------
+    plan : Planned
+    conditions : Conditions
+    rng : Generator
+    progress : callable, optional
+    """
+    target = plan.targets
+    zeta = np.full(plan.frequencies.size, conditions.damping)
+    nominal = modal_model(plan, plan.frequencies, zeta)
+    hammer = conditions.hammer or fitting_hammer(nominal, plan.fmax, conditions.sensor)
+    error = np.full((3, conditions.trials, int(target.sum())), np.nan)
+    invented = 0
+    for k, stream in enumerate(rng.spawn(conditions.trials)):
+        if progress:
+            progress(k / conditions.trials, f"virtual test {k + 1} of {conditions.trials}")
+        f = plan.frequencies * (1 + conditions.frequency_scatter * stream.standard_normal(zeta.size))
+        z = np.minimum(zeta * np.exp(conditions.damping_scatter * stream.standard_normal(zeta.size)), 0.5)
+        truth = ModeSet(f[target], z[target], plan.outputs[:, target], plan.channels, Norm.MASS, "model")
+        truth = truth.take(np.argsort(truth.frequencies, kind="stable"))
+        back = np.argsort(f[target], kind="stable")
+        frfs = measured(modal_model(plan, f, z), hammer, conditions, _RATE * plan.fmax, stream)
+        try:
+            modes = identify_hammer(frfs, HammerModes(0.97 * plan.fmin or None, 1.03 * plan.fmax)).modes
+        except DataError:  # no pole found: every mode is missed in this trial
+            continue
+        pairs = pair_modes(truth, modes, conditions.pairing, names=("model", "test"))
+        error[:, k, back[pairs.a]] = _errors(truth, modes, pairs)
+        inside = (modes.frequencies > plan.fmin) & (modes.frequencies < plan.fmax)
+        invented += int(inside[pairs.lone_b].sum())
+    return _outcome(plan.frequencies[target], error, invented, hammer)
+
+
+def _errors(truth: ModeSet, found: ModeSet, pairs: Pairing) -> Float:
+    """Relative errors of frequency and damping, and the MAC, (3, pairs)."""
+    f = found.frequencies[pairs.b] / truth.frequencies[pairs.a] - 1
+    z = found.damping[pairs.b] / truth.damping[pairs.a] - 1
+    return np.stack([f, z, pairs.mac])
+
+
+def _outcome(frequencies: Float, error: Float, invented: int, hammer: HammerPlan) -> Rehearsal:
+    trials = error.shape[1]
+    there = np.isfinite(error[0])
+    hits = there.sum(axis=0)
+    low = np.where(hits > 0, stats.beta.ppf(0.05, np.maximum(hits, 1), trials - hits + 1), 0.0)
+    some, value = np.where(hits > 0, hits, np.nan), np.where(there, error, 0.0)
+    mean = value.sum(axis=1) / some
+    spread = np.where(there, (error - mean[:, None]) ** 2, 0.0).sum(axis=1)
+    std = np.sqrt(spread / np.where(hits > 1, hits - 1, np.nan))
+    return Rehearsal(
+        frequencies,
+        hits / trials,
+        low,
+        mean[0],
+        std[0],
+        mean[1],
+        std[1],
+        mean[2],
+        invented / trials,
+        trials,
+        hammer.peak[1],
+    )
+
+
+def measured(
+    model: ModalModel, hammer: HammerPlan, conditions: Conditions, rate: float, rng: np.random.Generator
+) -> FrfSet:
+    """FRFs as the crew would have them: blows at each input, recorded by the sensors with their noise.
+
+    Parameters
+    ----------
+    model : ModalModel
+    hammer : HammerPlan
+    conditions : Conditions
+    rate : float, Hz
+    """
+    limit = hammer.peak[1] / 0.85
+    cell = replace(FORCE_CELL, sensitivity=FORCE_CELL.range / limit)
+    sensors = (cell, *(conditions.sensor,) * len(model.outputs))
+    chain = Chain.draw(sensors, rng)
+    records = [_record(model, i, hammer, chain, conditions, rate, rng) for i in range(len(model.inputs))]
+    full = {c.id: s.range / s.sensitivity for r in records for c, s in zip(r.channels, sensors, strict=True)}
+    block = round(hammer.block * rate) / rate
+    settings = HammerSettings(block=block - hammer.pretrigger, pretrigger=hammer.pretrigger)
+    return estimate_frf(records, settings, full_scale=full)[0]
+
+
+def _record(
+    model: ModalModel,
+    at: int,
+    hammer: HammerPlan,
+    chain: Chain,
+    conditions: Conditions,
+    rate: float,
+    rng: np.random.Generator,
+) -> TimeHistory:
+    limit = chain.sensors[0].range / chain.sensors[0].sensitivity
+    blows = strike(hammer, at, limit, rate, rng)
+    samples = 2 * int(np.ceil(0.5 * (float(blows.times[-1]) + hammer.block + hammer.rest) * rate))
+    background = _background(len(model.inputs), conditions.background, samples, rate, rng)
+    volts, _, _ = hammer_record(model, blows, hammer, chain, background, samples, rate, rng)
+    data = volts / np.array([s.sensitivity for s in chain.sensors])[:, None]
+    force = replace(model.inputs[at], id=f"F:{model.inputs[at].id}")
+    return TimeHistory(data, rate, (force, *model.outputs), f"virtual test, {model.inputs[at].id}")
+
+
+def _background(inputs: int, density: float, samples: int, rate: float, rng: np.random.Generator) -> Complex:
+    psd = np.full((inputs, samples // 2 + 1), density**2)
+    psd[:, 0] = 0.0
+    return coloured(psd, samples, rate, rng)
+
+
+def missed_words(result: Rehearsal, names: Sequence[str], least: float = 0.9) -> tuple[str, ...]:
+    """A sentence for each mode that fewer than the share `least` of the trials found."""
+    rows = zip(names, result.frequencies.tolist(), result.found.tolist(), strict=True)
+    return tuple(f"mode {n} at {f:.4g} Hz is found in {100 * p:.0f} % of the trials" for n, f, p in rows if p < least)

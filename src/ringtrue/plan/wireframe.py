@@ -1,0 +1,111 @@
+"""Lines between measuring points that follow the FE mesh, and how well they show the modes."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.sparse.linalg import factorized
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.errors import InputError
+from ringtrue.shapes.mac import paired_mac
+
+
+def mesh_edges(triangles: Int, lines: Int) -> Int:
+    """Edges (e, 2) int64 of triangles (t, 3) and lines (l, 2), each once, ends ascending."""
+    t = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    every = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]], np.asarray(lines, dtype=np.int64).reshape(-1, 2)])
+    every = np.sort(every[every[:, 0] != every[:, 1]], axis=1)
+    return np.asarray(np.unique(every, axis=0))
+
+
+def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6) -> Int:
+    """Lines between measuring points whose neighbourhoods on the mesh touch.
+
+    Each node belongs to the point that is nearest along the mesh; two points are neighbours where an edge joins their
+    nodes (the dual of a Voronoi diagram, Erwig 2000). A line that is the longest of a triangle is left out where the
+    two others are hardly longer; the least spanning tree always stays.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64, m
+    edges : (e, 2) int64
+        Positions in `xyz`.
+    chosen : (c,) int64
+    detour : float
+        Largest ratio of the way round to a line that is left out; 1 keeps nearly all, inf leaves the fewest.
+
+    Returns
+    -------
+    (l, 2) int64
+        Positions in `chosen`, ascending.
+
+    Raises
+    ------
+    InputError
+        If a point is not there or given twice.
+    """
+    n, c = len(xyz), np.asarray(chosen, dtype=np.int64)
+    if np.unique(c).size != c.size or (c.size and not 0 <= c.min() <= c.max() < n):
+        raise InputError(f"measuring points: {c.size} positions, {np.unique(c).size} different; must be 0 to {n - 1}")
+    length = np.linalg.norm(xyz[edges[:, 0]] - xyz[edges[:, 1]], axis=1)
+    graph = _graph(edges, np.maximum(length, 1e-12), n)
+    far, _, owner = csgraph.dijkstra(graph, directed=False, indices=c, return_predecessors=True, min_only=True)
+    seat = np.full(n, -1, dtype=np.int64)
+    seat[c] = np.arange(c.size)
+    a, b = (np.where(owner[edges[:, k]] >= 0, seat[owner[edges[:, k]]], -1) for k in range(2))
+    touch = (a != b) & (a >= 0) & (b >= 0)
+    pair = np.sort(np.stack([a, b], axis=1)[touch], axis=1)
+    way = (far[edges[:, 0]] + length + far[edges[:, 1]])[touch]
+    return _thinned(pair, way, c.size, detour)
+
+
+def _graph(pair: Int, weight: Float, n: int) -> sparse.csr_array:
+    return sparse.coo_array((weight, (pair[:, 0], pair[:, 1])), shape=(n, n)).tocsr()
+
+
+def _thinned(pair: Int, way: Float, n: int, detour: float) -> Int:
+    """The shortest way of each pair, less those that are the longest of a triangle and cheap to go round."""
+    order = np.lexsort((way, pair[:, 1], pair[:, 0]))
+    pair, first = np.unique(pair[order], axis=0, return_index=True)
+    if not len(pair):
+        return np.zeros((0, 2), dtype=np.int64)
+    way = way[order][first]
+    full = np.full((n, n), np.inf)
+    full[pair[:, 0], pair[:, 1]] = full[pair[:, 1], pair[:, 0]] = way
+    legs = full[pair[:, 0]], full[pair[:, 1]]
+    shorter = np.maximum(*legs) < way[:, None] * (1 - 1e-9)
+    round_it = np.where(shorter, legs[0] + legs[1], np.inf).min(axis=1)
+    return np.asarray(pair[~np.isfinite(round_it) | (round_it > detour * way)])
+
+
+def shown(xyz: Float, edges: Int, chosen: Int, shapes: Float) -> Float:
+    """MAC (m,) of each mode with its own drawing: the motion of the points, spread over the mesh as a net would be.
+
+    The nodes in between take the mean of their neighbours weighted by 1/length (harmonic interpolation on the graph);
+    a low value means that the points do not show the mode: it swings between them.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64, m
+    edges : (e, 2) int64
+    chosen : (c,) int64
+    shapes : (n, d, m) float64
+        At all nodes of the mesh; parts of the mesh that hold no point do not count.
+    """
+    n, d, m = shapes.shape
+    length = np.linalg.norm(xyz[edges[:, 0]] - xyz[edges[:, 1]], axis=1)
+    half = _graph(edges, 1 / np.maximum(length, 1e-9 * length.max(initial=1.0)), n)
+    weights = sparse.csr_array(half + half.T)
+    _, part = csgraph.connected_components(weights, directed=False)
+    here = np.isin(part, part[chosen])
+    free = np.flatnonzero(here & ~np.isin(np.arange(n), chosen))
+    drawn = np.array(shapes, dtype=np.float64).reshape(n, d * m)
+    if free.size:
+        laplace = sparse.csr_array(sparse.diags_array(weights.sum(axis=1)) - weights)
+        solve = factorized(laplace[free][:, free].tocsc())
+        pull = weights[free][:, chosen] @ drawn[chosen]
+        drawn[free] = np.column_stack([solve(pull[:, k]) for k in range(d * m)])
+    both = (x.reshape(n, d, m)[here].reshape(-1, m) for x in (drawn, np.asarray(shapes, dtype=np.float64)))
+    return paired_mac(*both)

@@ -1,0 +1,98 @@
+"""Checks of measured FRFs: driving points (sign), reciprocity, lines that stand out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.signals import FrfSet
+
+_POWER = {"receptance": 1, "mobility": 0, "accelerance": -1}
+_SURE = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class DrivingPoint:
+    """A driving point: `passive` is the sum of the real part of its mobility over that of its size, 1 if all is well.
+
+    Attributes
+    ----------
+    id : str
+    passive : float
+        1: never negative; -1: sensor or hammer is the other way round.
+    verdict : {"ok", "flipped", "doubtful"}
+    """
+
+    id: str
+    passive: float
+    verdict: Literal["ok", "flipped", "doubtful"]
+
+
+@dataclass(frozen=True, slots=True)
+class Reciprocity:
+    """H_ab against H_ba.
+
+    Attributes
+    ----------
+    first, second : str
+    correlation : float
+        |H_ab* H_ba|² over both powers, over the lines: 1 if they are proportional.
+    gain : float
+        H_ab over H_ba in the least-squares sense; negative if one is turned.
+    """
+
+    first: str
+    second: str
+    correlation: float
+    gain: float
+
+
+def mobility(frfs: FrfSet) -> Complex:
+    """(freq, out, in) velocity over force, m/s/N; 0 at 0 Hz."""
+    s = 2j * np.pi * frfs.freqs + frfs.window_decay
+    factor = np.where(frfs.freqs > 0, s, 1.0) ** float(_POWER[frfs.kind])
+    return np.asarray(frfs.data * np.where(frfs.freqs > 0, factor, 0.0)[:, None, None])
+
+
+def check_driving_points(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -> tuple[DrivingPoint, ...]:
+    """Does every driving point take power from the force? The real part of its mobility must be positive.
+
+    Lines count by their size, so that the resonances decide, between `low` and `high` Hz.
+    """
+    use = (frfs.freqs > max(low, 0.0)) & (frfs.freqs <= high)
+    y = mobility(frfs)[use]
+    out = []
+    for o, i in frfs.driving_points():
+        real = y[:, o, i].real
+        passive = float(real.sum() / max(float(np.abs(real).sum()), 1e-300))
+        verdict: Literal["ok", "flipped", "doubtful"] = "ok" if passive > _SURE else "doubtful"
+        out.append(DrivingPoint(frfs.inputs[i].id, passive, "flipped" if passive < -_SURE else verdict))
+    return tuple(out)
+
+
+def check_reciprocity(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -> tuple[Reciprocity, ...]:
+    """H_ab against H_ba of every pair of inputs that both have a response channel."""
+    use = (frfs.freqs >= low) & (frfs.freqs <= high)
+    points = frfs.driving_points()
+    out = []
+    for k, (oa, ia) in enumerate(points):
+        for ob, ib in points[k + 1 :]:
+            ab, ba = frfs.data[use, oa, ib], frfs.data[use, ob, ia]
+            cross, pa, pb = np.vdot(ba, ab), np.vdot(ab, ab).real, np.vdot(ba, ba).real
+            share = float(abs(cross) ** 2 / max(pa * pb, 1e-300))
+            out.append(Reciprocity(frfs.inputs[ia].id, frfs.inputs[ib].id, share, float(cross.real / max(pb, 1e-300))))
+    return tuple(out)
+
+
+def without_window_damping(damping: Float, frequency: Float, window_decay: float) -> Float:
+    """(mode,) damping ratios, from damping ratios `damping` and undamped frequencies (Hz) under e^{-σt}.
+
+    The poles move by σ: s = s' + σ, so ζ = -Re(s)/|s|.
+    """
+    zeta = np.asarray(damping, dtype=np.float64)
+    w = 2 * np.pi * np.asarray(frequency, dtype=np.float64)
+    pole = w * (-zeta + 1j * np.sqrt(np.clip(1 - zeta**2, 0.0, 1.0))) + window_decay
+    return np.asarray(-pole.real / np.abs(pole))

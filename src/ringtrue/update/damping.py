@@ -1,0 +1,398 @@
+"""Damping after stiffness and mass: modal ratios, material loss factors and dashpots by region, from poles or FRFs.
+
+In the basis of the updated model's mass-normalised modes, D = Σ γ_k D_k and H = Σ γ_k H_k stand beside Λ:
+
+    (Λ(1 + δ) − ω² + iωD + iH) q = Φᵀf.
+
+δ takes up what is left of the deviations of the eigenvalues, so that a shifted peak is not read as damping. A linear
+least-squares solution (equation error) starts a bounded nonlinear one on the data themselves, whose Gauss-Newton matrix
+gives the uncertainty. Friswell and Mottershead (1995), ch. 8; Pilkey and Inman (1998) on identifying damping matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import least_squares, linear_sum_assignment, lsq_linear
+
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int, freeze_fields
+from ringtrue.eigen.damped import ComplexModes, complex_modes
+from ringtrue.errors import InputError
+
+EDGE = 1e-2  # standard deviations: nearer to a bound is at it
+SHIFT = 0.02  # prior standard deviation of δ
+FAINT = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mechanism:
+    """One source of damping with an unknown coefficient.
+
+    Attributes
+    ----------
+    name : str
+    kind : {"viscous", "structural"}
+        The coefficient times `matrix` is part of ΦᵀDΦ (a dashpot), or of ΦᵀHΦ (a loss factor on a stiffness).
+    matrix : (n, n) float64
+        ΦᵀD_kΦ or ΦᵀK_kΦ, symmetric.
+    lower, upper : float
+        Bounds of the coefficient.
+    prior, std : float
+        What is known of the coefficient beforehand; std inf: nothing.
+    """
+
+    name: str
+    kind: Literal["viscous", "structural"]
+    matrix: Float
+    lower: float = 0.0
+    upper: float = np.inf
+    prior: float = 0.0
+    std: float = np.inf
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, matrix=np.float64)
+        square = self.matrix.ndim == 2 and self.matrix.shape[0] == self.matrix.shape[1]
+        if not square or self.kind not in ("viscous", "structural"):
+            raise InputError(f"mechanism {self.name}: matrix {self.matrix.shape}, kind {self.kind!r}")
+        if not self.lower < self.upper or not self.std > 0:
+            raise InputError(f"mechanism {self.name}: bounds {self.lower}, {self.upper} must rise, std {self.std} > 0")
+
+
+def modal(values: Float, *, upper: float = 0.3) -> tuple[Mechanism, ...]:
+    """A damping ratio for each mode: the coefficients are ζ. `values` (n,) are λ, (rad/s)²."""
+    n = values.size
+    root = np.sqrt(np.maximum(values, 0.0))
+    if (root == 0).any():
+        raise InputError("a rigid-body mode at 0 Hz has no damping ratio: leave it out or give it a dashpot")
+    eye = np.eye(n)
+    return tuple(
+        Mechanism(f"mode {i + 1}", "viscous", 2 * w * np.outer(e, e), upper=upper)
+        for i, (w, e) in enumerate(zip(root.tolist(), eye, strict=True))
+    )
+
+
+def loss_factor(name: str, vectors: Float, stiffness: Any_, *, upper: float = 1.0) -> Mechanism:
+    """The loss factor of a region with the stiffness K_k (f, f), seen by modes (f, n)."""
+    return Mechanism(name, "structural", _projected(vectors, stiffness), upper=upper)
+
+
+def dashpot(name: str, vectors: Float, damping: Any_, *, upper: float = np.inf) -> Mechanism:
+    """A factor on the dashpots D_k (f, f) of a region, seen by modes (f, n)."""
+    return Mechanism(name, "viscous", _projected(vectors, damping), upper=upper)
+
+
+def _projected(vectors: Float, matrix: Any_) -> Float:
+    seen = np.asarray(vectors.T @ (matrix @ vectors))
+    return np.asarray((seen + seen.T) / 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DampingFit:
+    """Identified damping.
+
+    Attributes
+    ----------
+    names : tuple of str
+    coefficients : (k,) float64
+    covariance : (k, k) float64
+        With the size of the residuals as found (from poles not below the stated one); the bounds not counted.
+    start : (k,) float64
+        The linear solution.
+    shift : (n,) float64
+        Relative correction δ of each eigenvalue; zeros from poles.
+    at_bound : (k,) bool
+    misfit : float
+        Root mean square of the residuals in units of their standard deviation.
+    viscous, structural : (n, n) float64
+        ΦᵀDΦ and ΦᵀHΦ with these coefficients.
+    ratio : (k,) float64
+        Standard deviation over what it would be if this mechanism were alone: > 10, others stand for it.
+    """
+
+    names: tuple[str, ...]
+    coefficients: Float
+    covariance: Float
+    start: Float
+    shift: Float
+    at_bound: Bool
+    misfit: float
+    viscous: Float
+    structural: Float
+    ratio: Float
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, coefficients=f, covariance=f, start=f, shift=f, viscous=f, structural=f, ratio=f)
+
+    @property
+    def std(self) -> Float:
+        """(k,) float64."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def modes(self, values: Float) -> ComplexModes:
+        """Complex modes with this damping, eigenvalues λ (n,) as given."""
+        return complex_modes(values, self.viscous, self.structural)
+
+
+def fit_poles(values: Float, mechanisms: Sequence[Mechanism], damping: Float, std: Float, modes: Int) -> DampingFit:
+    """Coefficients from damping ratios of complex modes.
+
+    Parameters
+    ----------
+    values : (n,) float64, λ, (rad/s)²
+        Of all modes in the basis.
+    mechanisms : sequence (k)
+    damping, std : (t,) float64
+        Test ratios −Re(s)/|s| and their standard deviations.
+    modes : (t,) int64
+        The mode of the basis that each belongs to.
+
+    Raises
+    ------
+    InputError
+        If sizes differ, or data and priors leave a coefficient free.
+    """
+    zeta, sigma = np.asarray(damping, dtype=np.float64), np.asarray(std, dtype=np.float64)
+    at = np.asarray(modes, dtype=np.int64)
+    _check(mechanisms, values.size)
+    if not zeta.shape == sigma.shape == at.shape or not (sigma > 0).all() or np.unique(at).size != at.size:
+        raise InputError(f"damping {zeta.shape}, std {sigma.shape} (> 0), modes {at.shape} (each once)")
+    w = np.sqrt(values[at])
+    by = np.array([2 * w if m.kind == "viscous" else 2 * w**2 for m in mechanisms])
+    first = np.array([np.diag(m.matrix)[at] for m in mechanisms]) / by  # ζ to first order: light damping
+    linear = _linear(first.T / sigma[:, None], zeta / sigma, mechanisms)
+
+    def residual(c: Float) -> tuple[Float, Float]:
+        got, slope = _ratios(values, mechanisms, c, at)
+        return (got - zeta) / sigma, slope / sigma[:, None]
+
+    return _refined(residual, linear, mechanisms, values.size, shift=0.0, least=1.0)
+
+
+def _ratios(values: Float, mechanisms: Sequence[Mechanism], c: Float, at: Int) -> tuple[Float, Float]:
+    """ζ (t,) of the modes that descend from the real modes `at`, and ∂ζ/∂c (t, k)."""
+    d, h = assembled(mechanisms, c, values.size)
+    found = complex_modes(values, d, h)
+    if found.poles.size < values.size:
+        raise InputError("a mode is overdamped: lower the bounds of the mechanisms")
+    size = np.abs(found.shapes) ** 2
+    mine = _descendants(size / size.sum(axis=0))[at]
+    s, phi = found.poles[mine], found.shapes[:, mine]
+    slope = np.empty((at.size, len(mechanisms)), dtype=np.complex128)
+    for k, m in enumerate(mechanisms):  # ∂s/∂c = −φᵀ(sD' + iH')φ for unit modal A
+        load = np.einsum("nm,nm->m", phi, m.matrix @ phi)
+        slope[:, k] = -(s if m.kind == "viscous" else 1j) * load
+    size_s = np.abs(s)
+    d_size = (s.conj()[:, None] * slope).real / size_s[:, None]
+    d_zeta = -slope.real / size_s[:, None] + (s.real / size_s**2)[:, None] * d_size
+    return np.asarray(-s.real / size_s), np.asarray(d_zeta, dtype=np.float64)
+
+
+def _descendants(share: Float) -> Int:
+    """The complex mode that each real mode has become, (n,), from shares (real, complex) of the motion."""
+    rows, columns = linear_sum_assignment(-share)
+    return np.asarray(columns[np.argsort(rows)])
+
+
+def near_resonances(freqs: Float, frequencies: Float, damping: Float, *, width: float = 4.0) -> Int:
+    """Lines within `width` half-power half-bandwidths ζf of a resonance, (l,) int64."""
+    reach = width * np.asarray(damping) * frequencies
+    return np.flatnonzero((np.abs(freqs[:, None] - frequencies) <= reach).any(axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrfData:
+    """Receptances to fit, at lines around the resonances.
+
+    Attributes
+    ----------
+    freqs : (l,) float64, Hz
+    measured : (l, o, i) complex128
+        Receptance; an accelerance over (iω)².
+    phi_out, phi_in : (o, n), (i, n) float64
+        Mass-normalised shapes of the basis there.
+    std : float or (l, o, i) float64
+        Of the real and of the imaginary part.
+    residual : (o, i) float64
+        Static flexibility of the modes that are not in the basis.
+    """
+
+    freqs: Float
+    measured: Complex
+    phi_out: Float
+    phi_in: Float
+    std: float | Float
+    residual: Float | float = 0.0
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, freqs=f, measured=np.complex128, phi_out=f, phi_in=f)
+        shape = (self.freqs.size, self.phi_out.shape[0], self.phi_in.shape[0])
+        if self.measured.shape != shape or not (np.asarray(self.std) > 0).all() or self.freqs.min(initial=1.0) <= 0:
+            raise InputError(f"FRFs {self.measured.shape} for {shape}; std must be > 0, lines above 0 Hz")
+        if self.phi_out.shape[1] != self.phi_in.shape[1]:
+            raise InputError(f"shapes at outputs {self.phi_out.shape} and inputs {self.phi_in.shape}: modes differ")
+
+
+def fit_frfs(values: Float, mechanisms: Sequence[Mechanism], data: FrfData, *, shift: float = SHIFT) -> DampingFit:
+    """Coefficients from FRFs around the resonances.
+
+    Parameters
+    ----------
+    values : (n,) float64, λ, (rad/s)²
+    mechanisms : sequence (k)
+    data : FrfData
+    shift : float
+        Prior standard deviation of the relative correction of each eigenvalue; 0 holds the model's.
+
+    Raises
+    ------
+    InputError
+        If the channels cannot tell the modes apart, or sizes differ.
+    """
+    _check(mechanisms, values.size)
+    if data.phi_out.shape[1] != values.size:
+        raise InputError(f"shapes of {data.phi_out.shape[1]} modes for {values.size} eigenvalues")
+    linear = _equation_error(values, mechanisms, data, shift)
+
+    def residual(c: Float) -> tuple[Float, Float]:
+        h, slope = _response(values, mechanisms, data, c, shift > 0)
+        r = (h - data.measured) / data.std
+        g = slope / np.asarray(data.std)[..., None] if np.ndim(data.std) else slope / data.std
+        flat = g.reshape(r.size, -1)
+        return np.concatenate([r.real.ravel(), r.imag.ravel()]), np.concatenate([flat.real, flat.imag])
+
+    return _refined(residual, linear, mechanisms, values.size, shift=shift, least=0.0)
+
+
+def _equation_error(values: Float, mechanisms: Sequence[Mechanism], data: FrfData, shift: float) -> Float:
+    """Coefficients and δ by linear least squares on (Λ(1 + δ) − ω² + iωD + iH) q = Φᵀf, rows over the static λ.
+
+    q comes from the measured responses by the pseudo-inverse of the shapes; noise in q biases it, so it only starts.
+    """
+    n, k = values.size, len(mechanisms)
+    if np.linalg.matrix_rank(data.phi_out) < n:
+        raise InputError(f"{data.phi_out.shape[0]} channels cannot tell {n} modes apart: keep fewer in the basis")
+    w = 2 * np.pi * data.freqs[:, None, None]
+    q = np.linalg.pinv(data.phi_out) @ (data.measured - data.residual)  # (l, n, i)
+    load = data.phi_in.T - (values[:, None] - w**2) * q
+    columns = [(1j * w if m.kind == "viscous" else 1j) * (m.matrix @ q) for m in mechanisms]
+    if shift > 0:
+        columns += [values[:, None] * q * e[:, None] for e in np.eye(n)]
+    g = np.stack(columns, axis=-1) / values[:, None, None]
+    rows, rhs = g.reshape(-1, g.shape[-1]), (load / values[:, None]).ravel()
+    both = np.concatenate([rows.real, rows.imag])
+    low = np.array([m.lower for m in mechanisms] + [-np.inf] * (len(columns) - k))
+    high = np.array([m.upper for m in mechanisms] + [np.inf] * (len(columns) - k))
+    size = np.maximum(np.linalg.norm(both, axis=0), FAINT)
+    found = lsq_linear(both / size, np.concatenate([rhs.real, rhs.imag]), (low * size, high * size))
+    return np.asarray(found.x / size)
+
+
+def _response(
+    values: Float, mechanisms: Sequence[Mechanism], data: FrfData, c: Float, shifted: bool
+) -> tuple[Complex, Complex]:
+    """Receptances (l, o, i) and their derivatives (l, o, i, k + n) to coefficients and δ."""
+    n, k = values.size, len(mechanisms)
+    d, h = assembled(mechanisms, c[:k], n)
+    lam = values * (1 + c[k:]) if shifted else values
+    w = 2 * np.pi * data.freqs[:, None, None]
+    z = np.diag(lam) - w**2 * np.eye(n) + 1j * w * d + 1j * h
+    into = np.linalg.solve(z, np.broadcast_to(data.phi_in.T, (w.shape[0], *data.phi_in.T.shape)))
+    out = np.linalg.solve(z, np.broadcast_to(data.phi_out.T, (w.shape[0], *data.phi_out.T.shape))).swapaxes(1, 2)
+    parts = [-(1j * w if m.kind == "viscous" else 1j) * (out @ m.matrix @ into) for m in mechanisms]
+    if shifted:
+        parts += [-lam_0 * out[:, :, [j]] * into[:, [j], :] for j, lam_0 in enumerate(values.tolist())]
+    return np.asarray(data.phi_out @ into + data.residual), np.stack(parts, axis=-1).astype(np.complex128)
+
+
+def assembled(mechanisms: Sequence[Mechanism], c: Float, n: int) -> tuple[Float, Float]:
+    """ΦᵀDΦ and ΦᵀHΦ, (n, n) each, of coefficients (k,)."""
+    d, h = np.zeros((n, n)), np.zeros((n, n))
+    for m, value in zip(mechanisms, c.tolist(), strict=True):
+        (d if m.kind == "viscous" else h)[...] += value * m.matrix
+    return d, h
+
+
+def _check(mechanisms: Sequence[Mechanism], n: int) -> None:
+    if not mechanisms:
+        raise InputError("no mechanism of damping: give modal ratios, loss factors or dashpots")
+    wrong = [m.name for m in mechanisms if m.matrix.shape != (n, n)]
+    if wrong or len({m.name for m in mechanisms}) != len(mechanisms):
+        raise InputError(f"mechanisms need matrices ({n}, {n}) and names of their own; wrong: {' '.join(wrong)}")
+
+
+def _linear(rows: Float, rhs: Float, mechanisms: Sequence[Mechanism]) -> Float:
+    """Bounded least squares with the priors as rows, (k,)."""
+    weight = np.array([1 / m.std for m in mechanisms])
+    rows = np.concatenate([rows, np.diag(weight)])
+    size = np.linalg.norm(rows, axis=0)
+    if (size == 0).any():
+        lost = mechanisms[int(np.argmin(size))].name
+        raise InputError(f"no datum depends on {lost!r}: leave it out, or give it a prior std")
+    rhs = np.concatenate([rhs, weight * np.array([m.prior for m in mechanisms])])
+    bounds = np.array([m.lower for m in mechanisms]) * size, np.array([m.upper for m in mechanisms]) * size
+    return np.asarray(lsq_linear(rows / size, rhs, bounds).x / size)
+
+
+def _refined(
+    residual: Callable[[Float], tuple[Float, Float]],
+    start: Float,
+    mechanisms: Sequence[Mechanism],
+    n: int,
+    *,
+    shift: float,
+    least: float,
+) -> DampingFit:
+    """Bounded nonlinear least squares from the linear solution, with priors; the covariance at the end.
+
+    `least` is the smallest mean square of the residuals that is believed: 1 for a handful of poles.
+    """
+    k = len(mechanisms)
+    prior = np.concatenate([[m.prior for m in mechanisms], np.zeros(start.size - k)])
+    weight = np.concatenate([[1 / m.std for m in mechanisms], np.full(start.size - k, 1 / (shift or 1.0))])
+    low = np.concatenate([[m.lower for m in mechanisms], np.full(start.size - k, -0.5)])
+    high = np.concatenate([[m.upper for m in mechanisms], np.full(start.size - k, 0.5)])
+    scale = 1 / np.maximum(np.linalg.norm(residual(np.clip(start, low, high))[1], axis=0), FAINT)
+    scale = np.minimum(scale, 1 / np.maximum(weight, FAINT))
+
+    def value(u: Float) -> Float:
+        return np.concatenate([residual(u * scale)[0], weight * (u * scale - prior)])
+
+    def slope(u: Float) -> Float:
+        return np.asarray(np.concatenate([residual(u * scale)[1], np.diag(weight)]) * scale)
+
+    inside = np.clip(start, low, high) / scale
+    found = least_squares(value, inside, slope, (low / scale, high / scale), x_scale="jac", method="trf", xtol=1e-12)
+    c = found.x * scale
+    r, g = residual(c)
+    normal = (g.T @ g) * np.outer(scale, scale)
+    total = normal + np.diag((weight * scale) ** 2)
+    if np.linalg.matrix_rank(total) < c.size:
+        raise InputError("the data cannot tell the mechanisms apart: leave some out, or give them a prior std")
+    inverse = linalg.inv(total)
+    spent = float(np.trace(inverse @ normal))
+    s2 = max(float(r @ r) / max(r.size - spent, 1.0), least)
+    own = np.diag((weight * scale) ** 2)
+    covariance = inverse @ (s2 * normal + own) @ inverse * np.outer(scale, scale)
+    alone = np.sqrt((s2 if s2 > 0 else 1.0) / np.maximum(np.diag(normal) + np.diag(own), FAINT)) * scale
+    std = np.sqrt(np.diag(covariance))
+    at = (c - low < EDGE * std + FAINT) | (high - c < EDGE * std + FAINT)
+    d, h = assembled(mechanisms, c[:k], n)
+    delta = c[k:] if c.size > k else np.zeros(n)
+    return DampingFit(
+        tuple(m.name for m in mechanisms),
+        c[:k],
+        covariance[:k, :k],
+        start[:k],
+        delta,
+        np.asarray(at[:k]),
+        float(np.sqrt(s2)),
+        d,
+        h,
+        np.asarray(std / alone)[:k],
+    )

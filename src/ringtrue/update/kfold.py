@@ -1,0 +1,198 @@
+"""Predictions on modes left out of the updating, fold by fold, with bands that hold what was measured.
+
+The band of a left-out frequency has three parts: the parameters (posterior), the test, and the model discrepancy,
+which no parameter can remove. The discrepancy of a fold is taken from the errors of the *other* folds, so that no mode
+helps to judge itself; `with_discrepancy` puts the same number into W, so that the posterior does not collapse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.outcome import Outcome
+from ringtrue.errors import InputError
+from ringtrue.update.posterior import Posterior, laplace
+from ringtrue.update.several import Configuration, Evaluated, Problem
+from ringtrue.update.trust import Method, solve
+
+Progress = Callable[[float, str], None]
+LEAST = 1e-4  # model discrepancy, relative
+ROUNDS = 4  # of weights from left-out modes and updating with these
+SETTLED = 0.1  # relative change of the discrepancy
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """Left-out modes against their predictions; the test modes in order.
+
+    Attributes
+    ----------
+    test, predicted : (m,) float64, Hz
+        NaN where the mode was in no fold or found no partner.
+    mac : (m,) float64
+    parameter_std, test_std, model_std : (m,) float64, relative
+        The three parts of the band; `model_std` from the other folds.
+    fold : (m,) int64
+        -1: in none.
+    converged : bool
+    """
+
+    test: Float
+    predicted: Float
+    mac: Float
+    parameter_std: Float
+    test_std: Float
+    model_std: Float
+    fold: Int
+    converged: bool
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, test=f, predicted=f, mac=f, parameter_std=f, test_std=f, model_std=f, fold=np.int64)
+
+    @property
+    def error(self) -> Float:
+        """(f_predicted − f_test)/f_test, (m,)."""
+        return np.asarray(self.predicted / self.test - 1)
+
+    @property
+    def std(self) -> Float:
+        """Of the predicted minus the measured frequency, relative, (m,)."""
+        return np.asarray(np.sqrt(self.parameter_std**2 + self.test_std**2 + self.model_std**2))
+
+    def band(self, level: float = 0.9) -> Float:
+        """Central interval of the measured frequency, (m, 2), Hz.
+
+        The discrepancy is known from as many errors as there are left-out modes: Student's quantile.
+        """
+        freedom = max(int(np.isfinite(self.predicted).sum()) - 1, 1)
+        reach = float(stats.t.ppf(0.5 + level / 2, freedom)) * self.std * self.predicted
+        return np.stack([self.predicted - reach, self.predicted + reach], axis=1)
+
+    def inside(self, level: float = 0.9) -> Bool:
+        """Whether the band holds the measured frequency, (m,); False without a prediction."""
+        band = self.band(level)
+        return np.asarray((band[:, 0] <= self.test) & (self.test <= band[:, 1]))
+
+    def coverage(self, level: float = 0.9) -> float:
+        """Share of the predicted modes inside their bands."""
+        seen = np.isfinite(self.predicted)
+        return float(self.inside(level)[seen].mean()) if seen.any() else float("nan")
+
+
+def folds_of(used: Bool, count: int) -> tuple[tuple[int, ...], ...]:
+    """`count` folds of the used modes, interleaved over the band.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two folds or fewer modes than folds.
+    """
+    at = np.flatnonzero(used)
+    if not 2 <= count <= at.size:
+        raise InputError(f"{count} folds of {at.size} modes: from 2 to the number of modes")
+    return tuple(tuple(at[i::count].tolist()) for i in range(count))
+
+
+def discrepancy(error: Float, known: Float) -> float:
+    """Relative standard deviation s of largest likelihood of errors ~ N(0, s² + known²), (m,) each; NaNs left out."""
+    e2, k2 = (v[np.isfinite(error)] ** 2 for v in (error, known))
+    if not e2.size:
+        raise InputError("no left-out mode has found a partner: widen the gates, or leave other modes out")
+    grid = np.geomspace(LEAST, max(10 * float(np.sqrt(e2.max())), 2 * LEAST), 200)
+    total = grid[:, None] ** 2 + k2
+    return float(grid[np.argmin((e2 / total + np.log(total)).sum(axis=1))])
+
+
+def k_fold(
+    configuration: Configuration,
+    folds: Sequence[Sequence[int]],
+    method: Method | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Held:
+    """Update without each fold in turn and predict it.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Its target says which modes are used at all.
+    folds : sequences of test modes
+
+    Raises
+    ------
+    InputError
+        If no left-out mode finds a partner, or a mode is in two folds.
+    """
+    target = configuration.target
+    m = target.frequencies.size
+    if len({i for f in folds for i in f}) != sum(len(f) for f in folds):
+        raise InputError("a mode is in two folds")
+    predicted, mac, spread, of = np.full(m, np.nan), np.full(m, np.nan), np.full(m, np.nan), np.full(m, -1)
+    start: Float | None = None
+    good = True
+    for i, fold in enumerate(folds):
+        of[list(fold)] = i
+        used = target.used & ~np.isin(np.arange(m), fold)
+        problem = Problem((replace(configuration, target=replace(target, used=used)),))
+        done = solve(problem, method, start=start)
+        good, start = good and done.outcome is Outcome.CONVERGED, done.y
+        predicted_fold(done.end, laplace(problem, done.end), list(fold), predicted, mac, spread)
+        if progress is not None:
+            progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
+    error, known = predicted / target.frequencies - 1, np.hypot(spread, target.std)
+    if not np.isfinite(error).any():
+        discrepancy(error, known)  # says why
+    model = np.full(m, np.nan)
+    for i in range(len(folds)):  # the discrepancy of a fold from the others
+        rest = of != i if np.isfinite(error[of != i]).any() else of == i
+        model[of == i] = discrepancy(error[rest], known[rest])
+    return Held(target.frequencies, predicted, mac, spread, target.std, model, of, good)
+
+
+def predicted_fold(
+    at: Evaluated, posterior: Posterior, fold: list[int], predicted: Float, mac: Float, spread: Float
+) -> None:
+    """Fill in the frequencies (Hz), MAC and relative standard deviations of one fold, in place."""
+    here = at.points[0]
+    t, f = here.every.T
+    which = np.isin(t, fold)
+    t, f = t[which], f[which]
+    predicted[t], mac[t] = here.now.frequencies[f], here.mac[which]
+    slope = here.now.d_lambda[f] / (8 * np.pi**2 * here.now.frequencies[f] ** 2)[:, None] @ posterior.link
+    spread[t] = np.sqrt(np.einsum("mp,pq,mq->m", slope, posterior.covariance, slope))
+
+
+def with_discrepancy(
+    configuration: Configuration,
+    folds: Sequence[Sequence[int]],
+    method: Method | None = None,
+    *,
+    progress: Progress | None = None,
+) -> tuple[Configuration, Held]:
+    """The configuration with the weights that its left-out modes ask for, and the last predictions.
+
+    Weights and updating in turns until the discrepancy stands: the frequency's from the errors of left-out
+    frequencies, the shape's from 1 − MAC of left-out shapes (their mean).
+
+    Notes
+    -----
+    Terms are replaced by eigenvalues and shapes with these weights.
+    """
+    now = configuration
+    for i in range(ROUNDS):
+        part = None if progress is None else (lambda f, t, i=i: progress((i + f) / ROUNDS, t))
+        held = k_fold(now, folds, method, progress=part)
+        s = discrepancy(held.error, np.hypot(held.parameter_std, held.test_std))
+        before = now.target.weights
+        shape = max(float(np.nanmean(1 - held.mac)), LEAST)
+        target = replace(now.target, weights=replace(before, frequency=s, mac=shape))
+        now = Configuration(now.model, target, (), now.name)
+        if abs(np.log(s / before.frequency)) < SETTLED and abs(np.log(shape / before.mac)) < SETTLED:
+            break
+    return now, held

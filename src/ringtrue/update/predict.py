@@ -1,0 +1,422 @@
+"""What a validated model says of what was not tested, with bands: modes, responses, run-up of a rotor with unbalance.
+
+Bands come from draws of the posterior of the parameters, of the model discrepancy (a relative error of each mode's
+frequency of its own, which no parameter removes) and of the damping. Beyond the band of the test they are a
+prediction that nothing has checked; `validated_band` says where that begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import linear_sum_assignment
+
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, freeze_fields
+from ringtrue.errors import ConfigError, InputError, did_you_mean
+from ringtrue.model.ports import ObservedModel
+from ringtrue.shapes.mac import mac
+from ringtrue.update.dense import matrices_at
+
+Progress = Callable[[float, str], None]
+Axis = Literal["X", "Y", "Z"]
+MASSLESS = 1e-14  # of the largest 1/λ
+PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bands:
+    """Quantiles over draws.
+
+    Attributes
+    ----------
+    low, median, high : arrays of one shape
+    level : float
+        Share of the draws between `low` and `high`.
+    """
+
+    low: Float
+    median: Float
+    high: Float
+    level: float
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, low=np.float64, median=np.float64, high=np.float64)
+
+    def holds(self, value: Float) -> Bool:
+        """Whether the band holds `value`, element by element."""
+        return np.asarray((self.low <= value) & (value <= self.high))
+
+
+def bands(draws: Float, level: float = 0.9) -> Bands:
+    """Central bands of draws (draw, ...); NaN draws are left out.
+
+    Raises
+    ------
+    InputError
+        If the level is not between 0 and 1, or there are too few draws for it.
+    """
+    if not 0 < level < 1 or draws.shape[0] * (1 - level) < 1:
+        raise InputError(f"{draws.shape[0]} draws for a band of {level}: level in 0..1, at least 1/(1 - level) draws")
+    low, median, high = np.nanquantile(draws, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0)
+    return Bands(low, median, high, level)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedModes:
+    """Modes with bands, in the order of the model at the best point.
+
+    Attributes
+    ----------
+    frequencies : Bands of (m,), Hz
+    shapes : Bands of (channel, m)
+        Mass-normalised, signs as at the best point.
+    mac : (m,) float64
+        Median MAC of the draws with the best point: low where modes turn into each other.
+    """
+
+    frequencies: Bands
+    shapes: Bands
+    mac: Float
+
+
+def predict_modes(
+    model: ObservedModel,
+    draws: Float,
+    best: Float,
+    rng: np.random.Generator,
+    *,
+    discrepancy: float = 0.0,
+    level: float = 0.9,
+) -> PredictedModes:
+    """Modes over draws of the parameters, followed by shape.
+
+    Parameters
+    ----------
+    model : ObservedModel
+    draws : (draw, p) float64
+        x of the posterior.
+    best : (p,) float64
+    rng : Generator
+        For the discrepancy.
+    discrepancy : float
+        Relative standard deviation of a frequency of the model at its best, from left-out modes.
+    """
+    first = model.modes(best)
+    f, shapes, alike = [], [], []
+    for x in draws:  # an eigensolution each
+        now = model.modes(x)
+        table = mac(first.shapes, now.shapes)
+        rows, columns = linear_sum_assignment(-table)
+        phi = now.shapes[:, columns]
+        f.append(now.frequencies[columns])
+        shapes.append(phi * np.where((phi * first.shapes[:, rows]).sum(axis=0) < 0, -1.0, 1.0))
+        alike.append(table[rows, columns])
+    scatter = 1 + discrepancy * rng.standard_normal((len(f), first.frequencies.size))
+    return PredictedModes(
+        bands(np.array(f) * scatter, level), bands(np.array(shapes), level), np.median(np.array(alike), axis=0)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Damping:
+    """Damping ratio over frequency, as a table, with its uncertainty.
+
+    Attributes
+    ----------
+    frequencies, ratios : (k,) float64
+        Hz and fraction of critical; constant beyond the ends.
+    std : float
+        Standard deviation of ln ζ, common to all modes of a draw.
+    """
+
+    frequencies: Float
+    ratios: Float
+    std: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, frequencies=np.float64, ratios=np.float64)
+        rising = self.frequencies.size > 0 and (np.diff(self.frequencies) > 0).all()
+        if self.frequencies.shape != self.ratios.shape or not rising or (self.ratios < 0).any() or self.std < 0:
+            raise InputError(f"damping: {self.frequencies.shape} rising frequencies, {self.ratios.shape} ratios >= 0")
+
+    def at(self, frequencies: Float) -> Float:
+        """ζ at frequencies in Hz, interpolated."""
+        return np.asarray(np.interp(frequencies, self.frequencies, self.ratios))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """What is looked at, in the basis of the model's small matrices; it may change with the parameters.
+
+    Attributes
+    ----------
+    nominal : (n, r) float64
+    slopes : tuple of (position of the parameter, (n, r) float64)
+        rows = nominal + Σ (a_i − 1) slope_i: the force in a spring grows with its stiffness.
+    """
+
+    nominal: Float
+    slopes: tuple[tuple[int, Float], ...] = field(default=())
+
+    def at(self, factors: Float) -> Float:
+        """(n, r) at factors (p,) of the parameters."""
+        out = self.nominal
+        for i, slope in self.slopes:
+            out = out + (factors[i] - 1) * slope
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Unbalance:
+    """A rotor and its balance grade. ISO 21940-11: permissible unbalance U = M G / Ω.
+
+    Attributes
+    ----------
+    mass : float, kg
+    grade : float, mm/s
+        G: eccentricity times service speed.
+    service : float, Hz
+        Service speed.
+    """
+
+    mass: float
+    grade: float
+    service: float
+
+    def __post_init__(self) -> None:
+        if not (self.mass > 0 and self.grade > 0 and self.service > 0):
+            raise ConfigError(f"unbalance: mass {self.mass}, grade {self.grade}, service {self.service} Hz must be > 0")
+
+    @property
+    def moment(self) -> float:
+        """U, kg m."""
+        return self.mass * self.grade * 1e-3 / (2 * np.pi * self.service)
+
+    def force(self, freqs: Float) -> Float:
+        """U ω² at speeds (l,) in Hz, N."""
+        return np.asarray(self.moment * (2 * np.pi * np.asarray(freqs)) ** 2)
+
+
+def plane(axis: str) -> tuple[int, int]:
+    """Directions 0..2 across a rotor's axis, such that a forward whirl goes from the first to the second."""
+    if axis not in PLANE:
+        raise ConfigError(f"axis of the rotor {axis!r}{did_you_mean(axis, PLANE)}")
+    return PLANE[axis]
+
+
+def harmonic(
+    model: ObservedModel,
+    x: Float,
+    freqs: Float,
+    loads: Float,
+    amplitude: Complex,
+    rows: Rows,
+    damping: Damping,
+    *,
+    scatter: Float | None = None,
+    ratio: float = 1.0,
+) -> Complex:
+    """Responses (l, n) to harmonic loads, by superposition of all modes of the model's small matrices.
+
+    Parameters
+    ----------
+    model : ObservedModel
+        With small matrices (`update.dense.matrices_at`); static answers to the loads should be in its basis.
+    x : (p,) float64
+    freqs : (l,) float64, Hz
+    loads : (r, j) float64
+        Unit loads in the basis.
+    amplitude : (l, j) complex128
+    rows : Rows
+    damping : Damping
+    scatter : (r,) float64, optional
+        Relative error of each frequency.
+    ratio : float
+        Factor on all damping ratios.
+    """
+    small = matrices_at(model, x)
+    lam, y = _all_modes(small.stiffness, small.mass)
+    lam = lam * (1.0 if scatter is None else (1 + scatter) ** 2)
+    w, wk = 2 * np.pi * np.asarray(freqs)[:, None], np.sqrt(lam)
+    zeta = ratio * damping.at(wk / (2 * np.pi))
+    below = lam - w**2 + 2j * zeta * wk * w
+    q = (amplitude @ (y.T @ loads).T) / below
+    return np.asarray(q @ (rows.at(_every(model, x)) @ y).T)
+
+
+def _all_modes(k: Float, m: Float) -> tuple[Float, Float]:
+    """λ >= 0 and M-orthonormal y of small matrices; a motion without mass keeps its flexibility."""
+    shift = 1e-3 * float(np.trace(k) / np.trace(m))
+    theta, y = linalg.eigh(m, k + shift * m)
+    theta = np.maximum(theta, MASSLESS * theta[-1])
+    return np.maximum(1 / theta - shift, 0.0), np.asarray(y / np.sqrt(theta))
+
+
+def _every(model: ObservedModel, x: Float) -> Float:
+    """Factors of all parameters of the system that the rows count, held ones too."""
+    full = getattr(model, "full_vector", None)
+    if full is None:
+        return model.parameters.factors(x)
+    everything: Any_ = full(x)
+    return model.system.parameters.factors(everything)  # type: ignore[attr-defined,no-any-return]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Output:
+    """A quantity of a run-up: amplitudes of complex rows made one number a line.
+
+    Attributes
+    ----------
+    name, unit : str
+    rows : Rows
+        n = parts · 3 or any; in groups of `width`.
+    width : int
+        Rows of one vector: its amplitude is the root of the square sum.
+    """
+
+    name: str
+    unit: str
+    rows: Rows
+    width: int = 1
+
+    def amplitude(self, response: Complex) -> Float:
+        """(l,): the largest vector of a response (l, n)."""
+        parts = np.abs(response).reshape(response.shape[0], -1, self.width)
+        return np.asarray(np.sqrt((parts**2).sum(axis=2)).max(axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunUp:
+    """A run-up with bands.
+
+    Attributes
+    ----------
+    freqs : (l,) float64, Hz
+        Speeds.
+    names, units : tuple (n) of str
+    nominal : (n, l) float64
+        At the best point.
+    amplitude : Bands of (n, l)
+    peak : Bands of (n,)
+        Of the largest amplitude of each draw.
+    peak_speed : Bands of (n,), Hz
+    validated : (float, float), Hz
+        Outside of it nothing has been checked.
+    """
+
+    freqs: Float
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    nominal: Float
+    amplitude: Bands
+    peak: Bands
+    peak_speed: Bands
+    validated: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, freqs=np.float64, nominal=np.float64)
+
+    @property
+    def checked(self) -> Bool:
+        """Lines inside the validated band, (l,)."""
+        return np.asarray((self.freqs >= self.validated[0]) & (self.freqs <= self.validated[1]))
+
+
+def run_up(
+    model: ObservedModel,
+    draws: Float,
+    best: Float,
+    freqs: Float,
+    loads: Float,
+    unbalance: Unbalance,
+    outputs: Sequence[Output],
+    damping: Damping,
+    rng: np.random.Generator,
+    *,
+    discrepancy: float = 0.0,
+    level: float = 0.9,
+    validated: tuple[float, float] = (0.0, np.inf),
+    progress: Progress | None = None,
+) -> RunUp:
+    """Steady response to unbalance at each speed, forward whirl, no gyroscopic moments.
+
+    Parameters
+    ----------
+    model : ObservedModel
+    draws : (draw, p) float64
+    best : (p,) float64
+    freqs : (l,) float64, Hz
+    loads : (r, 2) float64
+        Unit forces across the rotor's axis (`plane`) in the basis of the model.
+    outputs : sequence (n) of Output
+    damping : Damping
+    rng : Generator
+        For discrepancy and damping.
+    discrepancy : float
+        Relative standard deviation of each frequency.
+    validated : (float, float), Hz
+    """
+    if not outputs:
+        raise InputError("no output: name nodes or springs")
+    amplitude = unbalance.force(freqs)[:, None] * np.array([1.0, -1j])  # e^{+iωt}: the second lags by 90°
+    r = loads.shape[0]
+    every, _ = _sizes(outputs)
+    whole = _joined(outputs)
+
+    def one(x: Float, scatter: Float | None, ratio: float) -> Float:
+        h = harmonic(model, x, freqs, loads, amplitude, whole, damping, scatter=scatter, ratio=ratio)
+        return np.array([o.amplitude(h[:, a:b]) for o, (a, b) in zip(outputs, every, strict=True)])
+
+    found = []
+    for i, x in enumerate(draws):  # an eigensolution each
+        scatter: Float = np.asarray(discrepancy * rng.standard_normal(r))
+        found.append(one(x, scatter, float(np.exp(damping.std * rng.standard_normal()))))
+        if progress is not None:
+            progress((i + 1) / len(draws), "run-up")
+    drawn = np.array(found)
+    return RunUp(
+        freqs,
+        tuple(o.name for o in outputs),
+        tuple(o.unit for o in outputs),
+        one(best, None, 1.0),
+        bands(drawn, level),
+        bands(drawn.max(axis=2), level),
+        bands(np.asarray(freqs)[drawn.argmax(axis=2)], level),
+        validated,
+    )
+
+
+def _sizes(outputs: Sequence[Output]) -> tuple[list[tuple[int, int]], int]:
+    ends = np.cumsum([0, *(o.rows.nominal.shape[0] for o in outputs)]).tolist()
+    return list(pairwise(ends)), ends[-1]
+
+
+def _joined(outputs: Sequence[Output]) -> Rows:
+    """All rows in one."""
+    places, n = _sizes(outputs)
+    slopes: dict[int, Float] = {}
+    for o, (a, b) in zip(outputs, places, strict=True):
+        for i, s in o.rows.slopes:
+            slopes.setdefault(i, np.zeros((n, s.shape[1])))[a:b] += s
+    return Rows(np.concatenate([o.rows.nominal for o in outputs]), tuple(sorted(slopes.items(), key=lambda v: v[0])))
+
+
+def validated_band(test_hz: Float, held: Bool) -> tuple[float, float]:
+    """From the lowest test mode to the last before the first that the model does not hold, Hz.
+
+    Parameters
+    ----------
+    test_hz : (m,) float64
+        All test modes that are to be believed.
+    held : (m,) bool
+        Paired and within the limits of acceptance.
+    """
+    order = np.argsort(test_hz)
+    f, ok = np.asarray(test_hz, dtype=np.float64)[order], np.asarray(held)[order]
+    good = int(np.argmin(ok)) if not ok.all() else ok.size
+    return (float(f[0]), float(f[good - 1])) if good else (0.0, 0.0)

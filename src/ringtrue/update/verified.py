@@ -1,0 +1,88 @@
+"""Updating on a reduced basis that ends on full solutions: solve, compare with the full model, enrich, repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.errors import InputError
+from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.update.several import Problem
+from ringtrue.update.trust import Method, Solution, solve
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verified:
+    """A solution and its proof.
+
+    Attributes
+    ----------
+    solution : Solution
+        On the enriched basis.
+    problem : Problem
+        With the enriched model in its first configuration.
+    error : float
+        Largest relative frequency error of the basis, against a full solution at the last but one end.
+    full_solutions : int
+    """
+
+    solution: Solution
+    problem: Problem
+    error: float
+    full_solutions: int
+
+
+def solve_verified(
+    problem: Problem,
+    method: Method | None = None,
+    *,
+    start: Float | None = None,
+    tolerance: float = 1e-4,
+    rounds: int = 4,
+    sensitivities: bool = True,
+    progress: Progress | None = None,
+) -> Verified:
+    """Solve on the basis; at each end solve the full model and add its modes, until the two agree.
+
+    Parameters
+    ----------
+    problem : Problem
+        One configuration with a `ReducedModel`.
+    method : Method, optional
+    start : (q,) float64, optional
+    tolerance : float
+        Largest relative frequency error that is accepted, up to the highest test frequency.
+    rounds : int
+        Most full solutions; compare `error` with the tolerance for a run that used them up.
+    sensitivities : bool
+        Add the static sensitivities at the ends, too: they cost one block of solves, no eigensolution.
+
+    Raises
+    ------
+    InputError
+        If the model is not a reduced one or there are several.
+    """
+    only = problem.configurations[0]
+    model = only.model
+    if len(problem.configurations) != 1 or not isinstance(model, ReducedModel) or rounds < 1:
+        raise InputError("a verified updating needs one configuration, a ReducedModel, and one round or more")
+    done, error, count = solve(problem, method, start=start), np.inf, 0
+    while error > tolerance and count < rounds:
+        at = [problem.parameters.names.index(n) for n in model.parameters.names]
+        better, truth = model.enrich(done.x[at], sensitivities=sensitivities)
+        high = truth.frequencies <= 1.05 * only.target.frequencies.max()
+        low = truth.frequencies > 1e-6 * truth.frequencies.max()
+        seen = np.flatnonzero(high & low)
+        before = model.modes(done.x[at]).frequencies[seen]
+        error = float(np.abs(before / truth.frequencies[seen] - 1).max(initial=0.0))
+        model, count = better, count + 1
+        problem = replace(problem, configurations=(replace(only, model=model),))
+        done = solve(problem, method, start=done.y)
+        if progress is not None:
+            progress(count / rounds, f"full solution {count}: frequencies of the basis off by {error:.1e}")
+    return Verified(done, problem, error, count)

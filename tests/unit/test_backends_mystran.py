@@ -1,0 +1,109 @@
+"""MYSTRAN, run for real, beside recorded results of MSC Nastran; skipped, saying so, where it is not installed."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
+from eigen_shell import shell
+
+from ringtrue.backends.mystran import MystranSolver, find_mystran
+from ringtrue.backends.runner import run_program
+from ringtrue.backends.runner_deck import modes_deck
+from ringtrue.errors import SolverFailed, SolverMissing
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.nastran_results.modes import read_nastran_modes
+from ringtrue.model.model import Model, table
+from ringtrue.model.ports import ModesRequest
+
+DATA = Path(__file__).parents[3] / "shared" / "data" / "fe"
+
+
+@pytest.fixture
+def installed() -> None:
+    try:
+        find_mystran()
+    except SolverMissing as e:
+        pytest.skip(str(e))
+
+
+@pytest.mark.solver
+@pytest.mark.data
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize(
+    ("deck", "frequencies"),
+    [
+        ("msc2019/superelements/cantilever_bar/no_super/noReduction.dat", (349.729, 2167.32, 6007.803, 11650.23)),
+        ("msc2019/system_verification/003_svanberg_bar/nastran_runs/modes.dat", (46.46440, 146.9333, 279.0229)),
+    ],
+)
+def test_against_recorded_msc_results(deck: str, frequencies: tuple[float, ...]) -> None:
+    if not (DATA / deck).is_file():
+        pytest.skip(f"reference data not found: {DATA / deck}")
+    with MystranSolver().open(read_deck(DATA / deck)) as analysis:
+        found = analysis.modes(ModesRequest(len(frequencies))).modes
+    np.testing.assert_allclose(found.frequencies, frequencies, rtol=1e-3)  # its bar masses differ a little
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_solids_get_their_integration_written_out() -> None:
+    """A unit steel cube on a clamped face: MYSTRAN refuses a PSOLID with blanks."""
+    xyz = np.array([[x, y, z] for z in range(4) for y in (0, 1) for x in (0, 1)], dtype=float)
+    n = np.arange(1, 17)
+    at = {"CP": 0 * n, "X1": xyz[:, 0], "X2": xyz[:, 1], "X3": xyz[:, 2], "CD": 0 * n, "PS": [""] * 16, "SEID": 0 * n}
+    corners = np.array([[4 * k + i for i in (1, 2, 4, 3, 5, 6, 8, 7)] for k in range(3)])
+    hexa = {f"G{i + 1}": corners[:, i] if i < 8 else np.zeros(3, dtype=int) for i in range(20)}
+    steel = {"MID": [1], "E": [2e11], "G": [np.nan], "NU": [0.3], "RHO": [7800.0]}
+    rest = {k: [0.0] for k in ("A", "TREF", "GE", "ST", "SC", "SS")} | {"MCSID": [0]}
+    words = {key: [""] for key in ("IN", "STRESS", "ISOP", "FCTN")}
+    tables = {
+        "GRID": table("GRID", ID=n, **{**at, "PS": ["123456" if z == 0 else "" for z in xyz[:, 2]]}),
+        "CHEXA": table("CHEXA", EID=[1, 2, 3], PID=[1, 1, 1], **hexa),
+        "PSOLID": table("PSOLID", PID=[1], MID=[1], CORDM=[0], **words),
+        "MAT1": table("MAT1", **steel, **rest),
+    }
+    with MystranSolver().open(Model(tables)) as analysis:
+        found = analysis.modes(ModesRequest(2)).modes
+    bernoulli = 3.516 / (2 * np.pi * 3**2) * np.sqrt(2e11 * (1 / 12) / 7800.0)  # 81.8 Hz, without shear
+    assert found.frequencies[0] == pytest.approx(found.frequencies[1], rel=1e-6)
+    assert 0.8 * bernoulli < found.frequencies[0] < 1.2 * bernoulli
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_a_fatal_deck_is_an_error_although_it_exits_with_0() -> None:
+    lost = shell(3, 2)
+    lost = Model({**lost.tables, "PSHELL": lost["PSHELL"].with_column("MID1", np.array([1, 2, 99]))})
+    with MystranSolver().open(shell(3, 2)) as analysis:
+        deck = modes_deck(lost, ModesRequest(3), MystranSolver())
+        with pytest.raises(SolverFailed, match="99"):
+            analysis.run(deck)
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_its_two_files_agree(tmp_path: Path) -> None:
+    with MystranSolver(keep=tmp_path).open(shell(4, 3, clamped=True)) as analysis:
+        analysis.modes(ModesRequest(4))
+    run = tmp_path / "run1"
+    f06, op2 = (read_nastran_modes(run / f"model.{e}", mass_normalised=True) for e in ("F06", "OP2"))
+    np.testing.assert_allclose(op2.frequencies, f06.frequencies, rtol=1e-6)
+    np.testing.assert_allclose(op2.shapes, f06.shapes, atol=1e-6 * np.abs(f06.shapes).max())
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_a_missing_deck_does_not_wait_for_the_keyboard(tmp_path: Path) -> None:
+    done = run_program([find_mystran(), "no.bdf"], tmp_path, name="mystran", timeout=20.0)
+    assert not done.files(".op2")
+
+
+def test_not_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("RINGTRUE_MYSTRAN", str(tmp_path))
+    with pytest.raises(SolverMissing, match="no program there"):
+        MystranSolver().open(shell(3, 2))

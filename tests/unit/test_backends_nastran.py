@@ -1,0 +1,171 @@
+"""Nastran by command: the decks it gets, and what becomes of what it does, on a stand-in that solves its deck."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
+from eigen_shell import parameters, shell
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.backends.nastran import NastranSolver, nastran_command, nastran_make, sensitivity_deck
+from ringtrue.backends.runner_deck import modes_deck
+from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.model import Model, table
+from ringtrue.model.ports import ModesRequest
+from ringtrue.testing.solver import check_modal_solver
+
+STUB = Path(__file__).with_name("nastran_stub.py")
+
+
+def stub(behaviour: str = "success", kind: str = "op2", **more) -> NastranSolver:
+    return NastranSolver(command=f"{sys.executable} {STUB} {behaviour} {kind} {{deck}}", **more)
+
+
+def turned(model: Model) -> Model:
+    """The model with nodes 3 and 20 in a skew displacement frame."""
+    grid = model["GRID"].with_column("CD", np.where(np.isin(model["GRID"].ids, (3, 20)), 5, 0))
+    points = {"A": (0, 0, 0), "B": (1, 2, 3), "C": (1, -1, 0)}
+    frame = table(
+        "CORD2R",
+        CID=[5],
+        RID=[0],
+        **{f"{p}{i}": [float(v)] for p, x in points.items() for i, v in zip("123", x, strict=True)},
+    )
+    return Model({**model.tables, "GRID": grid, "CORD2R": frame}, model.params, model.case)
+
+
+@pytest.mark.parametrize("kind", ["h5", "op2", "f06"])
+def test_contract(kind: str) -> None:
+    model = turned(shell(6, 4, clamped=True))
+    result = check_modal_solver(stub(kind=kind), model, count=6)
+    assert result.complete
+    assert "by Nastran's Sturm count" in result.proof
+    with EmbeddedSolver().open(model) as analysis:
+        ours = analysis.modes(ModesRequest(6)).modes
+    digits = {"h5": 1e-8, "op2": 1e-6, "f06": 1e-6}[kind]  # as good as λ, single precision, seven figures
+    np.testing.assert_allclose(result.modes.frequencies, ours.frequencies, rtol=10 * digits)
+    sign = np.sign(np.einsum("dm,dm->m", result.modes.shapes, ours.shapes))
+    np.testing.assert_allclose(result.modes.shapes * sign, ours.shapes, atol=1e2 * digits * np.abs(ours.shapes).max())
+
+
+def test_derivatives_by_sol_200() -> None:
+    """Factors on thickness and E (with its blank G), against the embedded solver's."""
+    model = turned(shell(4, 3, clamped=True))
+    both = (Target("PSHELL", 1, "T"), Target("PSHELL", 2, "T"))  # a field in two parameters: its relation has C0
+    chosen = ParameterSet((*parameters().parameters, Parameter("t", both)))
+    with EmbeddedSolver().open(model) as analysis:
+        modes = analysis.modes(ModesRequest(4)).modes
+        ours = analysis.derivatives(modes, chosen)
+    with stub(kind="h5").open(model) as analysis:
+        theirs = analysis.derivatives(modes, chosen)
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(b, a, atol=1e-5 * np.abs(a).max())  # the stand-in differences, step 1e-3
+
+
+def test_derivatives_of_repeated_modes_are_refused() -> None:
+    with stub().open(shell(4, 3)) as analysis:
+        modes = analysis.modes(ModesRequest(7)).modes
+        with pytest.raises(UnsupportedError, match="repeated modes"):
+            analysis.derivatives(modes, parameters())
+
+
+def test_fatal_error_with_exit_status_0() -> None:
+    with stub("fatal").open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match="EXCESSIVE PIVOT RATIOS"):
+        analysis.modes(ModesRequest(3))
+
+
+def test_a_hanging_program_is_ended() -> None:
+    start = time.monotonic()
+    with stub("hang", timeout=4.0).open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match="within 4 s"):
+        analysis.modes(ModesRequest(3))
+    assert time.monotonic() - start < 60
+
+
+def test_a_full_disk_is_named() -> None:
+    with stub("full").open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match=r"disk .* is full"):
+        analysis.modes(ModesRequest(3))
+
+
+@pytest.mark.parametrize("kind", ["op2", "h5"])
+def test_results_cut_off(kind: str) -> None:
+    with stub("cut", kind).open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match="wrote no modes"):
+        analysis.modes(ModesRequest(3))
+
+
+def test_no_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RINGTRUE_NASTRAN", raising=False)
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(SolverMissing, match="set RINGTRUE_NASTRAN"):
+        NastranSolver().open(shell(3, 2))
+    monkeypatch.setenv("RINGTRUE_NASTRAN", "nast20 scr=yes")
+    assert nastran_command() == "nast20 scr=yes {deck}"
+    with NastranSolver().open(shell(3, 2)) as analysis, pytest.raises(SolverMissing, match="nast20 cannot be started"):
+        analysis.modes(ModesRequest(3))
+    monkeypatch.setenv("RINGTRUE_NASTRAN_MAKE", "nex")
+    with pytest.raises(ConfigError, match="did you mean 'nx'"):
+        nastran_make()
+
+
+def test_folders_are_removed_or_kept(tmp_path: Path) -> None:
+    with stub(keep=tmp_path).open(shell(3, 2)) as analysis:
+        analysis.modes(ModesRequest(3))
+        analysis.modes(ModesRequest(3))  # answered without a run
+    assert [p.name for p in sorted(tmp_path.iterdir())] == ["run1"]
+    with stub().open(shell(3, 2)) as analysis:
+        analysis.modes(ModesRequest(3))
+        folder = analysis._folder
+        assert folder.is_dir()
+    assert not folder.exists()
+
+
+def test_a_deck_reads_back_as_the_same_model(tmp_path: Path) -> None:
+    model = turned(shell(3, 2, clamped=True))
+    path = tmp_path / "m.bdf"
+    path.write_text(modes_deck(model, ModesRequest(band=(0.0, 123.456)), stub()))
+    again = read_deck(path)
+    for card, before in model.tables.items():
+        for name, column in before.columns.items():
+            if isinstance(column, np.ndarray):
+                same = (
+                    np.allclose(again[card][name], column, rtol=1e-13, equal_nan=True)
+                    if column.dtype.kind == "f"
+                    else (again[card][name] == column).all()
+                )
+                assert same, f"{card} {name}"
+    assert again.case.spc == 1
+    assert again["EIGRL"]["V2"].tolist() == [123.456]
+    assert np.isnan(again["EIGRL"]["V1"]).all()
+
+
+def test_fields_that_sol_200_has_not() -> None:
+    model = shell(3, 2)
+    grids = np.empty(0, dtype=np.int64)
+    for target, why in ((Target("GRID", 3, "X3"), "cannot be a design variable"), (Target("PSHELL", 1, "NSM"), "is 0")):
+        with pytest.raises(UnsupportedError, match=why):
+            sensitivity_deck(model, stub(), ParameterSet((Parameter("p", (target,)),)), 3, grids)
+
+
+def test_decks_parse_in_pynastran(tmp_path: Path) -> None:
+    """An independent reader of Nastran decks accepts SOL 103 and SOL 200."""
+    bdf = pytest.importorskip("pyNastran.bdf.bdf", reason="pyNastran is not installed", exc_type=ImportError)
+    model = turned(shell(3, 2, clamped=True))
+    decks = {
+        "SOL103.bdf": modes_deck(model, ModesRequest(5), stub()),
+        "SOL200.bdf": sensitivity_deck(model, stub(), parameters(), 3, np.asarray(model["GRID"].ids)),
+    }
+    for name, text in decks.items():
+        (tmp_path / name).write_text(text)
+        read = bdf.BDF(debug=False)
+        read.read_bdf(tmp_path / name, xref=True)
+        assert len(read.nodes) == len(model["GRID"])
+    assert len(read.desvars) == 3
+    assert {r.response_type for r in read.dresps.values()} == {"EIGN", "DISP"}

@@ -1,0 +1,103 @@
+"""`ringtrue update` on the three-storey frame: factors found, deck edited, verdict, resumption, and refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_study
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.cli.main import run
+from ringtrue.io.modes_json import write_modes
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.ports import ModesRequest
+
+STUDY = '[model]\ndeck = "frame.bdf"\n' + "".join(
+    f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\n' for i in small_study.TRUTH
+)
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "frame.bdf").write_text(small_study.deck())
+    (tmp_path / "truth.bdf").write_text(small_study.deck(small_study.TRUTH))
+    (tmp_path / "study.toml").write_text(STUDY)
+    with EmbeddedSolver().open(read_deck(tmp_path / "truth.bdf")) as analysis:
+        modes = analysis.modes(ModesRequest(9)).modes
+    write_modes(tmp_path / "test.json", modes.rows(small_study.test_model().channels))
+    return tmp_path
+
+
+def call(capsys: Capture, folder: Path, *words: str) -> tuple[int, str, str]:
+    capsys.readouterr()
+    status = run(["update", str(folder / "study.toml"), str(folder / "test.json"), *words])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path) -> None:
+    status, out, err = call(capsys, folder, "--leave-out", "3,7", "--out", str(folder / "up"), "--json", "-")
+    assert status == 0, err
+    found = json.loads(out)
+    factors = [p["factor"] for p in found["parameters"]]
+    np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)  # the prior pulls
+    assert found["basis_error"] < 1e-4
+    assert [m["used"] for m in found["modes"]].count(False) == 2
+    for m in found["modes"]:
+        assert abs(m["deviation_percent"]) < 0.1
+    updated = read_deck(folder / "up" / "frame.bdf")
+    moduli = updated["MAT1"]["E"][updated["MAT1"].find(np.array(list(small_study.TRUTH)))]
+    np.testing.assert_allclose(moduli, 2e11 * np.array(factors), rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--method", "gauss-newton"), ("--prior", "evidence", "--loss", "huber"), ("--starts", "3", "--seed", "1")],
+)
+def test_options_lead_to_the_same_factors(capsys: Capture, folder: Path, words: tuple[str, ...]) -> None:
+    status, out, err = call(capsys, folder, *words, "--json", "-")
+    assert status == 0, err
+    factors = [p["factor"] for p in json.loads(out)["parameters"]]
+    np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)
+
+
+def test_checkpoint_is_kept_and_the_table_is_printed(capsys: Capture, folder: Path) -> None:
+    file = folder / "point.json"
+    status, out, _ = call(capsys, folder, "--checkpoint", str(file))
+    assert status == 0
+    assert "storey 2" in out
+    assert "posterior/prior" in out
+    assert len(json.loads(file.read_text())["y"]) == 3
+    assert call(capsys, folder, "--checkpoint", str(file))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--method", "newton"), "did you mean"),
+        (("--prior", "lcurve"), "did you mean 'l-curve'"),
+        (("--loss", "l1"), "Allowed: huber, squares, tukey"),
+        (("--leave-out", "12"), "modes 1 to 9"),
+        (("--starts", "3", "--checkpoint", "x.json"), "does not go with --starts"),
+    ],
+)
+def test_wrong_options_are_refused(capsys: Capture, folder: Path, words: tuple[str, ...], told: str) -> None:
+    status, _, err = call(capsys, folder, *words)
+    assert status == 2
+    assert told in err
+
+
+def test_test_channels_that_are_no_dofs_are_refused(capsys: Capture, folder: Path) -> None:
+    table = json.loads((folder / "test.json").read_text())
+    table["channels"][0] = "9999+X"
+    (folder / "test.json").write_text(json.dumps(table))
+    status, _, err = call(capsys, folder)
+    assert status == 2
+    assert "9999+X" in err
+    (folder / "study.toml").write_text('[model]\ndeck = "frame.bdf"\n')
+    assert "at least one [[candidate]]" in call(capsys, folder)[2]

@@ -1,0 +1,149 @@
+"""All measures of two sets at once, FRFs side by side, and the command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringtrue.cli.main import run
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.correlate.complete import complete, complete_json
+from ringtrue.correlate.frf import amplitude_correlation, band_levels, compare_frfs, shape_correlation
+from ringtrue.correlate.pairing import pair_modes
+from ringtrue.errors import InputError
+from ringtrue.io.modes_json import read_frequency_std, write_modes
+
+CHANNELS = tuple(f"{i}+Z" for i in range(1, 41))
+
+
+def model() -> ModeSet:
+    """A string of 40 unit masses: shapes orthonormal over the unit mass; modes 3 and 4 are close."""
+    i, k = np.arange(1, 41), np.arange(1, 7)
+    phi = np.sin(np.pi * np.outer(i, k) / 41) * np.sqrt(2 / 41)
+    return ModeSet(np.array([10.0, 20, 30, 30.2, 50, 60]), np.zeros(6), phi, CHANNELS, Norm.MASS)
+
+
+def measured(b: ModeSet) -> ModeSet:
+    """Modes 3 and 4 turned into each other, channel 5 reversed, the sixth mode a mixture with the second."""
+    c, s = np.cos(0.8), np.sin(0.8)
+    phi = b.shapes.copy()
+    phi[:, 2:4] = phi[:, 2:4] @ np.array([[c, -s], [s, c]])
+    phi[:, 5] += 0.3 * phi[:, 1]
+    phi += 0.002 * np.random.default_rng(0).standard_normal(phi.shape)
+    phi[4] *= -1
+    return ModeSet(b.frequencies * [1, 1, 1, 1, 1, 1.05], np.full(6, 0.01), phi * 7, CHANNELS)
+
+
+def test_each_measure_sees_its_own() -> None:
+    b = model()
+    a = measured(b)
+    p = pair_modes(a, b)
+    assert p.a.tolist() == p.b.tolist() == list(range(6))
+    c = complete(a, b, p, std_a=0.01 * a.frequencies)
+    assert [(s.channel, s.fault) for s in c.suspects] == [("5+Z", "reversed")]
+    assert c.channels[c.elimination.order[0]] == "5+Z"
+    assert int(np.argmax(c.ecomac)) == 4
+    assert c.significance.significant.tolist() == [False] * 5 + [True]
+    np.testing.assert_allclose(c.mpc, 1, atol=1e-12)
+    assert [(s.a, s.b) for s in c.subspaces] == [((2, 3), (2, 3))]
+    good = replace(a, shapes=np.where(np.arange(40)[:, None] == 4, -1, 1) * a.shapes)
+    c = complete(good, b, p)
+    assert max(c.subspaces[0].angles) < 0.03
+    assert not c.suspects
+    own, cross = c.checks
+    assert [(f.a, f.b) for f in own.verdict.failures] in ([(1, 5), (5, 1)], [(5, 1), (1, 5)])
+    assert {(f.a, f.b) for f in cross.verdict.failures} >= {(5, 1), (2, 3), (3, 2)}
+    np.testing.assert_allclose(np.abs(c.scale[[0, 1, 4]]), 7, rtol=0.01)
+    assert "no standard deviation" in c.notes[0]
+
+
+def test_mass_given_and_serep_agree_where_the_shapes_are_complete() -> None:
+    b = model()
+    a = replace(b, norm=Norm.UNSCALED)
+    p = pair_modes(a, b)
+    one, two = complete(a, b, p, mass=np.eye(40)), complete(a, b, p)
+    for left, right in zip(one.checks, two.checks, strict=True):
+        np.testing.assert_allclose(left.matrix, right.matrix, atol=1e-6)
+        assert left.verdict.passed
+    none = complete(a, a, p)
+    assert not none.checks
+    assert "no mass given" in none.notes[0]
+
+
+def test_json_holds_no_nan_and_nothing_paired_is_no_error() -> None:
+    b = model()
+    a = replace(b, frequencies=b.frequencies * 9)
+    p = pair_modes(a, b)
+    assert not len(p)
+    text = json.dumps(complete_json(complete(a, b, p), p), allow_nan=False)
+    assert "at least 3 are needed" in text
+    full = complete_json(complete(measured(b), b, pair_modes(measured(b), b)), pair_modes(measured(b), b))
+    json.dumps(full, allow_nan=False)
+    assert full["suspects"][0]["channel"] == "5+Z"
+
+
+def frf_set(shift: float = 0.0, gain: float = 1.0) -> FrfSet:
+    f = np.linspace(5, 500, 400)
+    b = model()
+    w0 = b.frequencies * (5 + shift)
+    h = np.einsum("ok,fk,k->fo", b.shapes, 1 / (w0**2 - f[:, None] ** 2 + 2j * 0.02 * w0 * f[:, None]), b.shapes[0])
+    data = gain * h[:, :, None]
+    outs = tuple(Channel(c, "acceleration", "m/s^2") for c in CHANNELS)
+    return FrfSet(data, f, outs, (Channel("1+Z", "force", "N"),), np.full(data.shape, np.nan), np.array([np.nan]))
+
+
+def test_frfs_side_by_side() -> None:
+    a = frf_set()
+    same = compare_frfs(a, frf_set(gain=2.0))
+    np.testing.assert_allclose(same.frac, 1, rtol=1e-10)
+    np.testing.assert_allclose(same.deviation, 20 * np.log10(2), rtol=1e-10)
+    np.testing.assert_allclose(same.shape, 1, rtol=1e-10)
+    np.testing.assert_allclose(same.amplitude, 0.8, rtol=1e-10)  # 2·2/(1 + 4)
+    np.testing.assert_allclose(same.levels.difference, 20 * np.log10(2), rtol=1e-10)
+    moved = compare_frfs(a, frf_set(shift=0.3))
+    assert moved.frac.max() < 0.9
+    assert np.abs(moved.levels.difference).mean() > 0.1
+    b = frf_set()
+    with pytest.raises(InputError, match="0 lines, 40 outputs"):
+        compare_frfs(a, replace(b, freqs=b.freqs + 0.3))
+    with pytest.raises(InputError, match="convert one"):
+        compare_frfs(a, replace(b, kind="receptance"))
+
+
+def test_levels_fall_into_third_octaves() -> None:
+    f = np.array([0.0, 1000.0, 1010.0, 2000.0])
+    h = np.ones((4, 2, 1), dtype=complex)
+    levels = band_levels(h, h * np.array([1, 10, 10, 1])[:, None, None], f)
+    np.testing.assert_allclose(levels.centre, [1000, 2000])
+    np.testing.assert_allclose(levels.difference[:, 0], [20, 0], atol=1e-12)
+    assert shape_correlation(h, h * 1j).min() == pytest.approx(1)
+    assert amplitude_correlation(h, 0 * h).max() == 0
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    b = model()
+    a = measured(b)
+    std = Uncertainty.independent(0.01 * a.frequencies, np.full(6, 0.01), np.zeros((40, 6)))
+    write_modes(tmp_path / "a.json", a, std)
+    write_modes(tmp_path / "a.h5", a, std)
+    write_modes(tmp_path / "b.json", b)
+    np.testing.assert_allclose(read_frequency_std(tmp_path / "a.h5"), std.frequency)
+    np.testing.assert_allclose(read_frequency_std(tmp_path / "a.json"), std.frequency)
+    assert np.isnan(read_frequency_std(tmp_path / "b.json")).all()
+    files = ["correlate", str(tmp_path / "a.json"), str(tmp_path / "b.json")]
+    assert run([*files, "--complete", "--json", str(tmp_path / "out.json")]) == 0
+    shown = capsys.readouterr().out
+    assert "channel 5+Z looks reversed" in shown
+    assert "1 of 6 deviations are beyond their uncertainty" in shown
+    found = json.loads((tmp_path / "out.json").read_text())["complete"]
+    assert found["orthogonality"][1]["verdict"]["gate"] == "90 % / 10 %"
+    assert run([*files, "--forbid", "1:1", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["pairs"][0]["test_mode"] == 2
+    assert run([*files, "--lock", "0:1"]) == 2
+    assert "such as 3:4" in capsys.readouterr().err

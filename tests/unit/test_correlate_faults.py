@@ -1,0 +1,89 @@
+"""Channel faults put into random tests of a plate are named; healthy tests raise no alarm."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.correlate.faults import find_faults, suspect_channels
+from ringtrue.correlate.pairing import pair_modes
+from ringtrue.errors import InputError
+from ringtrue.shapes.mac import paired_mac
+
+
+def plate(rng: np.random.Generator, channels: int, modes: int) -> np.ndarray:
+    """Shapes sin(iπx) sin(jπy) of a plate at random places."""
+    x, y = rng.uniform(0.03, 0.97, (2, channels))
+    ij = np.array([(1, 1), (2, 1), (1, 2), (2, 2), (3, 1), (1, 3), (3, 2), (2, 3), (3, 3), (4, 1), (1, 4), (4, 2)])
+    return np.sin(np.pi * np.outer(x, ij[:modes, 0])) * np.sin(np.pi * np.outer(y, ij[:modes, 1]))
+
+
+def healthy(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A model and a test of it: other modes mixed in (a wrong model), noise, any scale and phase."""
+    n, m = int(rng.integers(10, 60)), int(rng.integers(3, 10))
+    whole = plate(rng, n, 12)
+    mix = rng.uniform(0, 0.12) * rng.standard_normal((12, m))
+    test = whole[:, :m] + whole @ mix
+    test = test * np.exp(0.08 * rng.standard_normal(n))[:, None]  # calibration, local stiffness
+    test += rng.uniform(0.0, 0.08) * rng.standard_normal(test.shape)
+    return test * rng.uniform(0.1, 10, m) * np.exp(2j * np.pi * rng.uniform(size=m)), whole[:, :m]
+
+
+def test_few_alarms_on_200_healthy_tests() -> None:
+    rng = np.random.default_rng(5)
+    alarms, macs = [], []
+    for _ in range(200):  # over tests
+        a, b = healthy(rng)
+        macs.append(paired_mac(a, b).mean())
+        alarms += find_faults(a, b)
+    assert 0.8 < np.mean(macs) < 0.97  # the tests are no easy ones
+    assert len(alarms) <= 2
+
+
+@pytest.mark.parametrize(("fault", "least"), [("reversed", 0.9), ("dead", 0.85), ("scaled", 0.9), ("swapped", 0.75)])
+def test_faults_are_found(fault: str, least: float) -> None:
+    """On channels that move as much as the median one; a swapped pair must also move differently."""
+    rng = np.random.default_rng(6)
+    found, wrong = [], 0
+    for _ in range(100):  # over tests
+        a, b = healthy(rng)
+        size = np.linalg.norm(b, axis=1)
+        i = int(rng.choice(np.flatnonzero(size >= np.median(size))))
+        j = int(np.argmin(b @ b[i] / size))  # the partner that moves most differently
+        if fault == "reversed":
+            a[i] *= -1
+        elif fault == "dead":
+            a[i] *= 0.01
+        elif fault == "scaled":
+            a[i] *= 9.80665
+        else:
+            a[[i, j]] = a[[j, i]]
+        got = find_faults(a, b)
+        want = {i, j} if fault == "swapped" else {i}
+        found.append(any(f.fault == fault and {f.i, f.j} == want for f in got))
+        wrong += sum(not ({f.i, f.j} & want) for f in got)
+    assert np.mean(found) >= least
+    assert wrong <= 3
+
+
+def test_suspects_carry_names_and_the_mac_if_mended_and_nothing_is_changed() -> None:
+    rng = np.random.default_rng(7)
+    b = plate(rng, 24, 8)
+    read = b + 0.01 * rng.standard_normal(b.shape)
+    read[3] *= 9.80665
+    read[[5, 6]] = read[[6, 5]]
+    channels = tuple(f"c{i}" for i in range(24))
+    model = ModeSet(np.arange(1.0, 9), np.zeros(8), b, channels)
+    test = ModeSet(model.frequencies, model.damping, read, channels)
+    before = test.shapes.copy()
+    got = {s.channel: s for s in suspect_channels(test, model, pair_modes(model, model))}
+    assert set(got) == {"c3", "c5", "c6"}
+    assert got["c3"].factor == pytest.approx(9.8, rel=0.05)
+    assert "g for m/s²" in got["c3"].message
+    assert got["c5"].partner == "c6"
+    assert got["c3"].mac_mended > got["c3"].mac_now
+    assert got["c3"].mac_now == pytest.approx(paired_mac(read, b).mean())
+    np.testing.assert_array_equal(test.shapes, before)
+    with pytest.raises(InputError, match="at least 3"):
+        find_faults(read[:, :2], b[:, :2])

@@ -1,0 +1,176 @@
+"""Test-analysis models, orthogonality and expansion on a clamped beam of springs and masses with known modes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import linalg, sparse
+
+from ringtrue.correlate.gates import Gate, judge, verdict_json
+from ringtrue.errors import ConfigError, InputError, SingularModel
+from ringtrue.reduce.expand import expand_dynamic, expand_hybrid, expand_serep, expand_static
+from ringtrue.reduce.static import craig_bampton, guyan
+from ringtrue.reduce.tam import craig_bampton_coordinates, select, tam
+from ringtrue.shapes.mac import mac, paired_mac
+from ringtrue.shapes.orthogonality import cross_orthogonality, mass_mac, poc, self_orthogonality, serep_mass
+
+N = 30
+
+
+def chain(free: bool = False) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """N masses in a row, springs between them (and to the ground at both ends), uneven."""
+    k = 1e4 * (1 + 0.3 * np.sin(np.arange(N + 1)))
+    if free:
+        k[[0, N]] = 0.0
+    K = sparse.diags_array([-k[1:N], k[:N] + k[1:], -k[1:N]], offsets=[-1, 0, 1]).tocsr()
+    return sparse.csr_array(K), sparse.csr_array(sparse.diags_array(1 + 0.5 * np.cos(np.arange(N))).tocsr())
+
+
+def solved(K: sparse.csr_array, M: sparse.csr_array) -> tuple[np.ndarray, np.ndarray]:
+    lam, phi = linalg.eigh(K.toarray(), M.toarray())
+    return np.sqrt(lam.clip(0)) / (2 * np.pi), phi
+
+
+SENSORS = np.array([1, 5, 9, 14, 17, 21, 25, 28])
+
+
+def test_guyan_of_the_observation_is_the_guyan_of_static() -> None:
+    K, M = chain()
+    one, two = tam(K, M, select(SENSORS, N)), guyan(K, M, SENSORS)
+    np.testing.assert_allclose(one.transform, two.transform, atol=1e-9)
+    np.testing.assert_allclose(one.mass, two.mass, atol=1e-9)
+
+
+def test_methods_in_order_of_accuracy_and_serep_exact() -> None:
+    K, M = chain()
+    f, phi = solved(K, M)
+    C = select(SENSORS, N)
+    error = {}
+    for method in ("guyan", "irs", "serep", "hybrid"):
+        t = tam(K, M, C, method, modes=phi[:, :5])
+        error[method] = float(np.abs(t.frequencies[:5] / f[:5] - 1).max())
+        off = self_orthogonality(phi[SENSORS, :5], t.mass) - np.eye(5)
+        if method in ("serep", "hybrid"):
+            assert np.abs(off).max() < 1e-9
+    assert error["serep"] < 1e-9
+    assert error["hybrid"] < 1e-9
+    assert error["irs"] < 0.1 * error["guyan"]
+    assert 1e-3 < error["guyan"] < 0.2
+
+
+def test_sensors_off_the_nodes_and_without_supports() -> None:
+    """A free chain, sensors half-way between masses and one skewed by a factor: rigid motion is kept exactly."""
+    K, M = chain(free=True)
+    C = sparse.csr_array(0.5 * (select(SENSORS, N) + select(SENSORS + 1, N)))
+    t = tam(K, M, C, "irs")
+    np.testing.assert_allclose(C @ t.transform, np.eye(8), atol=1e-9)
+    np.testing.assert_allclose(t.transform @ np.ones(8), 1, atol=1e-8)
+    assert np.ones(8) @ t.mass @ np.ones(8) == pytest.approx(M.sum())
+    f, _ = solved(K, M)
+    np.testing.assert_allclose(t.frequencies[1:4], f[1:4], rtol=5e-3)
+
+
+def test_craig_bampton_coordinates_make_orthogonality_exact() -> None:
+    K, M = chain()
+    f, phi = solved(K, M)
+    cb = craig_bampton(K, M, SENSORS, N - SENSORS.size)
+    q = craig_bampton_coordinates(cb, phi[SENSORS, :9], f[:9])
+    np.testing.assert_allclose(cross_orthogonality(q, q, cb.mass), np.eye(9), atol=1e-6)
+    assert np.abs(self_orthogonality(phi[SENSORS, :8], guyan(K, M, SENSORS).mass) - np.eye(8)).max() > 0.05
+    with pytest.raises(InputError, match="kept DOFs"):
+        craig_bampton_coordinates(cb, phi[:3, :2], f[:2])
+
+
+def test_mass_mac_is_the_square_and_blind_to_scale_and_phase() -> None:
+    rng = np.random.default_rng(0)
+    M = np.diag(rng.uniform(1, 3, 6))
+    a, b = rng.standard_normal((6, 3)), rng.standard_normal((6, 2)) + 1j * rng.standard_normal((6, 2))
+    got = cross_orthogonality(a, b * (2 - 3j), M)
+    np.testing.assert_allclose(got, cross_orthogonality(a, b, M), rtol=1e-12)
+    np.testing.assert_allclose(mass_mac(a, b, M), got**2, rtol=1e-12)
+    np.testing.assert_allclose(mass_mac(a, b, np.eye(6)), mac(a, b), rtol=1e-12)
+
+
+def test_poc_is_the_cross_orthogonality_over_the_serep_mass() -> None:
+    K, M = chain()
+    _, phi = solved(K, M)
+    fe = phi[SENSORS, :6]
+    rng = np.random.default_rng(1)
+    test = fe[:, :4] @ (np.eye(4) + 0.1 * rng.standard_normal((4, 4))) + 0.01 * rng.standard_normal((8, 4))
+    np.testing.assert_allclose(poc(test, fe), cross_orthogonality(test, fe, serep_mass(fe)), atol=1e-10)
+    np.testing.assert_allclose(poc(fe, fe), np.eye(6), atol=1e-9)
+    with pytest.raises(InputError, match="8 channels tell 8 of 9 shapes"):
+        poc(test, phi[SENSORS, :9])
+
+
+def test_gate_names_the_entries_beyond_it() -> None:
+    x = np.array([[0.95, 0.05, 0.3], [0.02, 0.8, 0.04]])
+    v = judge(x, a=[0, 1], b=[0, 1])
+    assert not v.passed
+    assert [(f.a, f.b, f.diagonal) for f in v.failures] == [(1, 1, True)]
+    assert judge(x, Gate(0.75, 0.06, "mine"), a=[0, 1], b=[0, 1]).passed
+    assert not judge(x, a=[0, 1], b=[2, 1]).passed
+    assert verdict_json(v)["failures"][0]["a"] == 2
+    assert "failed 90 % / 10 %" in str(v)
+    with pytest.raises(InputError, match="unless it is square"):
+        judge(x)
+    with pytest.raises(ConfigError, match="0 to 1"):
+        Gate(90, 10)
+    assert not judge(np.zeros((0, 0))).passed
+
+
+def test_expansions_recover_exact_shapes() -> None:
+    K, M = chain()
+    f, phi = solved(K, M)
+    C = select(SENSORS, N)
+    y, true = phi[SENSORS, :4] * np.array([1, -2, 1j, 3]), phi[:, :4]
+    assert paired_mac(expand_serep(phi[:, :6], C, y).shapes, true).min() > 1 - 1e-12
+    dynamic = expand_dynamic(K, M, C, y, f[:4])
+    assert paired_mac(dynamic.shapes, true).min() > 1 - 1e-10
+    assert dynamic.misfit.max() < 1e-9
+    static = paired_mac(expand_static(K, C, y).shapes, true)
+    assert 0.9 < static.min() < 1 - 1e-5
+    hybrid = expand_hybrid(K, M, C, y, f[:4], phi[:, :6], weight=1.0)
+    assert paired_mac(hybrid.shapes, true).min() > 1 - 1e-9
+
+
+def test_hybrid_expansion_beats_the_others_on_a_wrong_model_with_noise() -> None:
+    """Truth: a chain whose springs differ from the model's; the readings carry 5 % noise."""
+    K, M = chain()
+    wrong = sparse.csr_array(K + sparse.diags_array(np.where(np.arange(N) > 20, 8e2, 0.0)))
+    f, true = solved(wrong, M)
+    _, phi = solved(K, M)
+    C = select(SENSORS, N)
+    rng = np.random.default_rng(2)
+    got = np.zeros((3, 20))
+    for i in range(20):  # over noise
+        y = true[SENSORS, :4].copy()
+        e = rng.standard_normal(y.shape)
+        y += 0.05 * e * np.linalg.norm(y, axis=0) / np.linalg.norm(e, axis=0)
+        shapes = (
+            expand_hybrid(K, M, C, y, f[:4], phi[:, :14], noise=0.05).shapes,
+            expand_dynamic(K, M, C, y, f[:4]).shapes,
+            expand_serep(phi[:, :8], C, y).shapes,
+        )
+        got[:, i] = [1 - paired_mac(u, true[:, :4]).mean() for u in shapes]
+    hybrid, dynamic, serep = got.mean(axis=1)
+    assert hybrid < 0.9 * min(dynamic, serep)
+
+
+def test_what_cannot_be_reduced_or_expanded() -> None:
+    K, M = chain()
+    C = select(SENSORS, N)
+    twice = sparse.csr_array(sparse.vstack([C, C[[0]]]))
+    with pytest.raises(InputError, match="reads what others read"):
+        tam(K, M, twice)
+    with pytest.raises(ConfigError, match="did you mean 'guyan'"):
+        tam(K, M, C, "guyana")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="needs the modes"):
+        tam(K, M, C, "serep")
+    with pytest.raises(ConfigError, match="give one of them"):
+        expand_hybrid(K, M, C, np.ones((8, 1)), np.ones(1), np.ones((N, 1)))
+    with pytest.raises(InputError, match="8 channels"):
+        expand_static(K, C, np.ones((7, 1)))
+    loose = sparse.csr_array(sparse.block_diag([chain(free=True)[0], chain(free=True)[0]]))
+    with pytest.raises(SingularModel):
+        expand_static(loose, select(SENSORS, 2 * N), np.ones((8, 1)))

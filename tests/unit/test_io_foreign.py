@@ -1,0 +1,298 @@
+"""Records of other programs: WAV, TDMS, LabVIEW, MATLAB, CSV of instruments; every reader takes damage with a message.
+
+The true samples are made here or written by another library (scipy, nptdms, h5py), and read back.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import savemat, wavfile
+
+from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.io.frfs import read_frfs
+from ringtrue.io.lvm import read_lvm_segments
+from ringtrue.io.mat5 import read_mat5
+from ringtrue.io.records import read_record, write_history
+from ringtrue.io.uff.modes import read_shapes
+from ringtrue.io.uff.tables import read_geometry
+
+DATA = Path(__file__).parents[2].parent / "shared/data"
+data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"no reference data at {DATA}")
+RATE = 200.0
+T = np.arange(300) / RATE
+Y = np.stack([0.4 * np.sin(7 * T), 0.5 * np.cos(9 * T)])
+
+
+def history() -> TimeHistory:
+    channels = (Channel("1+Z", "acceleration", "m/s^2"), Channel("7-X", "force", "N"))
+    return TimeHistory(Y, RATE, channels, "made")
+
+
+@pytest.mark.parametrize(
+    ("ext", "tolerance"), [(".h5", 1e-7), (".csv", 1e-8), (".mat", 0.0), (".uff", 0.0)], ids=lambda x: str(x)
+)
+def test_writers_go_round(tmp_path: Path, ext: str, tolerance: float) -> None:
+    """HDF5 holds float32 (1e-7), CSV 9 digits."""
+    write_history(tmp_path / f"r{ext}", history())
+    got = read_record(tmp_path / f"r{ext}")
+    np.testing.assert_allclose(got.data, Y, atol=tolerance)
+    assert got.rate == pytest.approx(RATE, rel=1e-5)
+    assert [(c.id, c.quantity) for c in got.channels] == [("1+Z", "acceleration"), ("7-X", "force")]
+    with pytest.raises(DataError, match="Allowed"):
+        write_history(tmp_path / "r.xyz", history())
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.int32, np.float32, np.float64])
+def test_wav_written_by_scipy(tmp_path: Path, kind: type) -> None:
+    y = Y.T
+    if np.issubdtype(kind, np.integer):
+        bits = np.dtype(kind).itemsize * 8
+        y = np.round(y * 2 ** (bits - 1)) + (128 if bits == 8 else 0)
+    wavfile.write(tmp_path / "r.wav", 200, y.astype(kind))
+    tolerance = 1e-6 if np.issubdtype(kind, np.floating) else 0.51 / 2 ** (np.dtype(kind).itemsize * 8 - 1)
+    got = read_record(tmp_path / "r.wav")
+    np.testing.assert_allclose(got.data, Y, atol=tolerance)
+    assert got.rate == 200.0
+
+
+def test_wav_of_24_bits_with_an_odd_chunk(tmp_path: Path) -> None:
+    whole = np.ascontiguousarray(np.round(Y.T * 2**23), dtype="<i4")
+    body = whole.view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
+    form = struct.pack("<HHIIHH", 1, 2, 200, 1200, 6, 24)
+    chunks = b"fmt " + struct.pack("<I", 16) + form + b"note" + struct.pack("<I", 3) + b"abc\0"
+    (tmp_path / "r.wav").write_bytes(b"RIFF\0\0\0\0WAVE" + chunks + b"data" + struct.pack("<I", len(body)) + body)
+    np.testing.assert_allclose(read_record(tmp_path / "r.wav").data, Y, atol=0.51 / 2**23)
+
+
+def as_tdms(path: Path, step: float = 1 / RATE, other: float = 1 / RATE) -> Path:
+    with TdmsWriter(path) as file:
+        for half in (slice(0, 100), slice(100, None)):  # two segments
+            one = ChannelObject("g", "1+Z", Y[0, half], {"wf_increment": step, "unit_string": "m/s^2"})
+            two = ChannelObject("g", "7-X", Y[1, half], {"wf_increment": other, "unit_string": "furlong"})
+            file.write_segment([one, two])
+    return path
+
+
+def test_tdms_written_by_nptdms(tmp_path: Path) -> None:
+    got = read_record(as_tdms(tmp_path / "r.tdms"))
+    np.testing.assert_array_equal(got.data, Y)
+    assert got.rate == pytest.approx(RATE)
+    assert [(c.id, c.unit) for c in got.channels] == [("1+Z", "m/s^2"), ("7-X", "")]
+    with pytest.raises(DataError, match="split"):
+        read_record(as_tdms(tmp_path / "two.tdms", other=1 / 100))
+
+
+def lvm(columns: str = "No", segments: int = 1, gap: float = 0.0, comma: bool = True) -> str:
+    head = f"LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t{',' if comma else '.'}\nX_Columns\t{columns}\n"
+    text = head + "***End_of_Header***\t\n\t\n"
+    for k in range(segments):
+        part = slice(k * 300 // segments, (k + 1) * 300 // segments)
+        start = part.start / RATE + (gap if k else 0.0)
+        rows = [
+            {"No": f"\t{a:.9f}\t{b:.9f}", "One": f"{t:.6f}\t{a:.9f}\t{b:.9f}"}.get(
+                columns, f"{t:.6f}\t{a:.9f}\t{t:.6f}\t{b:.9f}"
+            )
+            for t, a, b in zip(T[part], *Y[:, part], strict=True)
+        ]
+        names = "X_Value\tacc\tX_Value\tforce" if columns == "Multi" else "X_Value\tacc\tforce"
+        special = "***Start_of_Special***\nChannels\t77\n***End_of_Special***\n" if k else ""
+        text += special + f"Channels\t2\nSamples\t300\t300\nTime\t10:00:{start:09.6f}\nY_Unit_Label\tg\tNewtons\n"
+        text += f"X0\t0.0\t0.0\nDelta_X\t{1 / RATE:.6f}\t{1 / RATE:.6f}\n***End_of_Header***\t\n{names}\tComment\n"
+        text += "\n".join(rows) + "\n\n"
+    return text.replace(".", ",") if comma else text
+
+
+@pytest.mark.parametrize("columns", ["No", "One", "Multi"])
+@pytest.mark.parametrize("comma", [True, False])
+def test_lvm_with_its_columns_of_time(tmp_path: Path, columns: str, comma: bool) -> None:
+    (tmp_path / "r.lvm").write_text(lvm(columns, comma=comma))
+    got = read_record(tmp_path / "r.lvm")
+    np.testing.assert_allclose(got.data, Y * [[9.80665], [1.0]], atol=1e-8)
+    assert got.rate == pytest.approx(RATE)
+    assert [c.id for c in got.channels] == ["acc", "force"]
+
+
+def test_lvm_segments_are_joined_only_without_a_gap(tmp_path: Path) -> None:
+    (tmp_path / "r.lvm").write_text(lvm("One", segments=3))
+    np.testing.assert_allclose(read_record(tmp_path / "r.lvm").data, Y * [[9.80665], [1.0]], atol=1e-8)
+    (tmp_path / "gap.lvm").write_text(lvm("One", segments=3, gap=0.2))
+    with pytest.raises(DataError, match="3 segments"):
+        read_record(tmp_path / "gap.lvm")
+    starts = [s for s, _ in read_lvm_segments(tmp_path / "gap.lvm")]
+    np.testing.assert_allclose(np.diff(starts), [0.7, 0.5], atol=1e-6)
+
+
+def test_matlab_structures_and_names(tmp_path: Path) -> None:
+    cells = np.array(["a", "b"], dtype=object)
+    savemat(tmp_path / "r.mat", {"rec": {"y": Y.T, "fs": RATE, "names": cells, "units": np.array(["g", "V"], object)}})
+    got = read_record(tmp_path / "r.mat")
+    assert got.rate == RATE
+    assert [(c.id, c.unit) for c in got.channels] == [("a", "m/s^2"), ("b", "V")]
+    np.testing.assert_allclose(got.data[0], Y[0] * 9.80665)
+
+
+@pytest.mark.parametrize("form", ["4", "5"])
+@pytest.mark.parametrize("compressed", [True, False])
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int16, np.uint8])
+def test_matlab_types_written_by_scipy(tmp_path: Path, form: str, compressed: bool, kind: type) -> None:
+    y = np.arange(40).reshape(20, 2).astype(kind)
+    savemat(tmp_path / "r.mat", {"a": 1.0, "y": y, "text": "abc"}, format=form, do_compression=compressed)
+    np.testing.assert_array_equal(read_record(tmp_path / "r.mat", RATE).data, y.T)
+
+
+def test_matlab_variables_of_every_class(tmp_path: Path) -> None:
+    cells = np.array([1.5, "two", np.eye(2)], dtype=object)
+    content = {"c": cells, "s": {"t": {"u": 3.0}, "z": 1 + 2j}, "text": "long text", "b": np.array([[True, False]])}
+    savemat(tmp_path / "r.mat", content)
+    found = read_mat5(tmp_path / "r.mat")
+    assert found["text"] == "long text"
+    assert found["s"]["t"]["u"].item() == 3.0
+    assert found["s"]["z"].item() == 1 + 2j
+    assert found["c"].ravel()[1] == "two"
+    np.testing.assert_array_equal(found["c"].ravel()[2], np.eye(2))
+    np.testing.assert_array_equal(found["b"], [[1, 0]])
+
+
+def test_text_of_instruments(tmp_path: Path) -> None:
+    (tmp_path / "r.csv").write_bytes(
+        "zeit;Kraft [N];Weg [µm]\n0,0;1,5;2,0\n0,1;1,6;2,5\n0,2;1,2;3,5\n".encode("latin-1")
+    )
+    got = read_record(tmp_path / "r.csv")
+    np.testing.assert_allclose(got.data, [[1.5, 1.6, 1.2], [2e-6, 2.5e-6, 3.5e-6]])
+    (tmp_path / "u.csv").write_text("time,a\n0,1\n1,2\n2,0\n", encoding="utf-16")
+    assert read_record(tmp_path / "u.csv").rate == 1.0
+
+
+def test_faulty_channels_stay_on_request(tmp_path: Path) -> None:
+    np.save(tmp_path / "r.npy", np.stack([Y[0], np.full(300, 2.0)], axis=1))
+    with pytest.raises(DataError, match="constant"):
+        read_record(tmp_path / "r.npy", RATE)
+    assert read_record(tmp_path / "r.npy", RATE, check=False).data.shape == (2, 300)
+
+
+def test_hdf5_that_announces_more_than_it_holds(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file.create_dataset("y", (8, 1 << 40), np.float64, chunks=(1, 4096))
+    with pytest.raises(DataError, match="announces"):
+        read_record(tmp_path / "r.h5", RATE)
+
+
+def samples(path: Path) -> dict[str, bytes]:
+    """A small intact file of every format."""
+    np.save(path / "a.npy", Y.T)
+    wavfile.write(path / "a.wav", 200, (Y.T * 2**15).astype(np.int16))
+    as_tdms(path / "a.tdms")
+    (path / "a.lvm").write_text(lvm("One"))
+    savemat(path / "a.mat", {"y": Y.T, "fs": RATE}, do_compression=True)
+    for ext in (".csv", ".uff", ".h5"):
+        write_history(path / f"a{ext}", history())
+    return {x: (path / f"a{x}").read_bytes() for x in (".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff", ".h5")}
+
+
+def takes(call: Callable[[], object]) -> None:
+    """Either a result or a message for the user: nothing else."""
+    try:
+        call()
+    except DataError:
+        return
+
+
+@pytest.mark.filterwarnings("ignore::Warning")  # NumPy's, on absurd numbers of damaged files
+@pytest.mark.parametrize("ext", [".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff", ".h5"])
+def test_cut_files(tmp_path: Path, ext: str) -> None:
+    whole = samples(tmp_path)[ext]
+    path = tmp_path / f"cut{ext}"
+    for size in np.unique(np.r_[0:64:7, np.linspace(0, len(whole) - 1, 60).astype(int)]).tolist():
+        path.write_bytes(whole[:size])
+        takes(lambda: read_record(path, RATE))
+
+
+@pytest.mark.filterwarnings("ignore::Warning")
+@pytest.mark.parametrize("ext", [".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff"])
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=2000, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_damaged_files(tmp_path: Path, ext: str, seed: int) -> None:
+    """Bytes overwritten, mostly in the header."""
+    kept = tmp_path / f"kept{ext}"
+    if not kept.exists():
+        kept.write_bytes(samples(tmp_path)[ext])
+    raw = bytearray(kept.read_bytes())
+    rng = np.random.default_rng(seed)
+    for _ in range(rng.integers(1, 6)):
+        reach = min(len(raw), 400) if rng.random() < 0.7 else len(raw)
+        raw[int(rng.integers(reach))] = int(rng.integers(256))
+    path = tmp_path / f"bad{ext}"
+    path.write_bytes(bytes(raw))
+    takes(lambda: read_record(path, RATE))
+
+
+@data_here
+@pytest.mark.filterwarnings("ignore::Warning")
+@pytest.mark.parametrize(
+    "name", ["1858.uff", "TestLab 161 164 18 15 82.uff", "uff55_translation.uff", "2411 and 2414.uff"]
+)
+def test_damaged_universal_files(tmp_path: Path, name: str) -> None:
+    whole = (DATA / "uff" / name).read_bytes()[:60000]
+    rng = np.random.default_rng(1)
+    path = tmp_path / "bad.uff"
+    for _ in range(60):
+        raw = bytearray(whole[: int(rng.integers(len(whole)))] if rng.random() < 0.5 else whole)
+        for at in rng.integers(0, max(len(raw), 1), 5).tolist():
+            if raw:
+                raw[at] = int(rng.integers(32, 127))
+        path.write_bytes(bytes(raw))
+        for read in (read_geometry, read_shapes, read_frfs):
+            takes(lambda read=read: read(path))
+
+
+def test_frfs_with_gaps_are_told(tmp_path: Path) -> None:
+    freqs = np.arange(1, 101) * 0.5
+    h = np.ones((1, 2, 100)) + 0j
+    keep = np.r_[0:40, 55:100]
+    np.savez(tmp_path / "gap.npz", freq=freqs[keep], H1=h[:, :, keep])
+    with pytest.raises(DataError, match=r"missing between 20 and 28 Hz"):
+        read_frfs(tmp_path / "gap.npz")
+    h[0, 1, 30:33] = np.nan
+    np.savez(tmp_path / "nan.npz", freq=freqs, H1=h)
+    with pytest.raises(DataError, match="3 values are not finite"):
+        read_frfs(tmp_path / "nan.npz")
+
+
+@pytest.mark.filterwarnings("ignore::Warning")
+@pytest.mark.parametrize("form", ["4", "5"])
+def test_damaged_matlab_files_do_not_end_the_process(tmp_path: Path, form: str) -> None:
+    """Not compressed, so that the damage reaches the elements: scipy 1.17 dies of some of these in its v5 reader."""
+    content = {"y": Y.T[:40], "fs": RATE} | ({"s": {"n": "text"}} if form == "5" else {})
+    savemat(tmp_path / "a.mat", content, format=form)
+    whole = (tmp_path / "a.mat").read_bytes()
+    rng = np.random.default_rng(4)
+    for _ in range(300):
+        raw = bytearray(whole)
+        for at in rng.integers(0, min(len(raw), 500), 4).tolist():
+            raw[at] = int(rng.integers(256))
+        (tmp_path / "bad.mat").write_bytes(bytes(raw))
+        takes(lambda: read_record(tmp_path / "bad.mat", RATE))
+
+
+@pytest.mark.filterwarnings("ignore::Warning")
+def test_damaged_archives_of_frfs(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", freq=np.arange(1, 65) * 0.5, H1=np.ones((1, 2, 64)) + 0j)
+    whole = (tmp_path / "a.npz").read_bytes()
+    rng = np.random.default_rng(3)
+    for _ in range(150):
+        raw = bytearray(whole[: int(rng.integers(len(whole)))] if rng.random() < 0.3 else whole)
+        for at in rng.integers(0, max(len(raw), 1), 3).tolist():
+            if raw:
+                raw[at] = int(rng.integers(256))
+        (tmp_path / "bad.npz").write_bytes(bytes(raw))
+        takes(lambda: read_frfs(tmp_path / "bad.npz"))

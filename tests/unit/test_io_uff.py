@@ -1,0 +1,195 @@
+"""Universal files: every case of data set 58, geometry, shapes, and the odd forms that vendors write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.io.frfs import read_frfs
+from ringtrue.io.modes_json import read_modes
+from ringtrue.io.records import read_record
+from ringtrue.io.uff.function58 import write_function
+from ringtrue.io.uff.functions import read_functions, write_frf_sets, write_time
+from ringtrue.io.uff.modes import read_shapes
+from ringtrue.io.uff.scan import scan
+from ringtrue.io.uff.tables import read_geometry
+
+DATA = Path(__file__).parents[2].parent / "shared/data/uff"
+data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"no reference data at {DATA}")
+X = np.arange(7) * 0.25
+Y = np.array([1.5, -2.25, 3e-7, -4.0, 5e10, -6.0, 7.0])
+
+
+def function58(body: str, ordinate: int, even: int, kind: int = 1, count: int = 7) -> str:
+    """A data set 58 of `count` points, its body given."""
+    place = f"{kind:5d}{0:10d}{0:5d}{0:10d} {'NONE':<10}{3:10d}{-2:4d} {'NONE':<10}{4:10d}{1:4d}"
+    axes = [f"{c:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}" for c in (17, 12, 0, 0)]
+    form = f"{ordinate:10d}{count:10d}{even:10d}{0.0:13.5E}{0.25:13.5E}{0.0:13.5E}"
+    return "\n".join(["    -1", "    58", *("text",) * 5, place, form, *axes, body, "    -1", ""])
+
+
+def lines(values: np.ndarray, widths: tuple[int, ...]) -> str:
+    """Fortran columns without blanks between them where a number fills its column."""
+    out = []
+    for at in range(0, values.size, len(widths)):
+        part = zip(widths, values[at : at + len(widths)].tolist(), strict=False)
+        out.append("".join(f"{v:{w}.{5 if w == 13 else 12}E}" for w, v in part))
+    return "\n".join(out)
+
+
+PAIRS = np.column_stack([Y, Y[::-1]]).ravel()
+WITH_X = np.column_stack([X, Y]).ravel()
+TRIPLES = np.column_stack([X, Y, Y[::-1]]).ravel()
+CASES = {
+    "real single even": (2, 1, lines(Y, (13,) * 6), Y),
+    "real single uneven": (2, 0, lines(WITH_X, (13,) * 6), Y),
+    "complex single even": (5, 1, lines(PAIRS, (13,) * 6), Y + 1j * Y[::-1]),
+    "complex single uneven": (5, 0, lines(TRIPLES, (13,) * 6), Y + 1j * Y[::-1]),
+    "real double even": (4, 1, lines(Y, (20,) * 4), Y),
+    "real double uneven": (4, 0, lines(WITH_X, (13, 20) * 2), Y),
+    "complex double even": (6, 1, lines(PAIRS, (20,) * 4), Y + 1j * Y[::-1]),
+    "complex double uneven": (6, 0, lines(TRIPLES, (13, 20, 20)), Y + 1j * Y[::-1]),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("ends", ["\n", "\r\n"])
+@pytest.mark.parametrize("letter", ["E", "D", "e"])
+def test_every_case_of_58(tmp_path: Path, name: str, ends: str, letter: str) -> None:
+    ordinate, even, body, want = CASES[name]
+    text = function58(body.replace("E", letter), ordinate, even)
+    (tmp_path / "f.uff").write_bytes(text.replace("\n", ends).encode())
+    (found,) = read_functions(tmp_path / "f.uff")
+    np.testing.assert_allclose(found.x, X)
+    np.testing.assert_allclose(found.y, want, rtol=1e-5)
+    assert (found.response, found.reference) == ((3, -2), (4, 1))
+    assert found.axes[1].data_type == 12
+
+
+def test_columns_without_blanks_and_exponents_of_three_digits(tmp_path: Path) -> None:
+    values = np.array([-1.25, -2.5, -3.75, -4.5, -5.5, -6.5, -7.5])
+    touching = lines(values, (13,) * 6).replace(" ", "")  # 12 columns each: no blanks, no columns
+    (tmp_path / "a.uff").write_text(function58(touching, 2, 1))
+    np.testing.assert_allclose(read_functions(tmp_path / "a.uff")[0].y, values)
+    full = "-1.000000-101-2.000000E+00-3.00000D+001"  # fields of 13
+    (tmp_path / "b.uff").write_text(function58(full, 2, 1, count=3))
+    np.testing.assert_allclose(read_functions(tmp_path / "b.uff")[0].y, [-1e-101, -2.0, -30.0])
+
+
+def test_a_cut_body_is_told(tmp_path: Path) -> None:
+    (tmp_path / "a.uff").write_text(function58(lines(Y[:5], (13,) * 6), 2, 1))
+    with pytest.raises(DataError, match=r"a\.uff: 5 numbers where 7"):
+        read_functions(tmp_path / "a.uff")
+    (tmp_path / "b.uff").write_text(function58(lines(Y, (13,) * 6).replace("5", "x"), 2, 1))
+    with pytest.raises(DataError, match="not a number"):
+        read_functions(tmp_path / "b.uff")
+    (tmp_path / "c.uff").write_text("text\nmore text\n")
+    with pytest.raises(DataError, match="universal file"):
+        scan(tmp_path / "c.uff")
+
+
+@pytest.mark.parametrize("damage", ["none", "count", "no count", "line end"])
+def test_binary_with_marks_inside_and_wrong_counts(tmp_path: Path, damage: str) -> None:
+    """A sample whose bytes look like a closing mark must not end the set; vendors write wrong counts of bytes."""
+    y = np.concatenate([Y, np.frombuffer(b"\n    -1\n" * 2, "<f8")])
+    codes = (17, 12, 0)
+    raw = write_function(1, np.arange(y.size) * 0.5, y, (1, 3), (0, 0), codes=codes, binary=True)
+    count = f"{y.size * 8:12d}".encode()
+    wrong = {"none": count, "line end": count, "count": f"{y.size * 8 + 4:12d}".encode(), "no count": b" " * 11 + b"0"}
+    raw = raw.replace(count, wrong[damage], 1)
+    if damage == "line end":
+        raw = raw.replace(b"\n    -1\n    58", b"\r\n    -1\r\n    58")
+    (tmp_path / "f.uff").write_bytes(raw + raw)
+    found = read_functions(tmp_path / "f.uff")
+    assert len(found) == 2
+    for f in found:
+        np.testing.assert_array_equal(f.y, y)
+
+
+def test_big_endian_and_mixed_precision(tmp_path: Path) -> None:
+    raw = write_function(1, X, Y, (1, 3), (0, 0), codes=(17, 12, 0), binary=True)
+    at = raw.index(Y.tobytes())
+    big = (raw[:at] + Y.astype(">f8").tobytes() + raw[at + Y.nbytes :]).replace(b"58b     1", b"58b     2")
+    (tmp_path / "big.uff").write_bytes(big)
+    np.testing.assert_array_equal(read_functions(tmp_path / "big.uff")[0].y, Y)
+    table = np.zeros(7, dtype=[("x", "<f4"), ("y", "<f8")])
+    table["x"], table["y"] = X, Y
+    mixed = raw[:at] + table.tobytes() + raw[at + Y.nbytes :]
+    mixed = mixed.replace(f"{Y.nbytes:12d}".encode(), f"{table.nbytes:12d}".encode())
+    mixed = mixed.replace(f"{7:10d}{1:10d}".encode(), f"{7:10d}{0:10d}".encode())
+    (tmp_path / "mixed.uff").write_bytes(mixed)
+    found = read_functions(tmp_path / "mixed.uff")[0]
+    np.testing.assert_array_equal(found.x, X)
+    np.testing.assert_array_equal(found.y, Y)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_frfs_and_records_go_round(tmp_path: Path, binary: bool) -> None:
+    rng = np.random.default_rng(2)
+    h = rng.standard_normal((9, 2, 1)) + 1j * rng.standard_normal((9, 2, 1))
+    out = (Channel("1+Z", "velocity", "m/s"), Channel("2-X", "velocity", "m/s"))
+    frfs = FrfSet(h, np.arange(9) * 0.5, out, (Channel("2-X", "force", "N"),), np.abs(h) / 9, np.array([3.0]))
+    write_frf_sets(tmp_path / "f.uff", frfs, binary=binary)
+    got = read_frfs(tmp_path / "f.uff")
+    np.testing.assert_allclose(got.data, h, rtol=1e-12)
+    np.testing.assert_allclose(got.coherence, np.abs(h) / 9, rtol=1e-12)
+    assert got.kind == "mobility"
+    record = TimeHistory(rng.standard_normal((2, 50)), 128.0, out)
+    write_time(tmp_path / "t.uff", record, binary=binary)
+    np.testing.assert_allclose(read_record(tmp_path / "t.uff").data, record.data, rtol=1e-12)
+
+
+def test_units_of_the_file_become_si(tmp_path: Path) -> None:
+    """Data set 164 of a file in mm and mN: 1000 units of each per SI unit."""
+    units = "    -1\n   164\n         5mm (milli-newton)        2\n" + "  1.0000D+03" * 3 + "\n  2.7315D+02\n    -1\n"
+    node = "    -1\n  2411\n        10         1         1        11\n  1.5D+03  -2.0D+03   0.0D+00\n    -1\n"
+    (tmp_path / "f.uff").write_text(units + node + function58(lines(Y, (13,) * 6), 2, 1))
+    np.testing.assert_allclose(read_record(tmp_path / "f.uff").data[0], Y / 1000, rtol=1e-5)
+    nodes = read_geometry(tmp_path / "f.uff").nodes
+    assert nodes is not None
+    np.testing.assert_allclose(nodes.place, [[1.5, -2.0, 0.0]])
+
+
+def test_groups_2467_headers_2400_and_beams(tmp_path: Path) -> None:
+    group = "         1         0         0         0         0         0         0         3\nfloor\n"
+    group += "         7        11         0         0         7        12         0         0\n"
+    group += "         8         5         0         0\n"
+    beam = "         1        21         1         1         7         2\n         0         1         1\n"
+    beam += "        11        12\n         2        44         1         1         7         4\n"
+    beam += "        11        12        13        14\n"
+    header = "           4     1     0           2\nmodel\npart\n"
+    sets = {2467: group, 2412: beam, 2400: header}
+    (tmp_path / "g.unv").write_text("".join(f"    -1\n{k:6d}\n{t}    -1\n" for k, t in sets.items()))
+    found = read_geometry(tmp_path / "g.unv")
+    assert found.kinds == (2467, 2412, 2400)
+    np.testing.assert_array_equal(found.groups[0].entities, [[7, 11], [7, 12], [8, 5]])
+    assert [e.nodes.tolist() for e in found.elements] == [[11, 12], [11, 12, 13, 14]]
+    assert (found.headers[0].uid, found.headers[0].name) == (4, "model")
+
+
+@data_here
+def test_geometry_of_vendors() -> None:
+    lab = read_geometry(DATA / "TestLab 161 164 18 15 82.uff")
+    assert lab.kinds == (151, 164, 18, 15, 82, 82, 82)
+    assert lab.nodes is not None
+    assert lab.nodes.place.shape == (36, 3)
+    np.testing.assert_allclose(lab.systems[0].origin, [-2.4, -0.95, 0.0])
+    for system in lab.systems:
+        np.testing.assert_allclose(system.axes @ system.axes.T, np.eye(3), atol=1e-6)
+    mesh = read_geometry(DATA / "mesh_test_uff2412_mixed.uff")
+    assert [e.nodes.size for e in mesh.elements] == [4, 3, 3, 3, 3]
+    assert read_geometry(DATA / "1858.uff").qualifiers[0].window_damping == pytest.approx(5.2706007e-2)
+    assert read_geometry(DATA / "beam.uff").systems[0].name.strip()
+
+
+@data_here
+def test_shapes_of_vendors() -> None:
+    shapes = read_shapes(DATA / "2411 and 2414.uff")
+    assert len(shapes) == 10
+    assert [round(s.frequency, 4) for s in shapes[:3]] == [0.9564, 2.3416, 5.8807]
+    assert shapes[0].values.shape == (441, 6)
+    assert read_modes(DATA / "2411 and 2414.uff").shapes.shape == (2646, 10)

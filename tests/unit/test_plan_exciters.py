@@ -1,0 +1,209 @@
+"""Exciters, suspension, loading and the wireframe: a string, a plate of springs, and systems with known answers."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from ringtrue.errors import InputError
+from ringtrue.plan import exciters
+from ringtrue.plan.exciters import (
+    appropriated_force,
+    driving_point_residues,
+    mode_indicator,
+    qr_exciters,
+    rank_points,
+    rank_sets,
+    reciprocity_pairs,
+)
+from ringtrue.plan.suspension import loaded_frequencies, quiet, roving_spread, suspension_points
+from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
+
+
+def sines(n: int, m: int) -> np.ndarray:
+    s = np.arange(1, n + 1) / (n + 1)
+    return np.sqrt(2) * np.sin(np.pi * np.outer(s, np.arange(1, m + 1)))
+
+
+def test_driving_point_residue_is_the_height_of_the_peak() -> None:
+    """|H(ω)| of one mode at resonance is φ²/(2ζω²) = residue/(ζω)."""
+    phi, f, zeta = np.array([[0.3]]), np.array([5.0]), 0.01
+    w = 2 * np.pi * 5.0
+    peak = abs(0.09 / (w**2 - w**2 + 2j * zeta * w * w))
+    assert driving_point_residues(phi, f)[0, 0] / (zeta * w) == pytest.approx(peak)
+    assert driving_point_residues(np.ones((1, 2)), np.array([1e-9, 5.0]))[0, 0] == 0
+
+
+def test_single_points_are_ranked_by_the_mode_excited_worst() -> None:
+    phi = sines(59, 4)
+    share = phi**2 / (phi**2).max(axis=0)
+    ranked = rank_points(phi)
+    assert ranked[0].worst == pytest.approx(share.min(axis=1).max())
+    middle = next(p for p in ranked if p.rows[0] == 29)
+    assert middle.missed.tolist() == [1, 3]  # the even modes have a node there
+    values = [p.worst for p in ranked]
+    assert np.diff(values).max() < 1e-12
+
+
+def test_sets_are_ranked_exactly_where_they_are_few() -> None:
+    phi = np.random.default_rng(0).standard_normal((9, 6))
+    share = phi**2 / (phi**2).max(axis=0)
+    best = max(share[list(c)].max(axis=0).min() for c in combinations(range(9), 2))
+    assert rank_sets(phi, 2)[0].worst == pytest.approx(best)
+    with pytest.raises(InputError, match="sets of 10 of 9"):
+        rank_sets(phi, 10)
+
+
+def test_a_pool_of_rows_comes_close_to_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    phi = np.random.default_rng(1).standard_normal((40, 5))
+    best = rank_sets(phi, 3)[0].worst
+    monkeypatch.setattr(exciters, "_MOST_SETS", 600)
+    assert rank_sets(phi, 3)[0].worst > 0.95 * best
+
+
+def test_forces_by_qr_part_the_modes() -> None:
+    """Two modes that live on two masses each: one force on each pair."""
+    mass = np.diag([2.0, 1.0, 1.0, 3.0])
+    phi = np.zeros((4, 2))
+    phi[:2, 0], phi[2:, 1] = 1.0, 1.0
+    phi /= np.sqrt(np.einsum("ij,ik,kj->j", phi, mass, phi))
+    at = qr_exciters(phi, mass, np.arange(4), 2)
+    assert sorted(at.tolist()) == [0, 3]  # the heavier of each pair
+    assert qr_exciters(phi, mass, np.array([1, 2]), 2).tolist() in ([1, 2], [2, 1])
+    with pytest.raises(InputError, match="3 exciters for 2 modes"):
+        qr_exciters(phi, mass, np.arange(4), 3)
+
+
+def two_masses(freqs: np.ndarray, zeta: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Receptances (freq, 2, 2) of two equal masses on springs to ground, weakly coupled: close modes."""
+    lam, phi = linalg.eigh(np.array([[1.02, -0.02], [-0.02, 1.02]]) * (2 * np.pi * 10) ** 2)
+    w = np.sqrt(lam)
+    s = 2 * np.pi * freqs[:, None]
+    gain = 1 / (w**2 - s**2 + 2j * zeta * w * s)
+    return np.einsum("im,fm,jm->fij", phi, gain, phi), w / (2 * np.pi), phi
+
+
+def test_mode_indicator_dips_at_close_modes_and_gives_their_forces() -> None:
+    f, phi = two_masses(np.array([1.0]), 0.02)[1:]
+    h = two_masses(f, 0.02)[0]
+    values, forces = mode_indicator(h)
+    assert values.shape == (2, 2)
+    assert values[:, 0].max() < 1e-9  # phase resonance at both, though they overlap
+    for k in range(2):
+        assert abs(forces[k, :, 0] @ phi[:, k]) == pytest.approx(1, abs=1e-9)
+    off = mode_indicator(two_masses(np.array([7.0]), 0.02)[0])[0]
+    assert off.min() > 0.9
+
+
+def test_appropriated_force_excites_one_mode_alone() -> None:
+    phi = np.random.default_rng(2).standard_normal((4, 4))
+    force, does = appropriated_force(phi, 2)
+    np.testing.assert_allclose(does, np.eye(4)[2], atol=1e-10)
+    np.testing.assert_allclose(phi.T @ force, does, atol=1e-12)
+
+
+def test_reciprocity_needs_both_ways() -> None:
+    assert reciprocity_pairs(("1+Z", "2+Z", "9+Z"), ("1+Z", "2+Z", "3+Z")) == (("1+Z", "2+Z"),)
+
+
+def test_a_free_beam_hangs_where_its_modes_have_nodes() -> None:
+    """First bending mode of a free beam: nodes at 0.2242 of the length from the ends (Blevins 1979)."""
+    x = np.linspace(0, 1, 401)
+    k = 4.730040744862704
+    sigma = (np.cosh(k) - np.cos(k)) / (np.sinh(k) - np.sin(k))
+    y = np.cosh(k * x) + np.cos(k * x) - sigma * (np.sinh(k * x) + np.sin(k * x))
+    shapes = y[:, None, None]
+    xyz = np.column_stack([x, 0 * x, 0 * x])
+    hung = suspension_points(shapes, xyz, 2, np.array([0.5, 0, 0]), min_distance=0.2)
+    np.testing.assert_allclose(x[hung.points], [0.2242, 0.7758], atol=0.003)
+    assert hung.motion < 1e-4
+    assert quiet(shapes)[0] == pytest.approx(1.0)
+
+
+def test_the_centre_of_gravity_hangs_between_the_points() -> None:
+    """On a square grid the quietest corner points lie to one side; the set chosen encloses the centre."""
+    g = np.linspace(0, 1, 5)
+    xyz = np.array([[a, b, 0.0] for a in g for b in g])
+    motion = (0.1 + xyz[:, 0])[:, None, None]
+    hung = suspension_points(motion, xyz, 3, np.array([0.5, 0.5, 0.3]), min_distance=0.3)
+    assert hung.steady
+    a, b, c = xyz[hung.points][:, :2] - 0.5
+    turns = [a[0] * b[1] - a[1] * b[0], b[0] * c[1] - b[1] * c[0], c[0] * a[1] - c[1] * a[0]]
+    assert min(turns) >= -1e-12 or max(turns) <= 1e-12
+    with pytest.raises(InputError, match="lower min_distance"):
+        suspension_points(motion, xyz, 3, np.zeros(3), min_distance=5.0)
+
+
+def test_mass_loading_is_exact_with_all_modes() -> None:
+    rng = np.random.default_rng(3)
+    a = rng.standard_normal((6, 6))
+    K, M = a @ a.T + 6 * np.eye(6), np.diag(rng.uniform(1, 2, 6))
+    lam, phi = linalg.eigh(K, M)
+    f = np.sqrt(lam) / (2 * np.pi)
+    added = np.array([0.3, 0, 0, 0.1, 0, 0])
+    stiff = np.array([0, 2.0, 0, 0, 0, 0])
+    want = np.sqrt(linalg.eigh(K + np.diag(stiff), M + np.diag(added), eigvals_only=True)) / (2 * np.pi)
+    np.testing.assert_allclose(loaded_frequencies(f, phi[:, None, :], added, stiff), want, rtol=1e-10)
+    small = loaded_frequencies(f, phi[:, None, :], 1e-6 * added) / f - 1
+    np.testing.assert_allclose(small, -0.5e-6 * (added @ phi**2), rtol=1e-3)
+    one = roving_spread(f, phi[:, None, :], 1e-6, np.array([0, 0, 0, 1, 1, 1]))
+    np.testing.assert_allclose(one, 0.5e-6 * np.abs((phi[:3] ** 2).sum(axis=0) - (phi[3:] ** 2).sum(axis=0)), rtol=1e-3)
+    with pytest.raises(InputError, match=">= 0"):
+        loaded_frequencies(f, phi[:, None, :], -added)
+
+
+def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """A square of n x n nodes in triangles."""
+    xyz = np.array([[i, j, 0.0] for j in range(n) for i in range(n)])
+    low = np.array([i + n * j for j in range(n - 1) for i in range(n - 1)])
+    tri = np.concatenate([np.column_stack([low, low + 1, low + n + 1]), np.column_stack([low, low + n + 1, low + n])])
+    return xyz, mesh_edges(tri, np.zeros((0, 2), dtype=int))
+
+
+def test_edges_are_those_of_the_grid() -> None:
+    _, edges = grid(4)
+    assert len(edges) == 2 * 4 * 3 + 9
+    assert len(np.unique(edges, axis=0)) == len(edges)
+    assert (edges[:, 0] < edges[:, 1]).all()
+
+
+def test_the_wireframe_follows_the_mesh_and_not_the_air() -> None:
+    """A horseshoe: its ends are near in space and far along the mesh."""
+    t = np.linspace(0.1, 2 * np.pi - 0.1, 60)
+    xyz = np.column_stack([np.cos(t), np.sin(t), 0 * t])
+    edges = np.column_stack([np.arange(59), np.arange(1, 60)])
+    lines = wireframe(xyz, edges, np.array([0, 20, 40, 59]))
+    assert lines.tolist() == [[0, 1], [1, 2], [2, 3]]
+
+
+def test_the_wireframe_of_a_plate_is_its_grid() -> None:
+    xyz, edges = grid(9)
+    chosen = np.array([i + 9 * j for j in (0, 4, 8) for i in (0, 4, 8)])
+    lines = {tuple(x) for x in wireframe(xyz, edges, chosen).tolist()}
+    sides = {(a, a + 1) for a in (0, 1, 3, 4, 6, 7)} | {(a, a + 3) for a in range(6)}
+    assert sides <= lines
+    assert lines - sides <= {(0, 4), (1, 5), (3, 7), (4, 8)}  # diagonals along the edges of the mesh
+    tree = wireframe(xyz, edges, chosen, detour=np.inf)
+    assert 8 <= len(tree) <= 12
+    with pytest.raises(InputError, match="3 positions, 2 different"):
+        wireframe(xyz, edges, np.array([0, 4, 4]))
+
+
+def test_drawings_show_slow_modes_and_hide_fast_ones() -> None:
+    n = 61
+    xyz = np.column_stack([np.linspace(0, 1, n), np.zeros(n), np.zeros(n)])
+    edges = np.column_stack([np.arange(n - 1), np.arange(1, n)])
+    shapes = np.cos(np.pi * np.outer(xyz[:, 0], [1, 2, 12]))[:, None, :]
+    chosen = np.arange(0, n, 10)  # six spans: the twelfth mode moves all points alike
+    quality = shown(xyz, edges, chosen, shapes)
+    assert quality[0] > 0.98
+    assert quality[1] > 0.95
+    assert quality[2] < 0.05
+    # between the points the drawing is straight
+    straight = np.interp(xyz[:, 0], xyz[chosen, 0], shapes[chosen, 0, 0])
+    want = (straight @ shapes[:, 0, 0]) ** 2 / (straight @ straight) / (shapes[:, 0, 0] @ shapes[:, 0, 0])
+    assert quality[0] == pytest.approx(want)
+    np.testing.assert_allclose(shown(xyz, edges, np.arange(n), shapes), 1.0)

@@ -1,0 +1,272 @@
+"""The virtual test: a string on which the answer is known, the test sheet, and `ringtrue plan` on a small frame."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyuff
+import small_study
+
+from ringtrue.cli.main import run
+from ringtrue.cli.plan import numbers
+from ringtrue.core.testmodel import TestModel
+from ringtrue.errors import ConfigError, DataError, InputError
+from ringtrue.fem.response import frf
+from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.io.uff.testmodel import write_test_model
+from ringtrue.plan.rehearsal import (
+    Conditions,
+    Planned,
+    fitting_hammer,
+    measured,
+    missed_words,
+    modal_model,
+    rehearse,
+)
+from ringtrue.plan.sheet import reach_of, write_test_sheet
+from ringtrue.report.deliver import report_from_store
+from ringtrue.study.run import run_study
+from ringtrue.virtual.sensors import ICP
+
+MODES, POINTS = 6, 19
+F = 8.0 * np.arange(1, MODES + 1)  # Hz, of a string of 50 kg
+S = np.arange(1, POINTS + 1) / (POINTS + 1)
+PHI = np.sqrt(2 / 50) * np.sin(np.pi * np.outer(S, np.arange(1, MODES + 1)))
+NAMES = tuple(f"{k + 1}+Z" for k in range(POINTS))
+
+
+def planned(struck: tuple[int, ...], fmax: float = 36.0) -> Planned:
+    return Planned(F, PHI, PHI[list(struck)], NAMES, tuple(NAMES[k] for k in struck), 4.0, fmax)
+
+
+def test_the_model_is_that_of_modal_superposition() -> None:
+    plan = planned((3, 6))
+    zeta = np.linspace(0.01, 0.03, MODES)
+    freqs = np.linspace(1.0, 60.0, 40)
+    got = modal_model(plan, F, zeta).synthesise(freqs)
+    want = frf(freqs, F, zeta, PHI, PHI[[3, 6]], "accelerance")
+    np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-12)
+    # a rigid-body mode is a mass: accelerance φφ
+    free = replace(plan, frequencies=np.array([0.0, *F[1:]]))
+    low = modal_model(free, free.frequencies, zeta).synthesise(np.array([1e-3]))[0, 0, 0]
+    assert low == pytest.approx(PHI[0, 0] * PHI[3, 0], rel=1e-3)
+
+
+def test_the_hammer_fits_the_sensors() -> None:
+    """The recorded accelerations fill between a tenth and all of the range, and nothing clips."""
+    plan = planned((3, 6))
+    model = modal_model(plan, F, np.full(MODES, 0.01))
+    hammer = fitting_hammer(model, plan.fmax, ICP)
+    assert hammer.contact[1] * plan.fmax < 1.5  # the first zero of the spectrum is beyond the band
+    assert np.exp(-0.01 * 2 * np.pi * F[0] * hammer.block) == pytest.approx(0.01, rel=1e-3)
+    heavy = fitting_hammer(replace(model, shapes=model.shapes / 4), plan.fmax, ICP)
+    assert heavy.peak[1] == pytest.approx(4 * hammer.peak[1])
+    frfs = measured(model, hammer, Conditions(), 3.2 * plan.fmax, np.random.default_rng(0))
+    truth = model.synthesise(frfs.freqs[1:])
+    assert frfs.data.shape[1:] == (POINTS, 2)
+    assert frfs.driving_points() == [(3, 0), (6, 1)]
+    peak = int(np.abs(truth[:, 6, 1]).argmax())
+    # calibration errors of 1 % at most on either side; an exponential window widens the peak
+    at = np.abs(frfs.freqs[1:] - 12.0).argmin()  # between resonances the window does not matter
+    np.testing.assert_allclose(np.abs(frfs.data[1 + at, 6, 1]), np.abs(truth[at, 6, 1]), rtol=0.05)
+    assert 0 < peak < truth.shape[0]
+
+
+def test_a_good_plan_finds_all_modes_and_a_node_loses_its_mode() -> None:
+    """Struck at the middle, the string hides its even modes; elsewhere all are found, close to the truth."""
+    rng = np.random.default_rng(1)
+    good = rehearse(planned((3, 6)), Conditions(trials=3), rng)
+    assert (good.found == 1).all()
+    np.testing.assert_allclose(good.at_least, 0.05 ** (1 / 3))  # three of three, one-sided 95 %
+    assert np.abs(good.frequency_bias).max() < 1e-3
+    assert np.abs(good.damping_bias).max() < 0.05
+    assert good.mac.min() > 0.99
+    assert good.invented < 0.5
+    poor = rehearse(planned((9,)), Conditions(trials=3), rng)
+    assert poor.found.tolist() == [1, 0, 1, 0]
+    assert poor.at_least[1] == 0
+    assert np.isnan(poor.mac[1])
+    words = missed_words(poor, ["1", "2", "3", "4"])
+    assert [w.split(" is ")[0] for w in words] == ["mode 2 at 16 Hz", "mode 4 at 32 Hz"]
+
+
+def test_noise_makes_what_is_found_worse() -> None:
+    plan, seed = planned((3,), 20.0), 2
+    quiet = rehearse(plan, Conditions(trials=4), np.random.default_rng(seed))
+    loud = rehearse(plan, Conditions(trials=4, background=2.0), np.random.default_rng(seed))
+    assert (loud.frequency_std > 2 * quiet.frequency_std).all()
+
+
+def test_the_same_seed_gives_the_same_answer() -> None:
+    one, two = (rehearse(planned((3,), 12.0), Conditions(trials=2), np.random.default_rng(5)) for _ in range(2))
+    assert one.frequency_bias.tolist() == two.frequency_bias.tolist()
+
+
+def test_bad_plans_are_refused() -> None:
+    with pytest.raises(InputError, match="no mode between"):
+        planned((3,), 5.0)
+    with pytest.raises(InputError, match="0 references"):
+        Planned(F, PHI, PHI[:0], NAMES, (), 4.0, 36.0)
+    with pytest.raises(InputError, match="trials 0"):
+        Conditions(trials=0)
+
+
+def frame() -> TestModel:
+    xyz = np.array([[0, 0, 0], [1.25, 0, 0], [1.25, 2, 0.5]])
+    axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, 0, -1], [0, 0.6, 0.8]])
+    names = ("11+X", "11+Z", "12-Z", "13+Zs")
+    return TestModel(
+        np.array([11, 12, 13]), xyz, names, np.array([11, 11, 12, 13]), axes, np.array([[11, 12], [12, 13]])
+    )
+
+
+def test_the_sheet_reads_back(tmp_path: Path) -> None:
+    test = frame()
+    shapes = np.array([[1.0, 0.1], [0.5, 0.0], [0.2, 2.0], [0.0, 0.5]])
+    reach = reach_of(shapes, [0, 2])
+    np.testing.assert_allclose(reach, [[1, 0.0025], [0.04, 1]])
+    args = {"frequencies": np.array([5.0, 9.0]), "reach": reach}
+    files = write_test_sheet(tmp_path / "sheet", test, ("11+X", "12-Z"), sensor=ICP, **args)  # type: ignore[arg-type]
+    again = read_sensor_sheet(tmp_path / "sheet/sensors.csv", tmp_path / "sheet/lines.csv")
+    assert again.model.channels == test.channels
+    np.testing.assert_allclose(again.model.axes, test.axes)
+    np.testing.assert_array_equal(again.model.lines, test.lines)
+    assert again.channels[0].sensitivity == ICP.sensitivity
+    with files[2].open() as file:
+        blows = list(csv.DictReader(file))
+    assert [(b["reference"], b["direction"], b["best_for_hz"]) for b in blows] == [
+        ("11+X", "+X", "5"),
+        ("12-Z", "-Z", "9"),
+    ]
+    with pytest.raises(InputError, match="reach"):
+        write_test_sheet(tmp_path, test, ("11+X",), **args)  # type: ignore[arg-type]
+
+
+def test_the_universal_file_holds_points_and_lines(tmp_path: Path) -> None:
+    test = frame()
+    write_test_model(tmp_path / "geometry.uff", test)
+    file = pyuff.UFF(str(tmp_path / "geometry.uff"))
+    assert [int(t) for t in file.get_set_types()] == [164, 15, 82]
+    points, lines = file.read_sets(1), file.read_sets(2)
+    assert [int(n) for n in points["node_nums"]] == [11, 12, 13]
+    np.testing.assert_allclose(np.stack([points["x"], points["y"], points["z"]], axis=1), test.xyz)
+    assert [int(n) for n in lines["nodes"]] == [11, 12, 0, 12, 13, 0]
+    none = replace(test, points=test.points - 11, at=test.at - 11, lines=test.lines - 11)
+    with pytest.raises(DataError, match="must be 1 to"):
+        write_test_model(tmp_path / "none.uff", none)
+
+
+@pytest.fixture
+def deck(tmp_path: Path) -> Path:
+    path = tmp_path / "frame.bdf"
+    path.write_text(small_study.deck())
+    return path
+
+
+def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["plan", str(deck), "--modes", "1-3,5", "--points", "9", "--references", "2", "--method", "qr"]
+    words += ["--hang", "3", "--sensor-mass", "0.2", "--redundancy", "1", "--trials", "1", "--box", "-1 -1 2 9 9 10"]
+    status = run([*words, "--json", "-"])
+    out, err = capsys.readouterr()
+    assert status == 0, err
+    told = json.loads(out)
+    folder = deck.with_name("frame-test")
+    assert [m["mode"] for m in told["modes"]] == [1, 2, 3, 5]
+    assert all(m["found"] == 1 and -0.01 < m["loaded"] < 0 for m in told["modes"])
+    assert told["left_by_loss"] >= 0.1
+    assert len(told["suspension"]["nodes"]) == 3
+    assert told["missed"] == []
+    sheet = read_sensor_sheet(folder / "sensors.csv", folder / "lines.csv").model
+    assert list(sheet.channels) == told["channels"]
+    assert sheet.xyz[:, 2].min() > 2  # no foot is a point
+    page = (folder / "report.html").read_text()
+    assert "Suspension at nodes" in page
+    assert "virtual tests" in page
+    # what is stored reads back, and the file of settings is a study
+    report_from_store(folder / "study.h5")
+    again = run_study(folder / "plan.toml", until="plan")
+    assert again.loaded == ("model", "plan")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--method", "kammer"], "independence"),
+        (["--box", "1 2 3"], "six numbers"),
+        (["--modes", "7-"], "a number or a range"),
+        (["--modes", "90", "--band", "1", "9"], "raise it"),
+        (["--band", "9", "1"], "F0 < F1"),
+        (["--units", "inch"], "mm-t-s"),
+    ],
+)
+def test_bad_options_are_refused(deck: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str) -> None:
+    assert run(["plan", str(deck), *words]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_a_folder_with_a_study_is_left_alone(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (deck.parent / "study.toml").write_text("")
+    assert run(["plan", str(deck), "--out", str(deck.parent)]) == 2
+    assert "name a folder" in capsys.readouterr().err
+
+
+def test_lists_of_numbers() -> None:
+    assert numbers("7-9, 12,3", "--modes") == [7, 8, 9, 12, 3]
+    assert numbers("", "--modes") == []
+    with pytest.raises(ConfigError, match="9-7"):
+        numbers("9-7", "--modes")
+
+
+def cantilever(length: float, mass: float) -> str:
+    """A steel strip of 1 m in six bars, in the given units (SI: 1, 1; mm and t: 1000, 0.001)."""
+    stress, density = mass / length, mass / length**3
+    area, inertia = 3e-3 * length**2, 1e-6 * length**4
+    lines = ["SOL 103", "CEND", "SPC = 1", "BEGIN BULK"]
+    lines += [f"GRID,{k + 1},,{k / 6 * length:.6g},0.,0." for k in range(7)]
+    lines += [f"CBAR,{k},1,{k},{k + 1},0.,0.,1." for k in range(1, 7)]
+    lines += [f"PBAR,1,1,{area:.6g},{inertia:.6g},{3 * inertia:.6g},{4 * inertia:.6g}"]
+    lines += [f"MAT1,1,{2.1e11 * stress:.6g},,0.3,{7850 * density:.6g}", "SPC1,1,123456,1", "ENDDATA"]
+    return "\n".join(lines) + "\n"
+
+
+def test_the_units_of_the_deck_do_not_matter(tmp_path: Path) -> None:
+    stages = []
+    for units, length, mass in (("SI", 1.0, 1.0), ("mm-t-s", 1e3, 1e-3)):
+        (tmp_path / units).mkdir()
+        (tmp_path / units / "strip.bdf").write_text(cantilever(length, mass))
+        study = tmp_path / units / "study.toml"
+        study.write_text(
+            f'[model]\ndeck = "strip.bdf"\nunits = "{units}"\nfmax = 900.0\n[plan]\nfmax = 400.0\nsensors = 4\n'
+            "references = 2\nambient = false\nmin_distance = 0.1\nsensor_mass = 0.05\ntrials = 1\n"
+        )
+        stages.append(run_study(study, until="plan").results["plan"])
+    si, mm = stages
+    assert si.test.channels == mm.test.channels
+    np.testing.assert_allclose(si.test.xyz, mm.test.xyz)
+    np.testing.assert_allclose(si.loaded, mm.loaded, rtol=1e-4)
+    assert si.rehearsal.force == pytest.approx(mm.rehearsal.force, rel=1e-4)
+    # four masses of 50 g on a strip of 23.55 kg: at most -½·0.2/23.55 times the square of the shape's crest factor, 4
+    assert -0.5 * 4 * 0.2 / 23.55 < si.loaded.min() < si.loaded.max() < 0
+
+
+def test_criteria_of_target_modes_in_a_study(deck: Path) -> None:
+    """Modes that carry mass, and those whose frequencies tell the three storeys apart."""
+    study = deck.with_name("study.toml")
+    head = '[model]\ndeck = "frame.bdf"\nfmax = 20.0\n[plan]\nfmax = 18.0\nsensors = 9\n'
+    head += "min_distance = 0.1\nambient = false\n"
+    candidates = "".join(f'[[candidate]]\nname = "storey {k}"\ntargets = ["MAT1 {k} E"]\n' for k in (1, 2, 3))
+    study.write_text(head + "effective_mass = 0.5\n")
+    heavy = run_study(study, until="plan").results["plan"]
+    assert heavy.target_modes.tolist() == [0, 1]  # first sway along y and x
+    assert heavy.reasons[0] == "effective mass over 50 %"
+    study.write_text(head + 'telling = 3\nmethod = "information"\n' + candidates)
+    telling = run_study(study, until="plan").results["plan"]
+    assert telling.target_modes.size == 3
+    study.write_text(head + "telling = 3\n")
+    with pytest.raises(ConfigError, match="candidate"):
+        run_study(study, until="plan")

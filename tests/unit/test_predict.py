@@ -1,0 +1,200 @@
+"""Predictions with bands: modes, an unbalance run-up against closed form, forces in springs, the command.
+
+A Jeffcott rotor: a mass M on a spring k across its axis, unbalance U = m e turning at ω:
+
+    x = U ω² / (k − M ω² + 2iζ √(kM) ω),   force in the spring = k x.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_study import write_study
+
+from ringtrue.cli.main import run
+from ringtrue.cli.predict import settings
+from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.errors import ConfigError, InputError
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.study.config import PredictSection
+from ringtrue.study.opened import Opened
+from ringtrue.study.predict import _forces
+from ringtrue.study.run import run_study
+from ringtrue.update.dense import DenseModel
+from ringtrue.update.predict import (
+    Damping,
+    Output,
+    Rows,
+    RunUp,
+    Unbalance,
+    bands,
+    plane,
+    predict_modes,
+    run_up,
+    validated_band,
+)
+
+K, M, ZETA = 4e6, 100.0, 0.02
+F1 = float(np.sqrt(K / M) / (2 * np.pi))
+NAMES = ParameterSet((Parameter("k", (), 0.2, 5.0, "log", 0.5),))
+UNBALANCE = Unbalance(M, 6.3, 50.0)
+
+
+def jeffcott() -> DenseModel:
+    """Y and Z of the rotor; one factor on both springs."""
+    return DenseModel.springs(K * np.eye(2), M * np.eye(2), K * np.eye(2)[None], NAMES)
+
+
+def outputs() -> list[Output]:
+    eye = np.eye(2)
+    return [Output("rotor", "m", Rows(eye), 2), Output("spring", "N", Rows(K * eye, ((0, K * eye),)), 2)]
+
+
+def runs(draws: np.ndarray, freqs: np.ndarray, seed: int = 0, **more: object) -> RunUp:
+    damping, rng = Damping(np.array([1.0]), np.array([ZETA])), np.random.default_rng(seed)
+    return run_up(jeffcott(), draws, np.zeros(1), freqs, np.eye(2), UNBALANCE, outputs(), damping, rng, **more)
+
+
+def exact(factor: float, freqs: np.ndarray) -> np.ndarray:
+    w, k = 2 * np.pi * freqs, factor * K
+    u = M * 6.3e-3 / (2 * np.pi * 50.0)
+    return np.sqrt(2) * np.abs(u * w**2 / (k - M * w**2 + 2j * ZETA * np.sqrt(k * M) * w))  # both directions
+
+
+def test_run_up_is_the_jeffcott_rotor() -> None:
+    freqs = np.linspace(1, 100, 100)
+    found = runs(np.zeros((20, 1)), freqs)
+    np.testing.assert_allclose(found.nominal[0], exact(1.0, freqs), rtol=1e-9)
+    np.testing.assert_allclose(found.nominal[1], K * exact(1.0, freqs), rtol=1e-9)
+    np.testing.assert_allclose(found.amplitude.high, found.nominal, rtol=1e-9)
+
+
+def test_force_grows_with_the_stiffness_of_its_spring() -> None:
+    freqs = np.linspace(1, 100, 100)
+    found = runs(np.full((20, 1), np.log(1.5)), freqs)
+    np.testing.assert_allclose(found.amplitude.median[1], 1.5 * K * exact(1.5, freqs), rtol=1e-9)
+
+
+def test_bands_hold_what_a_machine_of_the_same_kind_does() -> None:
+    """90 % of new machines drawn from the posterior lie in the band at each speed."""
+    rng, freqs = np.random.default_rng(1), np.linspace(5, 100, 60)
+    found = runs(0.1 * rng.standard_normal((2000, 1)), freqs)
+    new = np.array([exact(float(np.exp(0.1 * z)), freqs) for z in rng.standard_normal(2000)])
+    low, high = found.amplitude.low[0], found.amplitude.high[0]
+    assert ((low <= new) & (new <= high)).mean() == pytest.approx(0.9, abs=0.03)  # 2000 draws each: 1 %
+    assert found.peak_speed.low[0] < F1 < found.peak_speed.high[0]
+
+
+def test_discrepancy_widens_the_peak_though_the_parameters_are_known() -> None:
+    freqs = np.linspace(0.5 * F1, 2 * F1, 301)
+    sharp, wide = (runs(np.zeros((200, 1)), freqs, discrepancy=d) for d in (0.0, 0.02))
+    spread = wide.peak_speed.high[0] - wide.peak_speed.low[0]
+    assert spread > 3 * (sharp.peak_speed.high[0] - sharp.peak_speed.low[0])
+    assert spread == pytest.approx(2 * 1.645 * 0.02 * F1, rel=0.5)  # the first of two equal modes peaks higher
+
+
+def test_modes_with_bands() -> None:
+    rng = np.random.default_rng(2)
+    springs = K * np.array([[2.0, -1.0], [-1.0, 1.0]])
+    model = DenseModel.springs(springs, M * np.diag([1.0, 1.3]), springs[None], NAMES)
+    draws, best = 0.1 * rng.standard_normal((2000, 1)), np.zeros(1)
+    found = predict_modes(model, draws, best, rng, discrepancy=0.02)
+    f = model.modes(best).frequencies
+    reach = 1.645 * np.hypot(0.05, 0.02)  # f goes with the root of the stiffness
+    np.testing.assert_allclose(found.frequencies.high / f - 1, reach, rtol=0.1)
+    np.testing.assert_allclose(found.shapes.low, found.shapes.high, rtol=1e-9)  # one factor on all: shapes stay
+    np.testing.assert_allclose(found.mac, 1.0)
+
+
+def test_validated_band_ends_before_the_first_mode_that_is_not_held() -> None:
+    f = np.array([9.0, 3.0, 20.0, 14.0])
+    assert validated_band(f, np.array([True, True, True, False])) == (3.0, 9.0)
+    assert validated_band(f, np.ones(4, dtype=bool)) == (3.0, 20.0)
+    assert validated_band(f, np.array([True, False, True, True])) == (0.0, 0.0)
+
+
+DECK = """SOL 103
+CEND
+SPC = 1
+BEGIN BULK
+GRID,1,,0.,0.,0.
+GRID,2,,0.,0.,1.
+CBUSH,1,58,2,1,,,,0
+CBUSH,2,60,1,,,,,0
+PBUSH,58,K,2.+6,3.+6,4.+6
+PBUSH,60,K,1.+6,1.+6,5.+5
+CONM2,3,2,,10.
+CONM2,4,1,,20.
+SPC1,1,456,1,2
+ENDDATA
+"""
+
+
+def test_forces_in_springs_of_a_deck(tmp_path: Path) -> None:
+    """A unit force on the upper mass passes through both springs in series, down to the ground."""
+    (tmp_path / "two.bdf").write_text(DECK)
+    opened = Opened(read_deck(tmp_path / "two.bdf"), 1.0)
+    names = ParameterSet((Parameter("b", (Target("PBUSH", 58, "K1"),), 0.5, 2.0),))
+    system = opened.analysis.system
+    v = np.eye(system.stiffness.shape[0])
+    top = np.asarray(system.transform.T @ (system.dofs.key == 2 * 8 + 1).astype(float))
+    x = np.linalg.solve(system.stiffness.toarray(), top)
+    for name, pid in (("bearing", 58), ("support", 60)):
+        each, along, across, _ = _forces(opened, names, name, [pid], v)
+        at = np.ones(1)
+        np.testing.assert_allclose(each.rows.at(at) @ x, [1, 0, 0], atol=1e-9)
+        np.testing.assert_allclose(along.rows.at(at) @ x, [1.0], rtol=1e-9)
+        np.testing.assert_allclose(across.rows.at(at) @ x, [0.0], atol=1e-9)
+    each = _forces(opened, names, "bearing", [58], v)[0]
+    np.testing.assert_allclose(each.rows.at(np.array([1.5])) @ x, [1.5, 0, 0], atol=1e-9)
+    with pytest.raises(ConfigError, match="no CBUSH with PBUSH"):
+        _forces(opened, names, "bearing", [59], v)
+
+
+def test_options_stand_in_place_of_the_study() -> None:
+    section = PredictSection(rotor=7, mass=10.0, grade=2.5)
+    got = settings(section, {"grade": 6.3, "rotor": None}, ["bearings=58,59"])
+    assert (got.rotor, got.grade, got.springs) == (7, 6.3, {"bearings": [58, 59]})
+    with pytest.raises(ConfigError, match="--rotor"):
+        settings(None, {"mass": 1.0}, [])
+    with pytest.raises(ConfigError, match="NAME=PID"):
+        settings(section, {}, ["bearings"])
+
+
+def test_a_study_that_was_not_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "two.bdf").write_text(DECK)
+    (tmp_path / "study.toml").write_text('[model]\ndeck = "two.bdf"\n[predict]\nrotor = 2\nmass = 10.0\n')
+    assert run(["predict", str(tmp_path / "study.toml")]) == 2
+    assert "ringtrue run" in capsys.readouterr().err
+
+
+def test_command_on_a_finished_study(tmp_path: Path) -> None:
+    """An unbalanced machine on the top floor of the small study: the response peaks at the first sway modes."""
+    study = write_study(tmp_path)
+    run_study(study)
+    result = tmp_path / "p.json"
+    options = ["--rotor", "305", "--mass", "500", "--axis", "Z", "--to", "20", "--draws", "20"]
+    assert run(["predict", str(study), *options, "--csv", str(tmp_path / "p.csv"), "--json", str(result)]) == 0
+    told = json.loads(result.read_text())
+    low, high = told["validated_hz"]
+    assert 1.0 < low < 2.0
+    assert 10.0 < high < 20.0
+    (rotor,) = told["outputs"]
+    assert rotor["peak"][0] < rotor["peak"][1] < rotor["peak"][2]
+    assert low < rotor["peak_speed_hz"][1] < 2.0
+    sheet = np.genfromtxt(tmp_path / "p.csv", delimiter=",", skip_header=1)
+    assert sheet.shape == (400, 5)
+    assert (sheet[:, 2] <= sheet[:, 4]).all()
+    assert set(sheet[sheet[:, 0] > high, 1]) == {0.0}
+
+
+def test_input_is_checked() -> None:
+    with pytest.raises(ConfigError, match="axis"):
+        plane("W")
+    with pytest.raises(InputError, match="draws"):
+        bands(np.zeros((5, 2)), 0.9)
+    with pytest.raises(ConfigError, match="unbalance"):
+        Unbalance(0.0, 2.5, 50.0)

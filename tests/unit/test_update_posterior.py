@@ -1,0 +1,190 @@
+"""Posteriors on a chain of springs and masses: intervals that hold the truth as often as they say.
+
+|-k1-m1-k2-m2- ... -kn-mn      springs in equal groups, one unknown factor each; m grows along the row
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.errors import InputError
+from ringtrue.update.dense import DenseModel
+from ringtrue.update.kfold import discrepancy, folds_of, k_fold, with_discrepancy
+from ringtrue.update.mcmc import autocorrelation_time, ensemble, log_posterior
+from ringtrue.update.objective import Target, Weights
+from ringtrue.update.plausible import plausibility
+from ringtrue.update.posterior import Posterior, as_likelihood, laplace
+from ringtrue.update.several import Configuration, Problem
+from ringtrue.update.trust import solve
+
+N, GROUPS, MODES = 12, 4, 8
+NOISE_F, NOISE_SHAPE = 2e-3, 0.02  # relative; of the root mean square of a shape
+
+
+def chain(each: np.ndarray | None = None, std: float = 0.5) -> DenseModel:
+    """The chain; `each` (n,) are factors on the single springs that no parameter knows of."""
+    each = np.ones(N) if each is None else each
+    spring = np.zeros((N, N, N))
+    for i in range(N):
+        v = np.zeros(N)
+        v[[i - 1, i] if i else [0]] = [-1, 1] if i else [1]
+        spring[i] = 4e4 * each[i] * np.outer(v, v)
+    of = np.arange(N) * GROUPS // N
+    parts = np.array([spring[of == g].sum(axis=0) for g in range(GROUPS)])
+    names = ParameterSet(tuple(Parameter(f"k{g + 1}", (), 0.1, 10.0, "log", std) for g in range(GROUPS)))
+    return DenseModel.springs(spring.sum(axis=0), np.diag(1 + 0.05 * np.arange(N)), parts, names)
+
+
+def measured(model: DenseModel, x: np.ndarray, rng: np.random.Generator, **more: object) -> Target:
+    """Noisy modes of the model at x."""
+    at = model.modes(x)
+    f = at.frequencies[:MODES] * (1 + NOISE_F * rng.standard_normal(MODES))
+    shapes = at.shapes[:, :MODES]
+    size = np.sqrt((shapes**2).mean(axis=0))
+    noisy = shapes + NOISE_SHAPE * size * rng.standard_normal(shapes.shape)
+    return Target(f, noisy, np.full(MODES, NOISE_F), np.ones(MODES, dtype=bool), **more)
+
+
+@pytest.mark.parametrize("case", ["likelihood", "shape as one datum", "size unknown"])
+def test_90_percent_intervals_hold_the_truth_85_to_95_percent_of_the_time(case: str) -> None:
+    """100 repeats of noise, the truth drawn from the prior each time."""
+    model, rng = chain(), np.random.default_rng(3)
+    expected = NOISE_SHAPE**2 * (N - 1) / N  # of 1 - MAC: the part along the shape itself does not count
+    weights = {"size unknown": Weights(1e-9, 10 * expected, 0.0)}.get(case, Weights(1e-9, expected, 1.0))
+    inside = []
+    for _ in range(100):
+        truth = 0.5 * rng.standard_normal(GROUPS)
+        aim = measured(model, truth, rng, weights=weights, rule="cost", lost=1e6)
+        if case == "size unknown":  # a test that states a tenth of its real error
+            aim = replace(aim, std=aim.std / 10)
+        conf = Configuration(model, aim)
+        if case == "likelihood":
+            conf = as_likelihood(conf, 0.0, expected)
+        problem = Problem((conf,))
+        end = solve(problem, start=truth).end
+        scale = None if case == "size unknown" else np.ones(2)
+        independent = 1.0 if case == "likelihood" else None
+        band = np.log(laplace(problem, end, scale, independent=independent).interval(0.9))
+        inside.append((band[:, 0] <= truth) & (truth <= band[:, 1]))
+    assert 0.85 <= np.mean(inside) <= 0.95
+
+
+def test_a_shape_counted_as_one_datum_does_not_widen_the_truth() -> None:
+    """The covariance is that of the estimate over repeated noise, whatever the objective weighs."""
+    model, rng, truth = chain(std=5.0), np.random.default_rng(5), np.array([0.2, -0.3, 0.1, 0.0])
+    expected = NOISE_SHAPE**2 * (N - 1) / N
+    ends, told = [], []
+    for _ in range(60):
+        aim = measured(model, truth, rng, weights=Weights(1e-9, expected, 1.0))
+        problem = Problem((Configuration(model, aim),))
+        end = solve(problem, start=truth).end
+        ends.append(end.x)
+        told.append(laplace(problem, end, np.ones(2)).std)
+    # a standard deviation from 60 draws is itself known to 9 %; three of that
+    np.testing.assert_allclose(np.mean(told, axis=0), np.std(ends, axis=0, ddof=1), rtol=0.27)
+
+
+def test_sampling_agrees_with_laplace_where_the_model_is_close_to_linear() -> None:
+    rng, model = np.random.default_rng(1), chain().with_parameters([0, 2])
+    aim = measured(model, np.array([0.2, 0.1]), rng, weights=Weights(0.0, 0.05, 0.0), rule="cost", lost=1e6)
+    problem = Problem((Configuration(model, aim),))
+    normal = laplace(problem, solve(problem).end, np.ones(1))
+    found = ensemble(log_posterior(problem), normal.sample(10, rng), 200, rng, burn=20)
+    assert 0.4 < found.acceptance < 0.9
+    assert found.size > 60
+    # 60 independent samples: mean to 0.13, standard deviation to 9 %; three of each
+    np.testing.assert_allclose(found.flat().mean(axis=0), normal.x, atol=0.39 * normal.std.max())
+    np.testing.assert_allclose(found.flat().std(axis=0), normal.std, rtol=0.27)
+
+
+def test_sampler_finds_a_skewed_normal_density() -> None:
+    rng = np.random.default_rng(0)
+    root = np.array([[1.0, 0.0], [9.0, 0.1]])
+    precision = np.linalg.inv(root @ root.T)
+    found = ensemble(
+        lambda x: -0.5 * np.einsum("ni,ij,nj->n", x, precision, x), rng.standard_normal((20, 2)), 3000, rng, burn=500
+    )
+    assert found.converged
+    got = np.cov(found.flat().T)
+    np.testing.assert_allclose(got, root @ root.T, rtol=0.15)
+
+
+def test_autocorrelation_time_of_an_autoregression() -> None:
+    """x_t = ρ x_{t-1} + e: τ = (1 + ρ)/(1 − ρ)."""
+    rng, rho = np.random.default_rng(2), 0.8
+    x = np.zeros((4000, 10, 1))
+    for t in range(1, len(x)):
+        x[t] = rho * x[t - 1] + rng.standard_normal((10, 1))
+    assert autocorrelation_time(x)[0] == pytest.approx((1 + rho) / (1 - rho), rel=0.1)
+
+
+def test_left_out_frequencies_of_another_form_lie_in_their_bands() -> None:
+    """Twins whose single springs scatter by 10 %: no parameter can explain it."""
+    rng, inside = np.random.default_rng(4), []
+    for _ in range(8):
+        twin = chain(np.exp(0.1 * rng.standard_normal(N)))
+        aim = measured(twin, np.array([0.2, -0.2, 0.1, 0.0]), rng, weights=Weights(0.005, 0.02, 0.0))
+        conf, held = with_discrepancy(Configuration(chain(), aim), folds_of(aim.used, 4))
+        inside.append(held.inside(0.9)[np.isfinite(held.predicted)])
+        assert conf.target.weights.frequency > NOISE_F
+    assert 0.8 <= np.mean(np.concatenate(inside)) <= 0.98
+
+
+def test_discrepancy_keeps_the_posterior_from_collapsing() -> None:
+    rng = np.random.default_rng(6)
+    twin = chain(np.exp(0.1 * rng.standard_normal(N)))
+    aim = measured(twin, np.zeros(GROUPS), rng, weights=Weights(1e-6, 0.02, 0.0))
+    blind = Problem((Configuration(chain(), aim),))
+    conf, _ = with_discrepancy(Configuration(chain(), aim), folds_of(aim.used, 4))
+    honest = Problem((conf,))
+    tight, wide = (laplace(p, solve(p).end, np.ones(n)).std for p, n in ((blind, 1), (honest, 1)))
+    assert (wide > 2 * tight).all()
+
+
+def test_discrepancy_of_known_errors() -> None:
+    rng = np.random.default_rng(7)
+    error = np.hypot(0.03, 0.04) * rng.standard_normal(20_000)
+    assert discrepancy(error, np.full(error.size, 0.04)) == pytest.approx(0.03, rel=0.06)  # the grid is 4 % coarse
+
+
+def test_same_form_has_no_discrepancy_beyond_its_noise() -> None:
+    model, rng = chain(), np.random.default_rng(8)
+    aim = measured(model, np.zeros(GROUPS), rng, weights=Weights(0.001, 0.02, 0.0))
+    held = k_fold(Configuration(model, aim), folds_of(aim.used, 4))
+    assert np.nanmax(held.model_std) < 3 * NOISE_F
+    assert np.isfinite(held.predicted).all()
+
+
+def test_posterior_of_linked_parameters_and_its_draws() -> None:
+    names = ParameterSet(tuple(Parameter(n, (), 0.1, 10.0, "log", 0.5) for n in "ab"))
+    both = Posterior(names, np.array([0.1]), np.array([[0.04]]), np.ones((2, 1)), names.std())
+    np.testing.assert_allclose(both.std, 0.2)
+    np.testing.assert_allclose(both.ratio, 0.4)
+    assert both.moved.all()
+    draws = both.sample(20_000, np.random.default_rng(0))
+    np.testing.assert_allclose(draws[:, 0], draws[:, 1])
+    assert draws.std() == pytest.approx(0.2, rel=0.02)
+    reach = 1.6448536 * 0.2
+    np.testing.assert_allclose(both.interval(0.9)[0], np.exp([0.1 - reach, 0.1 + reach]), rtol=1e-6)
+
+
+def test_plausibility_flags() -> None:
+    names = ParameterSet(tuple(Parameter(n, (), 0.5, 2.0, "log", 0.2) for n in "abcd"))
+    x = np.array([np.log(2.0), 0.5, 0.1, 0.0])
+    flags = plausibility(names, x, np.array([0.1, 0.1, 0.95, 0.95]))
+    assert [(f.parameter, f.kind) for f in flags] == [("a", "bound"), ("a", "prior"), ("b", "prior"), ("c", "silent")]
+    assert not plausibility(names, np.zeros(4))
+
+
+def test_input_is_checked() -> None:
+    with pytest.raises(InputError, match="even number"):
+        ensemble(lambda x: -(x**2).sum(axis=1), np.zeros((3, 2)), 10, np.random.default_rng(0))
+    with pytest.raises(InputError, match="5 folds of 4 modes"):
+        folds_of(np.ones(4, dtype=bool), 5)
+    names = ParameterSet((Parameter("a"),))
+    with pytest.raises(InputError, match="level"):
+        Posterior(names, np.zeros(1), np.eye(1), np.eye(1), np.ones(1)).interval(1.5)

@@ -1,0 +1,222 @@
+"""Further hammer methods on a known structure: LSCE, RFP, CMIF, real modes, force levels, disagreeing batches.
+
+A chain of masses and springs with modal or local dashpots; FRFs are exact sums of its modes, with white noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import eig, eigh
+
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.errors import DataError, InputError
+from ringtrue.identify.hammer import HammerModes, identify_hammer
+from ringtrue.identify.linearity import level_dependence
+from ringtrue.identify.local import identify_batches
+from ringtrue.identify.lsce import Lsce, lsce
+from ringtrue.identify.lsfd import reciprocity
+from ringtrue.identify.normal import niedbal, normal_modes, rotated
+from ringtrue.identify.peaks import CmifPeaks, cmif_modes, single_mode
+from ringtrue.identify.plscf import cluster_poles
+from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.rfp import Rfp, orthogonal, rfp
+from ringtrue.shapes.mac import mac
+
+MASS = np.array([1.0, 1.2, 0.9, 1.1, 1.0, 0.8, 1.0, 1.1])
+N = MASS.size
+
+
+def chain(extra: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """M, K of eight masses between walls, modes from about 5 to 28 Hz, and C: 0.1 % stiffness-proportional."""
+    m = np.diag(MASS + (0 if extra is None else extra))
+    k = 8e3 * (2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1))
+    return m, k, 2e-4 * k
+
+
+def poles(m: np.ndarray, k: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poles and shapes of unit modal A, Im > 0, ascending."""
+    zero = np.zeros((N, N))
+    a, b = np.block([[c, m], [m, zero]]), np.block([[k, zero], [zero, -m]])
+    s, v = eig(-b, a)
+    at = np.flatnonzero(s.imag > 0)
+    at = at[np.argsort(s[at].imag)]
+    x = v[:, at]
+    return s[at], x[:N] / np.sqrt(np.einsum("ik,ij,jk->k", x, a, x))
+
+
+def frfs(
+    system: tuple[np.ndarray, np.ndarray, np.ndarray],
+    rng: np.random.Generator,
+    outputs: tuple[int, ...] = tuple(range(N)),
+    level: float = 0.005,
+) -> FrfSet:
+    """Accelerances for hits at the first and the third mass."""
+    refs, freqs = [0, 2], np.linspace(1.0, 40.0, 1200)
+    s, phi = poles(*system)
+    at = np.asarray(outputs)
+    model = ModalModel(
+        s,
+        phi[at],
+        phi[refs].T,
+        np.zeros((at.size, 2)),
+        np.zeros((at.size, 2)),
+        tuple(Channel(f"{i + 1}+X") for i in outputs),
+        tuple(Channel(f"{i + 1}+X") for i in refs),
+    )
+    h = model.synthesise(freqs)
+    sigma = level * np.sqrt(np.mean(np.abs(h) ** 2, axis=0)) / np.sqrt(2)
+    h = h + sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    coherence = 1 / (1 + 4 * 2 * sigma**2 / np.abs(h) ** 2)  # of the mean of four
+    return FrfSet(h, freqs, model.outputs, model.inputs, coherence, np.full(2, 4.0))
+
+
+def found(poles_of_orders: PoleSet, true: np.ndarray, rtol: float) -> None:
+    clusters = cluster_poles(poles_of_orders, 0.03)
+    far = np.abs(clusters.pole[:, None] - true).min(axis=0) / np.abs(true)
+    assert far.max() < rtol
+    assert (clusters.support > 0.5).sum() >= true.size
+
+
+def test_lsce_and_rfp_find_the_poles_of_a_band() -> None:
+    data = frfs(chain(), np.random.default_rng(1), level=1e-3)
+    s = poles(*chain())[0]
+    true = s[(s.imag > 2 * np.pi * 9) & (s.imag < 2 * np.pi * 27)]
+    at = (data.freqs > 4) & (data.freqs < 33)
+    found(lsce(data.data[at], data.freqs[at], Lsce(4, 12)), true, 2e-3)
+    found(rfp(data.data[at], data.freqs[at], Rfp(9, 14)), true, 1e-3)
+
+
+def test_orthogonal_polynomials_stay_orthogonal() -> None:
+    x = 1j * np.linspace(-1, 1, 400)
+    q, hess = orthogonal(x, 1 + np.abs(x), 60)
+    np.testing.assert_allclose(q.conj().T @ q, np.eye(61), atol=1e-12)
+    np.testing.assert_allclose(x[:, None] * q[:, :60], q @ hess, atol=1e-12)
+
+
+def test_bands_too_narrow_and_settings_out_of_range_are_told() -> None:
+    data = frfs(chain(), np.random.default_rng(1))
+    for work in (lambda d, f: lsce(d, f, Lsce(2, 30)), lambda d, f: rfp(d, f, Rfp(2, 30))):
+        with pytest.raises(InputError, match="lines in the band for order 30"):
+            work(data.data[:50], data.freqs[:50])
+    with pytest.raises(InputError, match="taper"):
+        Lsce(taper=0.5)
+    with pytest.raises(InputError, match="orders"):
+        Rfp(5, 4)
+
+
+def test_single_mode_is_exact_with_a_residual() -> None:
+    f = np.linspace(9.0, 11.0, 60)
+    s, pole = 2j * np.pi * f, 2 * np.pi * 10.03 * (-0.02 + 1j)
+    assert abs(single_mode(s**2 * (3j / (s - pole) + 0.4), f, 2) / pole - 1) < 1e-8
+
+
+def test_cmif_peaks_of_separate_modes() -> None:
+    m, k, c = chain()
+    data = frfs((m, k, c / 4), np.random.default_rng(2))
+    model = cmif_modes(data, CmifPeaks(3.0, 35.0))
+    s, phi = poles(m, k, c / 4)
+    assert model.poles.size == N
+    order = np.argsort(model.frequencies)
+    np.testing.assert_allclose(model.frequencies[order], np.abs(s) / (2 * np.pi), rtol=2e-3)
+    np.testing.assert_allclose(model.damping[order], -s.real / np.abs(s), rtol=0.1)
+    assert np.diag(mac(model.shapes[:, order], phi)).min() > 0.98
+    with pytest.raises(DataError, match="no peak"):
+        cmif_modes(data, CmifPeaks(35.0, 39.0, depth=40.0))
+
+
+def test_reciprocity_of_a_symmetric_structure() -> None:
+    model = identify_hammer(frfs(chain(), np.random.default_rng(3)), HammerModes(3.0, 35.0)).model
+    assert reciprocity(model).min() > 0.99
+    wrong = replace(model, participation=model.participation * [1.0, -1.0])
+    assert reciprocity(wrong).min() < 0.9
+    assert np.isnan(reciprocity(replace(model, inputs=(model.inputs[0], Channel("99+X"))))).all()
+
+
+def complex_model(couple: float) -> tuple[ModalModel, np.ndarray, np.ndarray]:
+    """All modes of the chain with a dashpot to the ground at one mass; the undamped f and shapes of unit mass."""
+    m, k, c = chain()
+    c = c + couple * np.diag(np.eye(N)[2])
+    s, phi = poles(m, k, c)
+    names, none = tuple(Channel(f"{i + 1}+X") for i in range(N)), np.zeros((N, 1))
+    w2, normal = eigh(k, m)
+    model = ModalModel(s, phi, phi[:1].T, none, none, names, names[:1], "accelerance", Norm.MODAL_A)
+    return model, np.sqrt(w2) / (2 * np.pi), normal
+
+
+def test_normal_modes_of_all_complex_modes_are_the_undamped_ones() -> None:
+    model, f, normal = complex_model(30.0)
+    modes = normal_modes(model)
+    np.testing.assert_allclose(modes.frequencies, f, rtol=1e-8)
+    np.testing.assert_allclose(np.diag(mac(modes.shapes, normal)), 1.0, atol=1e-8)
+    assert modes.norm is Norm.MASS
+    assert np.diag(mac(model.shapes, normal)).min() < 0.98  # a structure that needs it
+    with pytest.raises(InputError, match="as many channels as modes"):
+        normal_modes(replace(model, shapes=model.shapes[:3], outputs=model.outputs[:3]))
+
+
+def test_simple_rotation_and_niedbal() -> None:
+    model, _, normal = complex_model(6.0)
+    modes = model.to_modes()
+    size = np.linalg.norm(modes.shapes, axis=0)
+    for turned in (rotated(modes), niedbal(modes)):
+        assert not np.iscomplexobj(turned.shapes)
+        assert np.diag(mac(turned.shapes, normal)).min() > 0.99
+        np.testing.assert_allclose(np.linalg.norm(turned.shapes, axis=0), size)
+    spin = replace(modes, shapes=normal * np.exp(1j * np.arange(N)))
+    for turned in (rotated(spin), niedbal(spin)):
+        np.testing.assert_allclose(np.diag(mac(turned.shapes, normal)), 1.0, atol=1e-12)
+
+
+def results(f: np.ndarray, z: np.ndarray, order: np.ndarray) -> tuple[ModeSet, Uncertainty]:
+    labels = tuple(f"{i + 1}+X" for i in range(4))
+    modes = ModeSet(f[order], z[order], np.eye(4)[:, order], labels)
+    return modes, Uncertainty.independent(1e-4 * modes.frequencies, 1e-2 * modes.damping, np.zeros((4, f.size)))
+
+
+def test_level_dependence_tells_a_softening_mode_from_linear_ones() -> None:
+    """One mode falls by 1 % in frequency for each factor e of the force, another gains damping with its square root."""
+    rng, levels = np.random.default_rng(4), np.array([4.0, 1.0, 2.0, 8.0])
+    found = []
+    for force in levels:
+        f, z = np.array([10.0, 20.0, 30.0]), np.full(3, 0.01)
+        f[1] *= force**-0.01
+        z[2] *= force**0.5
+        noise = rng.standard_normal((2, 3))
+        found.append(results(f * (1 + 1e-4 * noise[0]), z * (1 + 1e-2 * noise[1]), rng.permutation(3)))
+    table = level_dependence(levels, found)
+    np.testing.assert_array_equal(table.levels, np.sort(levels))
+    at = np.argsort(table.frequency[0])
+    np.testing.assert_array_equal(table.linear[at], [True, False, False])
+    np.testing.assert_allclose(table.slope_frequency[at], [0, -0.01, 0], atol=3e-4)
+    np.testing.assert_allclose(table.slope_damping[at], [0, 0, 0.5], atol=0.03)
+    assert np.isfinite(table.frequency).all()
+    with pytest.raises(InputError, match="two or more"):
+        level_dependence([1.0], found[:1])
+
+
+def test_batches_loaded_by_moved_sensors() -> None:
+    """Sensors of 3 % of a mass at the measured points shift the modes differently: a chi-square test sees it."""
+    rng = np.random.default_rng(5)
+    sets = [(0, 2, 3, 4), (0, 2, 5, 6), (0, 1, 2, 7)]
+    extra = [0.03 * np.isin(np.arange(N), s) for s in sets]
+    loaded = [frfs(chain(e), rng, s) for e, s in zip(extra, sets, strict=True)]
+    fit = identify_batches(loaded, HammerModes(3.0, 35.0))
+    assert len(fit.modes) == N
+    for b, e in enumerate(extra):
+        true = np.abs(poles(*chain(e))[0]) / (2 * np.pi)
+        np.testing.assert_allclose(fit.frequency[b], true, rtol=1e-3)
+    assert (fit.chance < 1e-6).sum() >= N - 1
+    phi = poles(*chain(np.mean(extra, axis=0)))[1][[int(c.split("+")[0]) - 1 for c in fit.modes.channels]]
+    assert np.diag(mac(fit.modes.shapes, phi)).min() > 0.98
+    assert fit.modes.norm is Norm.MASS
+    same = identify_batches([frfs(chain(), rng, s) for s in sets], HammerModes(3.0, 35.0))
+    assert np.median(same.chance) > 0.02
+    other = replace(loaded[0], inputs=loaded[0].inputs[::-1])
+    with pytest.raises(InputError, match="same inputs"):
+        identify_batches([loaded[0], other])

@@ -1,0 +1,245 @@
+"""FDD, NExT/ERA, SSI-data, Bayesian FFT and PreGER against a system whose modes are known.
+
+Four modal degrees of freedom in white noise, six accelerometers, sensor noise of 1 % of the power, five minutes at 40
+samples a second; the shapes of the close pair at 5.0 and 5.12 Hz are orthogonal.
+
+    f (Hz)  2.0   5.0  5.12  9.0
+    ζ (%)   2.0   1.0  1.2   1.5
+
+Floor (Gersch 1974): σ_f/f = sqrt(ζ/(2π f T)), σ_ζ/ζ = sqrt(1/(2π ζ f T)).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.errors import ConfigError, DataError, InputError
+from ringtrue.identify.bayes import BayesResult, bayes_fft
+from ringtrue.identify.era import era, next_era
+from ringtrue.identify.fdd import FddSettings, fdd, log_decrement, random_decrement
+from ringtrue.identify.pick import modes_of
+from ringtrue.identify.setups import preger
+from ringtrue.identify.ssi import SsiCov
+from ringtrue.identify.ssi_data import project, ssi_data
+from ringtrue.shapes.mac import mac, paired_mac
+from ringtrue.signal.preprocess import decimate
+
+F, Z = np.array([2.0, 5.0, 5.12, 9.0]), np.array([0.02, 0.01, 0.012, 0.015])
+RATE, SECONDS = 40.0, 300
+PHI = np.linalg.qr(np.random.default_rng(4).standard_normal((6, 4)))[0]
+DATA = Path(__file__).parents[2].parent / "shared/data/oma"
+FLOOR_F, FLOOR_Z = np.sqrt(Z / (2 * np.pi * F * SECONDS)), np.sqrt(1 / (2 * np.pi * Z * F * SECONDS))
+
+
+def wrap(y: np.ndarray, ids: tuple[str, ...] = ()) -> TimeHistory:
+    ids = ids or tuple(str(i + 1) for i in range(len(y)))
+    return TimeHistory(y, RATE, tuple(Channel(i, "acceleration") for i in ids), "made")
+
+
+def motion(seed: int, loud: np.ndarray | float = 1.0) -> np.ndarray:
+    """Modal accelerations (4, sample), exact for forces held over a sample."""
+    rng, w = np.random.default_rng(seed), 2 * np.pi * F
+    q = []
+    for s in -Z * w + 1j * w * np.sqrt(1 - Z**2):
+        force = rng.standard_normal(int(SECONDS * RATE) + 2000)
+        z = lfilter([0, (np.exp(s / RATE) - 1) / s], [1, -np.exp(s / RATE)], force)
+        q.append(2 * np.real(s**2 / (2j * s.imag) * z) + 2 * np.real(s / (2j * s.imag)) * force)
+    return np.array(q)[:, 2000:] * np.reshape(loud, (-1, 1))
+
+
+@cache
+def record(seed: int) -> TimeHistory:
+    y = PHI @ motion(seed)
+    return wrap(y + 0.1 * y.std(1, keepdims=True) * np.random.default_rng(100 + seed).standard_normal(y.shape))
+
+
+def near(modes: ModeSet, truth: np.ndarray = F, phi: np.ndarray = PHI) -> np.ndarray:
+    """Row of the mode that is each true one; fails if there is none."""
+    like = mac(phi.astype(complex), modes.shapes) * (np.abs(modes.frequencies / truth[:, None] - 1) < 0.03)
+    assert (like.max(1) > 0.9).all(), modes.frequencies
+    return np.asarray(like.argmax(1))
+
+
+def within(f: np.ndarray, z: np.ndarray, at: list[int], times: float) -> None:
+    """All within `times` the scatter of the floor."""
+    assert (np.abs(f / F[at] - 1) < times * FLOOR_F[at]).all()
+    assert (np.abs(z / Z[at] - 1) < times * FLOOR_Z[at]).all()
+
+
+def test_a_decay_gives_its_frequency_and_damping():
+    t = np.arange(600) / RATE
+    decay = np.exp((-0.02 + 1j * np.sqrt(1 - 0.02**2)) * 2 * np.pi * 2.0 * t)
+    assert log_decrement(decay, RATE) == pytest.approx((2.0, 0.02), rel=1e-9)
+
+
+def test_random_decrement_is_proportional_to_the_correlation():
+    s = 2 * np.pi * 2.0 * (-0.02 + 1j * np.sqrt(1 - 0.02**2)) / RATE
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal(400_000) + 1j * rng.standard_normal(400_000)
+    d = random_decrement(lfilter([1], [1, -np.exp(s)], noise)[1000:], 100)
+    assert np.abs(d / d[0] - np.exp(s * np.arange(100))).max() < 0.1
+    with pytest.raises(DataError, match="no crossing"):
+        random_decrement(np.zeros(1000, dtype=complex), 100)
+
+
+@pytest.mark.parametrize(("method", "times"), [("fsdd", 4.5), ("efdd", 7.0), ("random decrement", 7.0)])
+def test_fdd_finds_the_peaks_and_their_damping(method, times):
+    errors = []
+    for seed in range(3):
+        r = fdd(record(seed), FddSettings(method))
+        at = near(r.modes, F[[0, 3]], PHI[:, [0, 3]])
+        within(r.modes.frequencies[at], r.modes.damping[at], [0, 3], times)
+        errors.append(np.log(r.modes.damping[at] / Z[[0, 3]]) / FLOOR_Z[[0, 3]])
+        assert np.isfinite(r.uncertainty.frequency).all() == (method == "fsdd")
+    assert np.abs(np.mean(errors)) < 4 / np.sqrt(6)  # not biased by the taper, which would double the damping
+
+
+def test_fdd_takes_the_peaks_it_is_told_and_refuses_nonsense():
+    r = fdd(record(0), FddSettings(resolution=0.05), near=[9.05])
+    assert len(r.modes) == 1
+    assert r.modes.frequencies[0] == pytest.approx(9.0, rel=0.01)
+    noise = np.random.default_rng(0).standard_normal((6, 12000))
+    assert len(fdd(wrap(noise)).modes) == 0
+    with pytest.raises(DataError, match="not finite"):
+        fdd(wrap(np.full((2, 1000), np.nan)))
+
+
+def test_era_is_exact_on_free_decays():
+    w = 2 * np.pi * F
+    poles = -Z * w + 1j * w * np.sqrt(1 - Z**2)
+    t = np.arange(61) / RATE
+    decays = np.einsum("cm,tm,rm->tcr", PHI, np.exp(t[:, None] * poles).real, PHI[:2])
+    p = era(decays, RATE, SsiCov(block_rows=30, order_max=8))
+    last = p.take(p.order == 8)
+    at = np.argsort(last.frequencies)
+    assert last.frequencies[at] == pytest.approx(F, rel=1e-8)
+    assert last.damping[at] == pytest.approx(Z, rel=1e-6)
+    with pytest.raises(DataError, match="too few"):
+        era(decays, RATE, SsiCov(block_rows=40))
+
+
+def test_next_era_within_its_scatter():
+    for seed in range(3):
+        h = record(seed)
+        m, _ = modes_of(next_era(h, SsiCov(block_rows=30, order_max=30)), tuple(c.id for c in h.channels))
+        at = near(m)
+        within(m.frequencies[at], m.damping[at], [0, 1, 2, 3], 7.0)
+
+
+def test_ssi_data_and_its_stated_deviation():
+    e = []
+    for seed in range(3):
+        h = record(seed)
+        p = ssi_data(h, SsiCov(block_rows=10, order_max=14, blocks=12), references=["1", "3", "6"])
+        m, u = modes_of(p, tuple(c.id for c in h.channels))
+        at = near(m)
+        e.append([(m.frequencies[at] - F) / u.frequency[at], (m.damping[at] - Z) / u.damping[at]])
+    # 12 values of each: their root mean square is known to 20 %
+    rms = np.sqrt((np.array(e) ** 2).mean((0, 2)))
+    assert ((rms > 0.5) & (rms < 1.5)).all(), rms
+
+
+def test_the_projection_is_that_of_the_whole_data_matrix():
+    y = np.random.default_rng(3).standard_normal((3, 900)).cumsum(1)
+    refs, rows = np.array([0, 2]), 4
+    n = y.shape[1] - 2 * rows + 1
+    past = np.concatenate([y[refs, k : k + n] for k in range(rows)])
+    future = np.concatenate([y[:, rows + k : rows + k + n] for k in range(rows)])
+    whole = future @ past.T @ np.linalg.solve(past @ past.T, past)
+    p = project(y, refs, rows, 5)
+    assert p.future @ p.future.T == pytest.approx(whole @ whole.T / n, rel=1e-8)
+    with pytest.raises(DataError, match="too few"):
+        project(y[:, :40], refs, rows, 5)
+
+
+@cache
+def posteriors(pair: bool) -> tuple[BayesResult, ...]:
+    band, guess = ((4.6, 5.6), [4.97, 5.15]) if pair else ((8.0, 10.0), [9.1])
+    return tuple(bayes_fft(record(s), band, guess) for s in range(2 if pair else 4))
+
+
+@pytest.mark.parametrize("pair", [False, True])
+def test_posterior_holds_the_truth(pair):
+    at = [1, 2] if pair else [3]
+    e = []
+    for b in posteriors(pair):
+        f, z, u = b.modes.frequencies, b.modes.damping, b.uncertainty
+        e.append([(f - F[at]) / u.frequency, (z - Z[at]) / u.damping])
+        assert paired_mac(b.modes.shapes, PHI[:, at]).min() > (0.96 if pair else 0.999)
+        # the information of one mode is at the floor, that of a pair above it
+        assert (u.frequency / F[at] > 0.7 * FLOOR_F[at]).all()
+        assert (u.frequency / F[at] < 2.0 * FLOOR_F[at]).all()
+        assert np.sqrt((u.factor**2).sum(0)) == pytest.approx(np.concatenate([u.frequency, u.damping]), rel=1e-6)
+    assert np.sqrt(np.mean(np.array(e) ** 2)) < 1.6  # 8 values
+    assert np.abs(e).max() < 4
+
+
+def test_posterior_of_the_shape_covers_its_error():
+    ratio = []
+    for b in posteriors(False):
+        psi = b.modes.shapes[:, 0]
+        top = np.abs(psi).argmax()
+        error = psi - PHI[:, 3] / PHI[top, 3]
+        ratio.append(np.delete(error / np.maximum(b.uncertainty.shape[:, 0], 1e-12), top))
+    assert 0.6 < np.sqrt(np.mean(np.square(ratio))) < 1.6
+
+
+def test_bayes_refuses_what_it_cannot_do():
+    with pytest.raises(ConfigError, match="within"):
+        bayes_fft(record(0), (4.0, 6.0), [7.0])
+    with pytest.raises(DataError, match="lines"):
+        bayes_fft(record(0), (4.98, 5.02), [5.0])
+
+
+def test_preger_joins_setups_of_different_force():
+    """Two setups with two common references, each louder in other modes; the relative scale must come out right."""
+    phi = np.vstack([PHI, np.random.default_rng(8).standard_normal((3, 4))])
+    ids, refs = tuple("abcdefghi"), ("a", "b", "c")
+    parts = []
+    for k, (at, loud) in enumerate((([0, 1, 2, 3, 4, 5], [1, 2, 1, 3]), ([0, 1, 2, 6, 7, 8], [4, 3, 6, 2]))):
+        y = phi[at] @ motion(20 + k, np.array(loud, dtype=float))
+        y += 0.03 * y.std(1, keepdims=True) * np.random.default_rng(k).standard_normal(y.shape)
+        parts.append(wrap(y, tuple(ids[i] for i in at)))
+    g = preger(parts, refs, SsiCov(block_rows=60, order_max=24))
+    assert g.channels == ids
+    m, _ = modes_of(g.poles, g.channels)
+    at = near(m, F, phi)
+    within(m.frequencies[at], m.damping[at], [0, 1, 2, 3], 8.0)
+    assert paired_mac(m.shapes[:, at], phi)[[0, 3]].min() > 0.99
+    with pytest.raises(InputError, match="several setups"):
+        preger(parts, ("a", "b"))
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
+def test_three_setups_of_a_building_in_one_identification():
+    """L-shaped building, published exact values; its time integration lowers f by some 0.3e-4 f² relative."""
+    exact = np.array([2.63186, 2.69173, 3.43042, 8.29742, 8.42882, 10.6272, 14.0053, 14.0930, 17.5741])
+    setups = []
+    for k in (1, 2, 3):
+        y = np.load(DATA / f"l_building/set{k}.npy").T
+        ids = [f"{i}" if i < 3 else f"{i}_{k}" for i in range(10)]
+        setups.append(TimeHistory(y, 100.0, tuple(Channel(i, "acceleration") for i in ids), f"set{k}"))
+    g = preger(setups, ("0", "1", "2"), SsiCov(block_rows=50, order_max=40))
+    m, _ = modes_of(g.poles, g.channels)
+    m = m.band(1, 19)
+    assert len(g.channels) == 24
+    assert m.frequencies == pytest.approx(exact * (1 - 0.3e-4 * exact**2), rel=7e-3)
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
+def test_timber_building_as_published():
+    y = np.load(DATA / "palisaden/Palisaden_dataset.npy").T
+    h = decimate(TimeHistory(y, 100.0, tuple(Channel(str(i), "acceleration") for i in range(6)), "palisaden"), 10.0)
+    first = bayes_fft(h, (1.7, 2.1), [1.88])
+    assert first.modes.frequencies == pytest.approx([1.882], rel=3e-3)  # two published methods differ by as much
+    r = fdd(h, FddSettings(fmin=1.0, fmax=3.0), near=[1.88, 2.42, 2.69])
+    assert r.modes.frequencies == pytest.approx([1.877, 2.422, 2.682], rel=4e-3)

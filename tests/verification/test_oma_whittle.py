@@ -1,0 +1,99 @@
+"""Maximum likelihood of one mode on its own spectrum, against the statistical floor.
+
+Two modes in white noise, six sensors with orthonormal shapes, sensor noise of 1 % of the power:
+5.0 Hz, 1 % and 5.15 Hz, 1.5 % of critical (two half bandwidths apart), 50 samples a second, 400 s.
+Floor (Gersch 1974): σ_f/f = sqrt(ζ/(2π f T)), σ_ζ/ζ = sqrt(1/(2π ζ f T)).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ringtrue.errors import DataError
+from ringtrue.identify.whittle import Fitted, refine, spectral_bins
+
+F, Z = np.array([5.0, 5.15]), np.array([0.01, 0.015])
+RATE, SECONDS, RECORDS = 50.0, 400, 60
+PHI = np.linalg.qr(np.random.default_rng(2).standard_normal((6, 2)))[0]
+
+
+def record(seed: int) -> np.ndarray:
+    """Accelerations (6, sample), exact for forces held over a sample."""
+    rng = np.random.default_rng(seed)
+    w = 2 * np.pi * F
+    lam = -Z * w + 1j * w * np.sqrt(1 - Z**2)
+    q = []
+    for s in lam:
+        force = rng.standard_normal(int(SECONDS * RATE) + 3000)
+        z = lfilter([0, (np.exp(s / RATE) - 1) / s], [1, -np.exp(s / RATE)], force)
+        q.append(2 * np.real(s**2 / (2j * s.imag) * z) + 2 * np.real(s / (2j * s.imag)) * force)
+    y = PHI @ np.array(q)[:, 3000:]
+    return y + 0.1 * y.std() * rng.standard_normal(y.shape)
+
+
+@cache
+def fits() -> tuple[Fitted, ...]:
+    """From starts two floors off."""
+    out = []
+    for seed in range(RECORDS):
+        rng = np.random.default_rng(1000 + seed)
+        b = spectral_bins(record(seed), RATE, (3.0, 9.0))
+        f = F * (1 + 2 * floor()[0] * rng.standard_normal(2))
+        z = Z * (1 + floor()[1] * rng.standard_normal(2))
+        out.append(refine(b, f, z, PHI + 0.02 * rng.standard_normal(PHI.shape)))
+    return tuple(out)
+
+
+def floor() -> tuple[np.ndarray, np.ndarray]:
+    turn = 2 * np.pi * F * SECONDS
+    return np.sqrt(Z / turn), np.sqrt(1 / (Z * turn))
+
+
+def errors() -> tuple[np.ndarray, np.ndarray]:
+    """Relative errors and their stated standard deviations, both (record, 2, mode): ln f, ln ζ."""
+    e = np.array([[np.log(r.frequency / F), np.log(r.damping / Z)] for r in fits()])
+    return e, np.array([np.sqrt(np.diagonal(r.covariance, axis1=1, axis2=2)).T for r in fits()])
+
+
+def test_every_fit_settles():
+    assert all(r.ok.all() for r in fits())
+    assert 0.9 < np.mean([r.misfit for r in fits()]) < 1.1
+
+
+def test_scatter_is_near_the_floor_without_bias():
+    e, _ = errors()
+    scatter = np.sqrt((e**2).mean(0)) / np.array(floor())
+    assert (scatter < 2.0).all()  # background, slope and the neighbour's share are estimated too
+    standard_error = scatter / np.sqrt(RECORDS)  # up to 0.25 of the floor
+    assert (np.abs(e.mean(0)) / np.array(floor()) < 3 * standard_error).all()
+
+
+def test_stated_deviation_is_that_of_the_scatter():
+    e, s = errors()
+    ratio = np.sqrt((s**2).mean(0) / (e**2).mean(0))
+    assert ratio.min() > 0.75  # 60 records know a ratio to 9 %
+    assert ratio.max() < 1.3
+    inside = (np.abs(e) < 1.96 * s).mean()
+    assert 0.90 <= inside <= 0.98
+
+
+def test_stretches_of_a_record_add():
+    parts = [spectral_bins(record(s), RATE, (3.0, 9.0)) for s in range(4)]
+    both = parts[0] + parts[1] + parts[2] + parts[3]
+    assert both.count.sum() == pytest.approx(4 * parts[0].count.sum())
+    assert both.cross == pytest.approx(np.mean([p.cross for p in parts], axis=0), rel=1e-3, abs=1e-5)
+    r = refine(both, F, Z, PHI)
+    assert np.abs(r.frequency / F - 1).max() < 2 * floor()[0].max()
+    with pytest.raises(DataError, match="different length"):
+        parts[0] + spectral_bins(record(0)[:, :9000], RATE, (3.0, 9.0))
+
+
+def test_a_line_in_the_spectrum_stops_the_fit():
+    y, t = record(0), np.arange(int(SECONDS * RATE)) / RATE
+    y = y + 20 * y.std() * np.outer(np.ones(6), np.sin(2 * np.pi * 5.04 * t))
+    r = refine(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, PHI)
+    assert not r.ok.all()

@@ -1,0 +1,186 @@
+"""Candidates of a deck, collinearity, Cramér-Rao bounds, the LASSO path and error indicators, against closed forms."""
+
+from __future__ import annotations
+
+import localise_twin as twin
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.optimize import lsq_linear
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.errors import InputError, NumericalError
+from ringtrue.fem.mesh import mesh
+from ringtrue.model.ports import ModesRequest
+from ringtrue.update.candidates import CandidateSettings, effective, elements_of, generate, membership
+from ringtrue.update.identifiable import blind_cosines, clusters, cosines, identifiability
+from ringtrue.update.localise import element_errors, strain_energies
+from ringtrue.update.sparse import lasso_path
+
+
+def test_candidates_know_their_elements_and_units() -> None:
+    found = {c.name: c for c in generate(twin.read(twin.deck()), CandidateSettings(units="SI"))}
+    assert found["MAT1 11 E"].elements == (100, 101)
+    assert found["MAT1 11 E"].what == "Young's modulus 2e+11 Pa of 2 CBEAM"
+    assert found["PSHELL 20 T"].what == "thickness 0.1 m of 4 CQUAD4"
+    assert found["PBUSH 900 K4"].what.startswith("stiffness about axis 1 5e+06 N m/rad")
+    assert found["PSHELL 10 piece 1 E"].elements != found["PSHELL 10 piece 2 E"].elements
+    assert "MAT1 10 NU" not in found
+    only = generate(twin.read(twin.deck()), CandidateSettings(kinds=("spring",)))
+    assert {c.kind for c in only} == {"spring"}
+
+
+def test_equal_springs_are_one_group_and_each_by_itself() -> None:
+    text = twin.deck().replace("CBUSH,903,900", "CBUSH,903,901")
+    extra = [ln.replace("PBUSH,900", "PBUSH,901") for ln in text.splitlines() if ln.startswith("PBUSH")]
+    model = twin.read(text.replace("ENDDATA", "\n".join([*extra, "ENDDATA"])))
+    names = {c.name: c.elements for c in generate(model, CandidateSettings(kinds=("spring",)))}
+    assert names["PBUSH 900-901 K1"] == (900, 901, 902, 903)
+    assert names["PBUSH 901 K1"] == (903,)
+
+
+def test_what_no_mode_strains_is_left_out_with_a_reason() -> None:
+    """In the first sway mode most candidates hold less than 2 % of the energy; a material without element is none."""
+    text = twin.deck().replace("ENDDATA", "MAT1,77,1.+9,,0.3,0.0\nENDDATA")
+    model = twin.read(text)
+    assert not any("77" in c.name for c in generate(model))  # no element uses it
+    with EmbeddedSolver().open(model) as analysis:
+        low = analysis.eigen(ModesRequest(1))
+        every = generate(model)
+        keep, lost = effective(model, analysis.system, every, low.values[:1], low.vectors[:, :1], least=0.02)
+    assert len(keep) + len(lost) == len(every)
+    assert lost
+    assert all("no mode has more than" in d.reason for d in lost)
+
+
+def test_unknown_kind_and_units_are_refused() -> None:
+    with pytest.raises(InputError, match="no kind 'springs'"):
+        CandidateSettings(kinds=("springs",))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="did you mean"):
+        CandidateSettings(units="mm-t")
+
+
+def test_membership_has_every_element_of_every_candidate() -> None:
+    model = twin.read(twin.deck())
+    found = generate(model)
+    member = membership(model, found)
+    ids = elements_of(model)
+    assert member.shape == (len(found), ids.size)
+    for i, c in enumerate(found):
+        assert sorted(ids[member[[i]].indices].tolist()) == list(c.elements)
+
+
+def test_clusters_are_the_collinear_columns() -> None:
+    rng = np.random.default_rng(1)
+    a = rng.standard_normal((40, 3))
+    g = np.stack([a[:, 0], a[:, 1], -2 * a[:, 0], a[:, 2], a[:, 1] + 1e-3 * a[:, 0]], axis=1)
+    assert clusters(g).tolist() == [0, 1, 0, 2, 1]
+    assert cosines(g)[0, 2] == pytest.approx(1.0)
+    with pytest.raises(InputError, match="alike"):
+        clusters(g, alike=0.0)
+
+
+def test_bounds_of_orthogonal_columns_and_of_twins() -> None:
+    g = np.array([[3.0, 0, 0], [0, 4.0, 4.0], [0, 0, 0]])
+    found = identifiability(g)
+    np.testing.assert_allclose(found.alone, 1 / np.sqrt(1 + np.array([9, 16, 16])))
+    np.testing.assert_allclose(found.together[0], 1 / np.sqrt(10))
+    # twins: variance (1 + s²) / (1 + 2 s²)
+    np.testing.assert_allclose(found.together[1:], np.sqrt(17 / 33))
+    assert found.bound[0] == pytest.approx(1 / 3)
+    assert np.isinf(found.bound[1:]).all()
+
+
+def test_blind_directions_show_a_combination_that_no_cosine_shows() -> None:
+    """Column 2 is the sum of two orthogonal ones: its cosine with each is 0.71, yet one direction is left open."""
+    g = 10 * np.array([[1.0, 0, 1, 0], [0, 1.0, 1, 0], [0, 0, 0, 1.0]])
+    assert cosines(g)[:2, 2].max() < 0.72
+    share, cosine = blind_cosines(g)
+    np.testing.assert_allclose(share, [1 / np.sqrt(3)] * 3 + [0], atol=1e-12)
+    np.testing.assert_allclose(cosine[:3, :3], 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("low", [-0.4, 0.0])
+def test_lasso_path_meets_its_conditions_and_ends_at_least_squares(low: float) -> None:
+    rng = np.random.default_rng(3)
+    g = rng.standard_normal((60, 12))
+    x = np.zeros(12)
+    x[[2, 7, 9]] = 0.3, -0.9, 0.35
+    r = g @ x
+    lower, upper = np.full(12, low), np.full(12, 0.5)
+    path = lasso_path(g, r, lower, upper, end=1e-6)
+    assert path.slack.max() < 1e-6
+    assert not path.x[0].any()
+    assert (path.x >= lower).all()
+    assert (path.x <= upper).all()
+    exact = lsq_linear(g, r, (lower - 1e-12, upper)).x
+    np.testing.assert_allclose(path.x[-1], exact, atol=2e-4)
+    if low < 0:  # the box lets the truth in
+        assert set(path.order()[:3].tolist()) == {2, 7, 9}
+
+
+def test_lasso_on_orthonormal_columns_is_soft_thresholding() -> None:
+    q = np.linalg.qr(np.random.default_rng(0).standard_normal((20, 4)))[0]
+    load = np.array([1.0, -0.5, 0.2, 0.0])
+    path = lasso_path(q, q @ load, np.full(4, -9.0), np.full(4, 9.0), count=12)
+    soft = np.sign(load) * np.maximum(np.abs(load) - path.penalties[:, None], 0)
+    np.testing.assert_allclose(path.x, soft, atol=1e-8)
+
+
+def test_element_energies_sum_to_the_strain_energy() -> None:
+    start = twin.start()
+    modes = start.analysis.eigen(ModesRequest(6))
+    energy = strain_energies(mesh(start.model), start.analysis.system, modes.vectors[:, :6])
+    np.testing.assert_allclose(energy.sum(axis=0), modes.values[:6], rtol=1e-8)
+
+
+@pytest.mark.parametrize("region", [12, 23, 31])
+def test_errors_gather_where_the_model_is_wrong(region: int) -> None:
+    """One column of the true structure has 60 % of the modulus; sensors on every node find it among the twelve."""
+    start = twin.start()
+    system = start.analysis.system
+    with EmbeddedSolver().open(twin.read(twin.deck({region: 0.6}))) as true:
+        aim = true.eigen(ModesRequest(8))
+    at = np.flatnonzero(np.isin(system.free.direction, (1, 2, 3)))
+    observe = np.eye(len(system.free))[at]
+    mine = start.analysis.eigen(ModesRequest(20)).vectors
+    pairs = np.stack([np.arange(8)] * 2, axis=1)
+    found = element_errors(
+        start.model,
+        system,
+        sparse.csr_array(observe),
+        aim.frequencies[:8],
+        aim.vectors[at, :8],
+        mine,
+        pairs,
+        noise=1e-3,
+    )
+    columns = [
+        c for c in start.candidates if c.name.startswith("MAT1") and c.name.endswith("E") and len(c.elements) == 2
+    ]
+    member = membership(start.model, columns)
+    share = found.shares(member)["constitutive"]
+    assert columns[int(np.argmax(share))].name == f"MAT1 {region} E"
+    nearest = np.argsort(-found.shares(member)["force"])[:3]  # forces at a node belong to all that meet there
+    assert f"MAT1 {region} E" in [columns[i].name for i in nearest.tolist()]
+    for value in (found.force, found.constitutive, found.energy, found.strain):
+        assert value.sum() == pytest.approx(1.0)
+        assert (value >= 0).all()
+
+
+def test_reduced_shape_sensitivities_hold_with_motions_almost_without_mass() -> None:
+    """Lumped masses leave the basis with motions at 1e12 times the lowest eigenvalue; the derivatives stay exact."""
+    model = twin.start().reduced
+    i, h = model.parameters.names.index("MAT1 30 E"), 1e-5
+    x = np.zeros(len(model.parameters))
+    step = np.where(np.arange(x.size) == i, h, 0.0)
+    here = model.linearise(x)
+    ahead, behind = (m.shapes * np.sign((m.shapes * here.shapes).sum(axis=0)) for m in map(model.modes, (step, -step)))
+    slope = (ahead - behind)[:, :12] / (2 * h)
+    np.testing.assert_allclose(here.d_shapes[:, :12, i], slope, atol=1e-6 * np.abs(slope).max())
+
+
+def test_a_point_where_the_reduced_stiffness_is_not_definite_is_said() -> None:
+    model = twin.start().reduced
+    with pytest.raises(NumericalError, match="not definite"):
+        model.modes(np.full(len(model.parameters), -2.0))

@@ -1,0 +1,113 @@
+"""The proposal on models whose errors are known: a chain of springs with twins, and a frame with noise.
+
+Chain: 15 masses, one parameter a spring. The frame is that of `localise_twin`.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import localise_twin as twin
+import numpy as np
+import pytest
+from test_update_recovery import aim_at, chain, parameters
+
+from ringtrue.cli.main import run
+from ringtrue.core.modes import ModeSet
+from ringtrue.errors import InputError
+from ringtrue.io.modes_json import write_modes
+from ringtrue.update.localise import variation
+from ringtrue.update.objective import residual
+from ringtrue.update.proposal import propose
+
+
+def test_chain_names_the_springs_that_changed_and_no_other() -> None:
+    model = chain(15, 15, std=1.0)
+    x = np.zeros(15)
+    x[[3, 8, 12]] = 0.5, -0.4, 0.45
+    found = propose(model, aim_at(model, x, 10), most=6)
+    assert {m.name for m in found.members} == {"p3", "p8", "p12"}
+    np.testing.assert_allclose(found.x, x, atol=0.02)
+    assert [m.worth for m in found.members] == sorted((m.worth for m in found.members), reverse=True)
+    assert all(m.worth > 2 for m in found.members)
+    text = found.text()
+    assert text.startswith("3 candidates: ")
+    assert "without it AICc rises" in text
+
+
+def test_twins_are_named_with_the_one_that_is_chosen() -> None:
+    """The first spring as two parameters of half the effect: the data know their sum only."""
+    model = chain(10, 10, std=1.0)
+    half = np.concatenate([model.d_stiffness[:1] / 2, model.d_stiffness[:1] / 2, model.d_stiffness[1:]])
+    twins = replace(model, d_stiffness=half, d_mass=np.zeros_like(half), parameters=parameters(11, std=1.0))
+    x = np.zeros(11)
+    x[[0, 1, 6]] = 0.4, 0.4, -0.4
+    found = propose(twins, aim_at(twins, x, 8), most=4)
+    assert len({"p0", "p1"} & {m.name for m in found.members}) == 1
+    one = next(m for m in found.members if m.name in ("p0", "p1"))
+    assert set(one.named) >= {"p0", "p1"}
+    assert "the data cannot tell it from" in one.because
+    assert "p6" in {m.name for m in found.members}
+
+
+def test_a_right_model_is_changed_no_more_than_its_noise() -> None:
+    model = chain(15, 15, std=1.0)
+    rng = np.random.default_rng(5)
+    aim = aim_at(model, np.zeros(15), 10)
+    shapes = aim.shapes * (1 + 0.02 * rng.standard_normal(aim.shapes.shape))
+    aim = replace(aim, frequencies=aim.frequencies * (1 + 0.003 * rng.standard_normal(10)), shapes=shapes)
+    found = propose(model, aim, most=5)
+    assert max((abs(m.factor - 1) for m in found.members), default=0.0) < 0.05
+
+
+def test_at_most_as_many_as_asked_for() -> None:
+    model = chain(15, 15, std=1.0)
+    x = np.zeros(15)
+    x[[3, 8, 12]] = 0.5, -0.4, 0.45
+    assert len(propose(model, aim_at(model, x, 10), most=2).members) <= 2
+    with pytest.raises(InputError, match="at most 0"):
+        propose(model, aim_at(model, x, 10), most=0)
+
+
+def test_variation_of_one_candidate_is_that_of_its_own_minimum() -> None:
+    model = chain(12, 12, std=1.0)
+    x = np.zeros(12)
+    x[4] = 0.05
+    aim = aim_at(model, x, 8)
+    r = residual(aim, model.linearise(np.zeros(12)))
+    low, high = model.parameters.bounds()
+    found = variation(aim, r, model.parameters.std(), low, high)
+    assert int(np.argmax(found.gain)) == 4
+    assert found.frequency[4] > 0.95
+    assert found.mac[4] > 0.9
+
+
+def test_frame_names_the_wrong_regions() -> None:
+    """Two wrong regions of sixteen, 0.2 % noise on the frequencies and 1 % on the shapes, 94 candidates."""
+    wrong = {21: 0.6, 30: 1.6}
+    found = propose(twin.start().reduced, twin.measured(wrong, np.random.default_rng(0)), most=5)
+    elements = {c.name: set(c.elements) for c in twin.start().candidates}
+    named = [elements[n] for m in found.members for n in m.named]
+    assert all(twin.region_elements(r) in named for r in wrong)
+    assert found.after < 0.3 * found.before
+    assert len(found.insensitive) > 0
+
+
+def test_command_line_proposes_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    aim = twin.measured({30: 1.6}, np.random.default_rng(2))
+    deck, test, result = tmp_path / "frame.bdf", tmp_path / "test.json", tmp_path / "found.json"
+    deck.write_text(twin.deck())
+    labels = twin.channels().labels()
+    write_modes(test, ModeSet(aim.frequencies, np.zeros(twin.MODES), aim.shapes, labels))
+    assert run(["localise", str(deck), str(test), "--most", "2", "--json", str(result)]) == 0
+    first = json.loads(result.read_text())["proposed"][0]
+    assert "MAT1 30 E" in [first["name"], *first["alike"], *first["rivals"]]
+    assert first["factor"] == pytest.approx(1.6, rel=0.1)
+    assert first["because"] in capsys.readouterr().out
+    write_modes(
+        test, ModeSet(aim.frequencies, np.zeros(twin.MODES), aim.shapes, tuple(f"ch{i}" for i in range(len(labels))))
+    )
+    assert run(["localise", str(deck), str(test)]) == 2
+    assert "give --sensors" in capsys.readouterr().err
