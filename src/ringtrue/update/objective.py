@@ -64,6 +64,8 @@ class Target:
         lowest. With "cost" J is a minimum over assignments and continuous where pairs change; it has no gates.
     lost : float
         Cost of a used mode without a partner; with "cost" no pair costs more.
+    fixed : (pairs (k, 2), close groups of the model), optional
+        Pairs that are not made anew.
     """
 
     frequencies: Float
@@ -74,6 +76,7 @@ class Target:
     pairing: PairingSettings = field(default_factory=PairingSettings)
     rule: Literal["gates", "cost"] = "gates"
     lost: float = LOST
+    fixed: tuple[Int, tuple[tuple[int, ...], ...]] | None = None
 
     def __post_init__(self) -> None:
         f = np.float64
@@ -92,6 +95,15 @@ class Target:
         A test mode that the model does not have then pulls no more than one without a partner.
         """
         return replace(self, rule="cost", lost=DOUBT)
+
+    def settled(self, now: Linearisation) -> Target:
+        """The same with the pairs that `doubting` makes at a point, for good; modes without a partner are not used.
+
+        J is then smooth: pairs and groups of close modes no longer change from step to step.
+        """
+        pairs, _, groups = match(self.doubting(), now)
+        kept = np.isin(np.arange(self.used.size), pairs[:, 0])
+        return replace(self, used=self.used & kept, fixed=(pairs, groups))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +142,9 @@ def match(
     Test modes in `held` (m,) keep a partner down to half the MAC gate: one that stands at the gate must not come and
     go from step to step.
     """
+    if target.fixed is not None:
+        pairs, groups = target.fixed
+        return pairs, _inside(target, now, spans(target, pairs, groups), pairs), groups
     s = scores(target.frequencies, target.shapes, now.frequencies, now.shapes, target.pairing)
     if target.rule == "cost":
         pairs = _cheapest(target, now, s)
@@ -160,6 +175,14 @@ def _cheapest(target: Target, now: Linearisation, s: Scores) -> Int:
         found += zip(rows[i[keep]].tolist(), free[j[keep]].tolist(), strict=True)
     pairs = np.array(sorted(p for p in found if cost[p] < target.lost), dtype=np.int64)
     return pairs.reshape(-1, 2)
+
+
+def _inside(target: Target, now: Linearisation, groups: Sequence[Int], pairs: Int) -> Float:
+    """MAC (k,) of the test mode of each pair with the span of its group of FE modes."""
+    psi = unit(target.shapes[:, pairs[:, 0]])
+    return np.array(
+        [np.sum((np.linalg.qr(now.shapes[:, g])[0].T @ p) ** 2) for g, p in zip(groups, psi.T, strict=True)]
+    )
 
 
 def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Residual:

@@ -17,8 +17,8 @@ from ringtrue.update.gauss_newton import State, UpdateResult, update
 from ringtrue.update.objective import Residual, Target
 
 WHY = (
-    "{name}: the lowest AICc ({value:.1f}) of the sets whose updating converged; it weighs the fit of the used modes "
-    "against the number of parameters and does not look at the modes left out"
+    "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost their partner among "
+    "them, against the number of parameters and does not look at the modes left out"
 )
 
 
@@ -37,8 +37,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     for i, (name, members) in enumerate(sets.sets.items()):
         progress(i / len(sets.sets), f"updating: {name}")
         results.append(_one(desk, aim, name, members, progress))
-    ok = [i for i, r in enumerate(results) if r.outcome.startswith("converged")] or list(range(len(results)))
-    chosen = min(ok, key=lambda i: results[i].criterion)
+    chosen = int(np.argmin([r.criterion for r in results]))
     best = results[chosen]
     parameters = desk.config.candidates().take([sets.names.index(n) for n in best.parameters])
     before = dict(zip(best.parameters, _values(desk, best, np.ones(len(parameters))), strict=True))
@@ -75,28 +74,17 @@ def regions(desk: Workbench, name: str) -> tuple[int, ...]:
 
 
 def _one(desk: Workbench, aim: Target, name: str, members: tuple[str, ...], progress: Progress) -> SetResult:
-    """Update on the reduced model until the full one agrees at the end point.
-
-    First with the gates of the pairing, which far deviations need; from there with pairs of least cost, so that a mode
-    paired wrongly on the way lets go.
-    """
+    """Update on the reduced model until the full one agrees at the end point."""
     model = desk.candidates(progress)
     every = model.parameters.names
     at = [every.index(m) for m in members]
     start: Float | None = None
     states: list[State] = []
-    near = aim.doubting()
-    limit = desk.config.update.iterations
-    published = desk.config.update.step == "published"
     error = np.inf
     for _ in range(ROUNDS):
         active = model.with_parameters(at, np.zeros(len(every)))
-        if start is None:
-            rough = update(active, aim, iterations=limit, published=published)
-            states += rough.history
-            start = rough.x
-        result = update(active, near, iterations=limit, start=start, published=published)
-        states += result.history[1:]
+        result, path = _settled(desk, active, aim, start)
+        states += path if start is None else path[1:]
         start = result.x
         better, error = verified(active.model, result.x)
         model = AtChannels(better, model.rows).with_parameters(range(len(every)), np.zeros(len(every)))
@@ -105,9 +93,27 @@ def _one(desk: Workbench, aim: Target, name: str, members: tuple[str, ...], prog
     desk.keep(model)
     if error >= CLOSE:
         raise not_verified(error)
-    active = model.with_parameters(at, np.zeros(len(every)))
-    final = update(active, near, iterations=limit, start=start, published=published)
-    return _summary(desk, near, name, members, final, [*states, *final.history[1:]])
+    final, path = _settled(desk, model.with_parameters(at, np.zeros(len(every))), aim, start)
+    return _summary(desk, aim, name, members, final, [*states, *path[1:]])
+
+
+def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | None) -> tuple[UpdateResult, list[State]]:
+    """One updating in up to three parts: the result and the way there.
+
+    From the deck with the gates of the pairing, which far deviations need; then with pairs of least cost, so that a
+    mode paired wrongly on the way lets go; then with the pairs made there for good.
+    """
+    limit, published = desk.config.update.iterations, desk.config.update.step == "published"
+    states: list[State] = []
+    if start is None:
+        rough = update(active, aim, iterations=limit, published=published)
+        states += rough.history
+        start = rough.x
+    near = update(active, aim.doubting(), iterations=limit, start=start, published=published)
+    states += near.history[1:] if states else near.history
+    last = aim.settled(active.linearise(near.x))
+    result = update(active, last, iterations=limit, start=near.x, published=published)
+    return result, [*states, *result.history[1:]]
 
 
 def _deviation(r: Residual, used: bool) -> float:
@@ -135,7 +141,7 @@ def _summary(
         float(100 * np.mean(r.mac[r.used])),
         _deviation(r, False),
         final.condition,
-        criterion(r, final.x, parameters.std(), aim),
+        criterion(r, final.x, parameters.std(), aim.doubting()),
         final.outcome.value,
         np.array([s.value for s in states]),
         np.array([0.0 if not np.isfinite(s.step) else s.step for s in states]),
