@@ -123,15 +123,14 @@ def test_damping_is_that_of_the_structure(example: Example) -> None:
     at = np.argmax(np.where(near, like, -1), axis=1)
     sure = found.hammer.confidence >= 0.5
     error = np.abs(found.hammer.damping / truth_shapes.damping[at] - 1)[sure]
-    assert np.median(error) < 0.03
-    assert (error < 0.10).mean() >= 0.9  # the bar of 10 %; one mode at the edge of the band may miss it
+    assert np.median(error) < 0.01
+    assert error.max() < 0.10
     low = found.ambient.frequencies < 1.6
     rigid = found.ambient.damping[low], found.ambient_uncertainty.damping[low]
     which = [int(np.argmin(np.abs(twin.real_modes.frequencies - f))) for f in found.ambient.frequencies[low]]
-    # three standard deviations, and a tenth for what the events of all records have in common; ten minutes are too
-    # short for the yaw mode, which the events hardly excite: one of the six may lie outside
-    tolerance = 3 * rigid[1] + 0.1 * twin.real_modes.damping[which]
-    assert (np.abs(rigid[0] - twin.real_modes.damping[which]) < tolerance).sum() >= len(which) - 1
+    # three standard deviations, and a twentieth for the bias of damping in records of ten minutes
+    tolerance = 3 * rigid[1] + 0.05 * twin.real_modes.damping[which]
+    assert (np.abs(rigid[0] - twin.real_modes.damping[which]) < tolerance).all()
 
 
 def test_only_the_changed_fields_differ(example: Example) -> None:
