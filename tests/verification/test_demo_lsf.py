@@ -27,7 +27,7 @@ from ringtrue.shapes.scale import realise
 from ringtrue.study.store import Store
 
 pytestmark = [pytest.mark.demo, pytest.mark.timeout(1500)]
-FROZEN = "a4ec80fc6f0513a2f14b7ce4c0696a7d9cad09fd4c63fc49e29bc6acc897ece8"  # of version 1
+FROZEN = "1b52d23fcabf145177337c0a32081104668fae4d2f3b535f506d94a8528ebe53"  # of version 1
 RIGID_BELOW = 2.5  # Hz, rigid-body and hung modes
 
 
