@@ -22,6 +22,7 @@ from ringtrue.identify.merge import merge_modes
 from ringtrue.identify.peaks import cmif
 from ringtrue.io.records import RecordChannel, read_record, record_info
 from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.plan.resolution import ambient_std
 from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
@@ -206,6 +207,17 @@ def hammer(
     return result, frfs, shown, rejected
 
 
+def _floored(found: IdentifiedRecord, duration: float) -> Uncertainty:
+    """Standard deviations not below what `duration` s of any record can tell: a record that claims more would rule."""
+    u, modes = found.uncertainty, found.modes
+    frequency, damping = ambient_std(modes.frequencies, np.maximum(modes.damping, 1e-4), duration)
+    return replace(
+        u,
+        frequency=np.maximum(u.frequency, frequency * modes.frequencies),
+        damping=np.maximum(u.damping, damping * modes.damping),
+    )
+
+
 def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     """Identify everything that the log lists."""
     test = section(desk)
@@ -216,7 +228,7 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     for r in hits:
         _check_sheet(r.path, record_info(r.path).channels, sheet.model)
     found, shown = ambient(desk, quiet, sensors, sheet.model, lambda f, t: progress(0.5 * f, t))
-    parts = [(r.modes, r.uncertainty, r.record) for r in found if len(r.modes)]
+    parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
     nothing = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
     none = Uncertainty.independent(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
