@@ -14,6 +14,12 @@ from ringtrue.errors import InputError, did_you_mean
 _POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
+def _power(kind: str) -> int:
+    if kind not in _POWER:
+        raise InputError(f"kind {kind!r}{did_you_mean(kind, _POWER)}")
+    return _POWER[kind]
+
+
 def frf(
     freqs: Float,
     frequencies: Float,
@@ -47,11 +53,9 @@ def frf(
     InputError
         On an unknown kind, or a rigid-body mode at 0 Hz in a receptance or mobility.
     """
-    if kind not in _POWER:
-        raise InputError(f"kind {kind!r}{did_you_mean(kind, _POWER)}")
+    power = _power(kind)
     w, wk = 2 * np.pi * np.asarray(freqs, dtype=np.float64), 2 * np.pi * np.asarray(frequencies, dtype=np.float64)
     below = wk * np.abs(wk) - w[:, None] ** 2 + 2j * damping * np.abs(wk) * w[:, None]
-    power = _POWER[kind]
     if power == 2 and (below == 0).any():
         numerator = np.broadcast_to(-(w[:, None] ** 2), below.shape)
         rigid = below == 0
@@ -96,15 +100,14 @@ def coupled(
     InputError
         On an unknown kind, or a frequency at which an undamped mode stands.
     """
-    if kind not in _POWER:
-        raise InputError(f"kind {kind!r}{did_you_mean(kind, _POWER)}")
+    power = _power(kind)
     w = 2 * np.pi * np.asarray(freqs, dtype=np.float64)[:, None, None]
     q = np.diag(values) + 1j * structural - w**2 * np.eye(values.size) + 1j * w * viscous
     try:
         x = np.linalg.solve(q, np.broadcast_to(phi_in.T, (w.shape[0], *phi_in.T.shape)))
     except np.linalg.LinAlgError:
         raise InputError("an undamped mode stands at one of the frequencies; leave it out or give damping") from None
-    return np.asarray((1j * w) ** _POWER[kind] * (phi_out @ x), dtype=np.complex128)
+    return np.asarray((1j * w) ** power * (phi_out @ x), dtype=np.complex128)
 
 
 def direct(
@@ -137,13 +140,12 @@ def direct(
     SingularModel
         If an undamped mode stands at one of the frequencies.
     """
-    if kind not in _POWER:
-        raise InputError(f"kind {kind!r}{did_you_mean(kind, _POWER)}")
+    power = _power(kind)
     loads = rows_in.T.toarray()
     H = np.empty((len(freqs), rows_out.shape[0], rows_in.shape[0]), dtype=np.complex128)
     for i, f in enumerate(np.asarray(freqs, dtype=np.float64).tolist()):  # each is a factorisation of its own
         s = 2j * np.pi * f
-        H[i] = s ** _POWER[kind] * (rows_out @ system.solve(s, loads))
+        H[i] = s**power * (rows_out @ system.solve(s, loads))
         if progress is not None:
             progress((i + 1) / len(freqs), f"direct solution at {f:g} Hz")
     return H

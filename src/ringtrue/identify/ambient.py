@@ -19,7 +19,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify import variance as var
 from ringtrue.identify.ambient_verdict import Found, confidence, machine, reason, select, uncertainty
-from ringtrue.identify.poles import PoleSet, StableDiagram
+from ringtrue.identify.poles import PoleSet, StableDiagram, unit
 from ringtrue.identify.ssi import (
     BandPoles,
     SsiCov,
@@ -30,7 +30,6 @@ from ringtrue.identify.ssi import (
     loudness_weights,
     stretch,
     subspace,
-    unit,
 )
 from ringtrue.identify.stabilise import Candidates, candidates, half_agreement, refined, steady
 from ringtrue.identify.whittle import SpectralBins, spectral_bins
@@ -234,8 +233,7 @@ def _slope(history: TimeHistory) -> tuple[float, float]:
 
 
 def _diagram(poles: BandPoles, table: Candidates, sums: _Sums) -> StableDiagram:
-    p = poles.poles
-    shown = PoleSet(p.order, p.pole, unit(p.shape * sums.scale[:, None]), p.std_frequency, p.std_damping)
+    shown = poles.poles.rescaled(sums.scale)
     return StableDiagram(shown, table.stable, table.label, *_spectrum(sums.bins, sums.scale[sums.eyes]))
 
 

@@ -23,7 +23,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, NotConverged
-from ringtrue.identify.pick import prepared
+from ringtrue.identify.ssi import prepared
 
 MOST_STEPS = 200
 TOLERANCE = 1e-7  # decrease of the negative log-likelihood that is none

@@ -13,9 +13,8 @@ import numpy as np
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identify.pick import positions, prepared, rescaled
-from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.ssi import SsiCov, choose_references, decompose, unit
+from ringtrue.identify.poles import PoleSet, unit
+from ringtrue.identify.ssi import SsiCov, choose_references, decompose, positions, prepared
 from ringtrue.identify.variance import hankel
 from ringtrue.signal.psd import correlations
 
@@ -102,4 +101,4 @@ def next_era(
         raise DataError(f"{history.source}: {data.shape[1]} samples are too few; needed are {4 * lags}")
     ones = np.ones(len(data))
     refs = choose_references(data, ones) if references is None else positions(history, tuple(references))
-    return rescaled(era(correlations(data, refs, lags), history.rate, s), scale)
+    return era(correlations(data, refs, lags), history.rate, s).rescaled(scale)

@@ -21,7 +21,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identify.ssi import unit
+from ringtrue.identify.poles import unit
 from ringtrue.signal.preprocess import detrend
 from ringtrue.signal.psd import Csd, Welch, csd
 from ringtrue.signal.windows import window

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet
@@ -145,5 +145,5 @@ def _trend(x: Float, value: Float, std: Float) -> tuple[Float, Float, Float]:
     sxx = (w * dx**2).sum(axis=0)
     sxx = np.where((w > 0).sum(axis=0) > 1, sxx, np.nan)
     slope = (w * dx * (y - ym)).sum(axis=0) / sxx
-    chance = chi2.sf((w * (y - ym) ** 2).sum(axis=0), (w > 0).sum(axis=0) - 1)
+    chance = chdtrc((w > 0).sum(axis=0) - 1, (w * (y - ym) ** 2).sum(axis=0))
     return np.asarray(slope), np.asarray(1 / np.sqrt(sxx)), np.where(np.isfinite(sxx), chance, np.nan)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
@@ -140,7 +140,7 @@ def _joined(batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, l
     labels = tuple(c.id for c in outputs)
     modes = ModeSet(mean[0], mean[1], scaled, labels, norm, first.source or "hammer FRFs, local fits")
     uncertainty = Uncertainty.independent(spread[0], spread[1], deviation * np.abs(scaled))
-    chance = chi2.sf(excess.sum(axis=0), 2 * n)
+    chance = chdtrc(2 * n, excess.sum(axis=0))
     return LocalFit(modes, uncertainty, value[:, 0], value[:, 1], std[:, 0], std[:, 1], chance, lead)
 
 

@@ -13,7 +13,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.errors import InputError
-from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.poles import PoleSet, check_orders, unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +36,7 @@ class Lsce:
     taper: float = 0.15
 
     def __post_init__(self) -> None:
-        if not 1 <= self.ordmin <= self.ordmax:
-            raise InputError(f"orders {self.ordmin}..{self.ordmax}: must be 1 <= ordmin <= ordmax")
+        check_orders(self.ordmin, self.ordmax)
         if not 0 < self.taper < 0.5:
             raise InputError(f"taper {self.taper}: must be between 0 and 0.5")
 
@@ -83,8 +82,7 @@ def lsce(data: Complex, freqs: Float, settings: Lsce | None = None) -> PoleSet:
     pole = np.concatenate([np.log(z) for z, _ in found]) * rate
     turn = pole.imag / (2 * np.pi) % rate  # the band starts at its first line
     pole = pole.real + 2j * np.pi * (freqs[0] + turn)
-    part = np.concatenate([v for _, v in found], axis=1) * scale[:, None]
-    part = part / np.take_along_axis(part, np.abs(part).argmax(axis=0)[None], axis=0)
+    part = unit(np.concatenate([v for _, v in found], axis=1) * scale[:, None])
     order = np.repeat(orders, [z.size for z, _ in found])
     unknown = np.full(pole.size, np.nan)
     edge = settings.taper * (freqs[-1] - freqs[0])

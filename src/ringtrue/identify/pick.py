@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.arrays import Bool, Int
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.errors import DataError
 from ringtrue.identify.cluster import cluster_poles
-from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.ssi import unit
+from ringtrue.identify.poles import PoleSet, unit
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.preprocess import detrend
 
 
 def modes_of(
@@ -79,38 +75,3 @@ def _centre(p: PoleSet, at: Int) -> tuple[float, float, float, float, float]:
     mf, mz = (float(w @ x / w.sum()) if known else float(np.median(x)) for x in (f, z))
     best = at[np.argmin((f / mf - 1) ** 2 + (0.01 * (z / mz - 1)) ** 2)]
     return mf, mz, float(np.median(sf)), float(np.median(sz)), float(best)
-
-
-def prepared(history: TimeHistory) -> tuple[Float, Float]:
-    """Signals without mean and trend (ch, sample) in units of their root mean square, and those (ch,).
-
-    Raises
-    ------
-    DataError
-        If a channel is constant or not finite.
-    """
-    data = detrend(history.data)
-    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
-    if lost := [c.id for c, s in zip(history.channels, scale, strict=True) if not (np.isfinite(s) and s > 0)]:
-        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
-    return data / scale[:, None], scale
-
-
-def positions(history: TimeHistory, references: tuple[str, ...]) -> Int:
-    """(ref,) int64 rows of the reference channels.
-
-    Raises
-    ------
-    DataError
-        If one is absent.
-    """
-    ids = [c.id for c in history.channels]
-    if lost := [x for x in references if x not in ids]:
-        raise DataError(f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}")
-    return np.array([ids.index(x) for x in references], dtype=np.int64)
-
-
-def rescaled(poles: PoleSet, scale: Float) -> PoleSet:
-    """The poles with shapes in the units of the channels, `scale` (ch,), largest component 1."""
-    shape: Complex = unit(poles.shape * scale[:, None])
-    return PoleSet(poles.order, poles.pole, shape, poles.std_frequency, poles.std_damping)

@@ -17,7 +17,7 @@ from scipy.spatial.distance import squareform
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.errors import InputError
-from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.poles import PoleSet, check_orders, unit
 from ringtrue.shapes.mac import mac
 
 MOST_STATES = 130  # order times inputs: the eigenvalue problems grow with its cube
@@ -40,8 +40,7 @@ class Plscf:
     damping_max: float = 0.15
 
     def __post_init__(self) -> None:
-        if not 1 <= self.ordmin <= self.ordmax:
-            raise InputError(f"orders {self.ordmin}..{self.ordmax}: must be 1 <= ordmin <= ordmax")
+        check_orders(self.ordmin, self.ordmax)
 
 
 def plscf(data: Complex, freqs: Float, settings: Plscf, weights: Float | None = None) -> PoleSet:
@@ -74,8 +73,7 @@ def plscf(data: Complex, freqs: Float, settings: Plscf, weights: Float | None = 
     found = [_order(factor, n, n_in, freqs) for n in range(settings.ordmin, settings.ordmax + 1)]
     order = np.repeat(np.arange(settings.ordmin, settings.ordmax + 1), [p.size for p, _ in found])
     poles = np.concatenate([p for p, _ in found])
-    part = np.concatenate([v for _, v in found], axis=1) * scale[:, None]
-    part = part / np.take_along_axis(part, np.abs(part).argmax(axis=0)[None], axis=0)
+    part = unit(np.concatenate([v for _, v in found], axis=1) * scale[:, None])
     unknown = np.full(poles.size, np.nan)
     return PoleSet(order, poles, part, unknown, unknown).take(_plausible(poles, freqs, settings))
 

@@ -10,6 +10,24 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.errors import InputError
 
 
+def unit(psi: Complex) -> Complex:
+    """Shapes (ch, k) with their largest component 1."""
+    top = np.argmax(np.abs(psi), axis=0)[None] if psi.shape[1] else np.zeros((1, 0), dtype=np.int64)
+    return np.asarray(psi / np.take_along_axis(psi, top, axis=0))
+
+
+def check_orders(ordmin: int, ordmax: int) -> None:
+    """Refuse model orders that are no range.
+
+    Raises
+    ------
+    InputError
+        Unless 1 <= ordmin <= ordmax.
+    """
+    if not 1 <= ordmin <= ordmax:
+        raise InputError(f"orders {ordmin}..{ordmax}: must be 1 <= ordmin <= ordmax")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PoleSet:
     """Poles of several model orders in one flat list.
@@ -58,6 +76,11 @@ class PoleSet:
     def take(self, at: Int | Bool) -> PoleSet:
         """The chosen poles, in the given order."""
         return PoleSet(self.order[at], self.pole[at], self.shape[:, at], self.std_frequency[at], self.std_damping[at])
+
+    def rescaled(self, scale: Float) -> PoleSet:
+        """With shapes times `scale` (channel,), their largest component 1."""
+        shape = unit(self.shape * scale[:, None])
+        return PoleSet(self.order, self.pole, shape, self.std_frequency, self.std_damping)
 
     @property
     def orders(self) -> Int:

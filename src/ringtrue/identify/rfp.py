@@ -14,7 +14,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.errors import InputError
-from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.poles import PoleSet, check_orders, unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +40,7 @@ class Rfp:
     turns: int = 3
 
     def __post_init__(self) -> None:
-        if not 1 <= self.ordmin <= self.ordmax:
-            raise InputError(f"orders {self.ordmin}..{self.ordmax}: must be 1 <= ordmin <= ordmax")
+        check_orders(self.ordmin, self.ordmax)
         if self.extra < 0 or self.turns < 1:
             raise InputError(f"extra {self.extra}, turns {self.turns}: must be >= 0 and >= 1")
 
@@ -145,4 +144,4 @@ def _participation(data: Complex, freqs: Float, poles: Complex) -> Complex:
     a = np.concatenate([q, np.vander(x, 3)], axis=1)
     r = np.linalg.lstsq(a, data.reshape(freqs.size, -1), rcond=1e-12)[0][: poles.size]
     part = np.linalg.svd(r.reshape(poles.size, *data.shape[1:]), full_matrices=False)[2][:, 0].T
-    return np.asarray(part / np.take_along_axis(part, np.abs(part).argmax(axis=0)[None], axis=0))
+    return unit(part)

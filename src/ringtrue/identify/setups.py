@@ -17,9 +17,8 @@ from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import InputError
 from ringtrue.identify.era import gathered, modal
-from ringtrue.identify.pick import positions, prepared, rescaled
 from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.ssi import SsiCov, decompose
+from ringtrue.identify.ssi import SsiCov, decompose, positions, prepared
 from ringtrue.identify.variance import hankel
 from ringtrue.signal.psd import correlations
 
@@ -108,7 +107,7 @@ def preger(setups: Sequence[TimeHistory], references: Sequence[str], settings: S
         for k in orders
     ]
     scales = np.concatenate([first, *(scale[len(refs) :] for _, scale in parts)])
-    return GlobalPoles(rescaled(gathered(orders, found), scales), refs + tuple(c for m in moved for c in m))
+    return GlobalPoles(gathered(orders, found).rescaled(scales), refs + tuple(c for m in moved for c in m))
 
 
 def _common(h: Float, ratio: Float) -> Float:

@@ -16,7 +16,7 @@ from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify import variance as var
-from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.poles import PoleSet, unit
 from ringtrue.signal.preprocess import block_bounds, block_weights, detrend
 from ringtrue.signal.psd import block_correlations
 
@@ -162,12 +162,6 @@ def all_orders(
     return poles, dev, strength, column
 
 
-def unit(psi: Complex) -> Complex:
-    """Shapes (ch, k) with their largest component 1."""
-    top = np.argmax(np.abs(psi), axis=0)[None] if psi.shape[1] else np.zeros((1, 0), dtype=np.int64)
-    return np.asarray(psi / np.take_along_axis(psi, top, axis=0))
-
-
 def choose_references(data: Float, scale: Float, most: int = MAX_REFERENCES) -> Int:
     """(ref,) int64 channels that span the motion best: all, or `most` by pivoted QR of the correlation at lag 1."""
     if len(data) <= most:
@@ -231,6 +225,35 @@ def identify_band(r: Float, weights: Float, settings: SsiCov, rate: float, band:
     return BandPoles(poles, dev, strength, column, sub, p)
 
 
+def prepared(history: TimeHistory) -> tuple[Float, Float]:
+    """Signals without mean and trend (ch, sample) in units of their root mean square, and those (ch,).
+
+    Raises
+    ------
+    DataError
+        If a channel is constant or not finite.
+    """
+    data = detrend(history.data)
+    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
+    if lost := [c.id for c, s in zip(history.channels, scale, strict=True) if not (np.isfinite(s) and s > 0)]:
+        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
+    return data / scale[:, None], scale
+
+
+def positions(history: TimeHistory, references: Sequence[str]) -> Int:
+    """(ref,) int64 rows of the reference channels.
+
+    Raises
+    ------
+    DataError
+        If one is absent.
+    """
+    ids = [c.id for c in history.channels]
+    if lost := [x for x in references if x not in ids]:
+        raise DataError(f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}")
+    return np.array([ids.index(x) for x in references], dtype=np.int64)
+
+
 def ssi_cov(
     history: TimeHistory, settings: SsiCov | None = None, *, references: Sequence[str] | None = None
 ) -> PoleSet:
@@ -249,15 +272,6 @@ def ssi_cov(
         If the record is too short, has dead channels or has no such reference.
     """
     settings = settings or SsiCov()
-    data = detrend(history.data)
-    spread = np.ptp(data, axis=1)
-    if not np.isfinite(spread).all() or not (spread > 0).all():
-        lost = [c.id for c, s in zip(history.channels, spread, strict=True) if not s > 0]
-        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
-    ids = [c.id for c in history.channels]
-    if references is not None and (lost := [x for x in references if x not in ids]):
-        raise DataError(f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}")
-    refs = None if references is None else np.array([ids.index(x) for x in references], dtype=np.int64)
-    r, weights, scale = blockwise(data, settings, refs)
-    p = identify_band(r, weights, settings, history.rate, (0.0, history.rate / 2)).poles
-    return PoleSet(p.order, p.pole, unit(p.shape * scale[:, None]), p.std_frequency, p.std_damping)
+    data, scale = prepared(history)
+    r, weights, _ = blockwise(data, settings, None if references is None else positions(history, references))
+    return identify_band(r, weights, settings, history.rate, (0.0, history.rate / 2)).poles.rescaled(scale)

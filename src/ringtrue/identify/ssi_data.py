@@ -19,9 +19,8 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify import variance as var
-from ringtrue.identify.pick import positions, prepared, rescaled
 from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.ssi import SsiCov, Subspace, all_orders, choose_references, decompose
+from ringtrue.identify.ssi import SsiCov, Subspace, all_orders, choose_references, decompose, positions, prepared
 from ringtrue.signal.preprocess import block_bounds
 
 CHUNK = 4  # rows of a stretch over its columns: the triangle is refactored a few times only
@@ -141,4 +140,4 @@ def ssi_data(
     q, tri = qr(u[:-ch], mode="economic")
     sub = Subspace(u, sv, v / sv, np.asarray(q), np.asarray(tri), q.T @ u[ch:], ch, history.rate)
     poles = all_orders(sub, _perturbations(p, sub), s, (0.0, history.rate / 2))[0]
-    return rescaled(poles, scale)
+    return poles.rescaled(scale)

@@ -13,8 +13,8 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.identify import variance as var
 from ringtrue.identify.cluster import cluster_poles
-from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.ssi import BandPoles, transition, unit
+from ringtrue.identify.poles import PoleSet, unit
+from ringtrue.identify.ssi import BandPoles, transition
 from ringtrue.identify.whittle import SpectralBins, refine
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac

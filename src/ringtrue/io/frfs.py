@@ -17,6 +17,7 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import existing
 from ringtrue.io.uff.functions import read_frf_sets, write_frf_sets
 
 GROUP = "frfs"
@@ -49,10 +50,8 @@ def read_frfs(path: str | Path) -> FrfSet:
     DataError
         If the file has no FRFs, no references, uneven or repeated lines, or values that are not finite.
     """
-    path = Path(path)
+    path = existing(path)
     ext = path.suffix.lower()
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
     if ext in _HDF5:
         frfs = _read_h5(path)
     elif ext == ".npz":

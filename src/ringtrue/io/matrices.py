@@ -19,6 +19,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.files import existing
 from ringtrue.io.op4 import read_op4
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -64,9 +65,7 @@ def read_matrices(path: str | Path) -> MatrixFile:
     DataError
         If the file is absent, of no known kind, or broken.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
+    path = existing(path)
     with path.open("rb") as f:
         start = f.read(8)
     if start == _HDF5 or (path.suffix.lower() == ".mat" and h5py.is_hdf5(path)):

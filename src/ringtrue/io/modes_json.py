@@ -17,6 +17,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import existing
 from ringtrue.io.uff.modes import read_mode_sets, write_mode_sets
 
 GROUP = "modes"
@@ -125,10 +126,8 @@ def read_modes(path: str | Path) -> ModeSet:
     DataError
         If the file is missing, unreadable or holds no modes.
     """
-    path = Path(path)
+    path = existing(path)
     ext = path.suffix.lower()
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
     if ext == ".json":
         try:
             table = json.loads(path.read_text(encoding="utf-8"))

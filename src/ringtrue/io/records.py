@@ -14,6 +14,7 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import Channel, Quantity, TimeHistory
 from ringtrue.errors import DataError, InputError, did_you_mean
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import existing
 from ringtrue.io.lvm import read_lvm
 from ringtrue.io.matfile import read_mat, write_mat
 from ringtrue.io.plain import RawTable, check_stored, read_csv, read_h5_table, read_npy, write_csv
@@ -235,9 +236,7 @@ def read_record(
     DataError
         If the file is empty, a channel has NaN or is constant, or the rate is missing or odd.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
+    path = existing(path)
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise DataError(f"{path}: rate {rate} Hz must be positive")
     history = _read(path, rate, channels, start, stop)

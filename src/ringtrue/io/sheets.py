@@ -14,6 +14,7 @@ import openpyxl
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.files import existing
 from ringtrue.io.records import RecordChannel
 from ringtrue.io.si import to_si
 
@@ -137,8 +138,7 @@ def _rows(path: Path, sheet: str | None = None, columns: Sequence[str] = COLUMNS
 
 
 def _cells(path: Path, sheet: str | None) -> list[list[str]]:
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
+    path = existing(path)
     if path.suffix.lower() in (".xlsx", ".xlsm"):
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         page = book[sheet] if sheet else book.worksheets[0]

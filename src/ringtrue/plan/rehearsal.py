@@ -9,7 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-from scipy import fft, stats
+from scipy import fft
+from scipy.special import betaincinv
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
@@ -271,7 +272,7 @@ def _outcome(frequencies: Float, error: Float, invented: int, hammer: HammerPlan
     trials = error.shape[1]
     there = np.isfinite(error[0])
     hits = there.sum(axis=0)
-    low = np.where(hits > 0, stats.beta.ppf(0.05, np.maximum(hits, 1), trials - hits + 1), 0.0)
+    low = np.where(hits > 0, betaincinv(np.maximum(hits, 1), trials - hits + 1, 0.05), 0.0)
     some, value = np.where(hits > 0, hits, np.nan), np.where(there, error, 0.0)
     mean = value.sum(axis=1) / some
     spread = np.where(there, (error - mean[:, None]) ** 2, 0.0).sum(axis=1)

@@ -16,7 +16,7 @@ from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.update.gauss_newton import update
 from ringtrue.update.identifiable import ALIKE
-from ringtrue.update.objective import Residual, Target, objective, residual
+from ringtrue.update.objective import Residual, Target, aicc, objective, residual
 
 GAIN = 0.01  # relative gain in J that an exchange must promise and keep
 TRIALS = 3  # promising exchanges tried in one round
@@ -181,6 +181,4 @@ def criterion(r: Residual, x: Float, prior: Float, target: Target) -> float:
     n counts a frequency and a shape residual a used test mode; one without a partner pays `target.lost`, so that sets
     that have paired different modes can be compared. Burnham and Anderson (2002), eq. 7.
     """
-    n = 2 * max(int(target.used.sum()), 1)
-    k = x.size + 1
-    return float(n * np.log(objective(target, r, x, prior) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))
+    return aicc(objective(target, r, x, prior), 2 * max(int(target.used.sum()), 1), x.size)

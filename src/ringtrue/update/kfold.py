@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.outcome import Outcome
@@ -71,7 +71,7 @@ class Held:
         The discrepancy is known from as many errors as there are left-out modes: Student's quantile.
         """
         freedom = max(int(np.isfinite(self.predicted).sum()) - 1, 1)
-        reach = float(stats.t.ppf(0.5 + level / 2, freedom)) * self.std * self.predicted
+        reach = float(stdtrit(freedom, 0.5 + level / 2)) * self.std * self.predicted
         return np.stack([self.predicted - reach, self.predicted + reach], axis=1)
 
     def inside(self, level: float = 0.9) -> Bool:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import Bounds, differential_evolution
-from scipy.stats import qmc
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.core.parameters import ParameterSet
@@ -58,6 +57,8 @@ def latin_hypercube(parameters: ParameterSet, count: int, rng: np.random.Generat
     """Starts x (count, p), spread over the bounds drawn in towards 0 by the factor `inside`."""
     if count < 1 or not 0 < inside <= 1:
         raise ConfigError(f"{count} starts (>= 1) inside {inside} (0..1) of the bounds")
+    from scipy.stats import qmc  # slow to import, and few need it
+
     low, high = parameters.bounds()
     unit = qmc.LatinHypercube(len(parameters), rng=rng).random(count)
     return np.asarray(inside * (low + unit * (high - low)))

@@ -238,6 +238,12 @@ def objective(target: Target, r: Residual, x: Float, prior_std: Float) -> float:
     return float(r.value @ r.value + (x / prior_std) @ (x / prior_std) + target.lost * lost)
 
 
+def aicc(value: float, n: int, parameters: int) -> float:
+    """n ln(J/n) with a penalty on the parameters and the scale of J, J over `n` residuals; Burnham, Anderson, eq. 7."""
+    k = parameters + 1
+    return float(n * np.log(max(value, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))
+
+
 def comparable_criteria(
     target: Target, residuals: Sequence[Residual], points: Sequence[Float], priors: Sequence[Float]
 ) -> Float:
@@ -259,8 +265,7 @@ def comparable_criteria(
     for r, x, prior in zip(residuals, points, priors, strict=True):
         missing = counted.size - int(r.used.sum())
         value = float(r.value @ r.value + (x / prior) @ (x / prior)) + target.lost * missing
-        k = x.size + 1
-        out.append(n * np.log(max(value, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))
+        out.append(aicc(value, n, x.size))
     return np.array(out)
 
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg
+from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Float, freeze_fields
 from ringtrue.core.parameters import ParameterSet
@@ -83,8 +84,8 @@ class Posterior:
         """
         if not 0 < level < 1:
             raise InputError(f"level {level}: allowed are values between 0 and 1")
-        quantile = stats.norm.ppf if np.isinf(self.freedom) else lambda u: stats.t.ppf(u, self.freedom)
-        reach = float(quantile(0.5 + level / 2)) * self.std
+        p = 0.5 + level / 2
+        reach = float(ndtri(p) if np.isinf(self.freedom) else stdtrit(self.freedom, p)) * self.std
         low, high = self.parameters.bounds()
         ends = (np.clip(self.x - reach, low, high), np.clip(self.x + reach, low, high))
         return np.stack([self.parameters.factors(e) for e in ends], axis=1)

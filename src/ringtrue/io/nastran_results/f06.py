@@ -9,6 +9,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DataError
+from ringtrue.io.files import existing
 from ringtrue.io.nastran_results.recorded import RecordedModes, gathered
 
 _NUMBER = rb"[-+]?\d+\.\d*(?:E?[-+]\d+)?"
@@ -36,9 +37,7 @@ def read_f06(path: str | Path) -> RecordedModes:
     DataError
         If the file is missing or holds no printed real modes, or a number cannot be read.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
+    path = existing(path)
     data = path.read_bytes()
     try:
         return _read(data)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.errors import DataError
+from ringtrue.io.files import existing
 from ringtrue.io.nastran_results.recorded import RecordedModes, gathered
 
 _RESULT = "NASTRAN/RESULT"
@@ -34,9 +35,7 @@ def read_nastran_h5(path: str | Path) -> RecordedModes:
     DataError
         If the file is missing, cut off or holds no real modes.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
+    path = existing(path)
     try:
         with h5py.File(path, "r") as file:
             return _read(file)

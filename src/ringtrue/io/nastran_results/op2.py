@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.errors import DataError
+from ringtrue.io.files import existing
 from ringtrue.io.nastran_results.recorded import RecordedModes, gathered
 
 _MODES, _REAL = 2, 8  # approach code; words a node of a real result
@@ -119,9 +120,7 @@ def read_tables(path: str | Path) -> Iterator[Op2Table]:
     DataError
         If the file is missing, not an OP2, cut off or damaged.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
+    path = existing(path)
     file = _File(path)
     key = file.key()
     if key == 3:  # the date, the tape code and a label come first

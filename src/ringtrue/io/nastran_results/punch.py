@@ -10,6 +10,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DataError
+from ringtrue.io.files import existing
 from ringtrue.io.nastran_results.recorded import RecordedModes, gathered
 
 _EIGENVALUE = re.compile(r"\$EIGENVALUE *= *(\S+) +MODE *= *(\d+)")
@@ -24,9 +25,7 @@ def read_punch(path: str | Path) -> RecordedModes:
     DataError
         If the file is missing, cut off or holds no real modes.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
+    path = existing(path)
     try:
         with path.open(encoding="latin-1") as lines:
             found = list(_modes(lines))

@@ -13,6 +13,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.files import existing
 from ringtrue.io.nastran_results.op2 import Op2Table, matrix, read_tables
 
 _WORDS = 9  # of a response in DSCMCOL: internal id, id, type, then by type
@@ -65,10 +66,8 @@ def read_sensitivities(path: str | Path) -> Sensitivities:
     ext = path.suffix.lower()
     if ext not in readers:
         raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, readers)}")
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
     try:
-        return readers[ext](path)
+        return readers[ext](existing(path))
     except (ValueError, KeyError, OSError, RuntimeError) as e:
         raise e if isinstance(e, DataError) and str(path) in str(e) else DataError(f"{path}: {e}") from e
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ringtrue.errors import DataError
+from ringtrue.io.files import existing
 
 _USUAL = b"    -1"
 _MARK = re.compile(rb"(?:^|(?<=[\r\n])) {0,5}-1[ \t\x00]*(?=[\r\n]|\Z)")
@@ -58,9 +59,7 @@ def scan(path: str | Path) -> tuple[Block, ...]:
     DataError
         If there is no such file or no data set in it, or a binary one has a form that IEEE machines do not write.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
+    path = existing(path)
     blocks = tuple(_blocks(path.read_bytes(), path))
     if not blocks:
         raise DataError(f"{path}: not a readable universal file: no data set between lines of `    -1`")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ringtrue.core.arrays import Float
@@ -20,12 +18,6 @@ WHY = (
     "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost their partner among "
     "them, against the number of parameters and does not look at the modes left out"
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Updated:
-    result: UpdateResult
-    states: tuple[State, ...]
 
 
 def run(desk: Workbench, progress: Progress) -> UpdateStage:
