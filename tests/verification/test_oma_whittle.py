@@ -97,3 +97,23 @@ def test_a_line_in_the_spectrum_stops_the_fit():
     y = y + 20 * y.std() * np.outer(np.ones(6), np.sin(2 * np.pi * 5.04 * t))
     r = refine(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, PHI)
     assert not r.ok.all()
+
+
+def test_modes_that_move_in_step_keep_their_damping():
+    """Three overlapping modes under one common force and 10 % of their own, as on shaken ground: no bias."""
+    f, z, rate, n = np.array([1.0, 1.05, 1.15]), np.array([0.03, 0.032, 0.028]), 8.0, 14400
+    phi = np.linalg.qr(np.random.default_rng(4).standard_normal((12, 3)))[0]
+    line = np.fft.rfftfreq(n, 1 / rate)
+    motion = line**2 / (f[:, None] ** 2 - line**2 + 2j * z[:, None] * f[:, None] * line)
+    found = []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        noise = rng.standard_normal((2, 16, line.size))
+        white = noise[0] + 1j * noise[1]
+        y = phi @ (motion * (white[0] + 0.3 * white[1:4])) + 0.02 * white[4:]
+        r = refine(spectral_bins(np.fft.irfft(y, n), rate, (0.4, 2.5)), f, z, phi.astype(complex))
+        found.append(np.where(r.ok, r.damping / z, np.nan))
+    ratio = np.array(found)
+    assert np.isfinite(ratio).mean() > 0.9
+    standard_error = np.nanstd(ratio) / np.sqrt(ratio.size)  # 0.9 %
+    assert abs(np.nanmean(ratio) - 1) < 3 * standard_error

@@ -18,8 +18,11 @@ from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.errors import DataError
 
 RELATIVE = 4e-4  # width of a bin over its frequency
-REACH = 20.0  # half bandwidths to each side of a mode that its fit uses
+REACH = 10.0  # half bandwidths to each side of a mode that its fit uses
 SPAN = 0.35  # of the frequency, at most
+LEVEL = 1.5  # standard deviation of ln of the levels that noise and other modes leave in a filtered spectrum
+INDEPENDENT = 0.03  # singular value of unit shapes, over the largest, below which a direction is not theirs
+NULL = 10.0  # weight of other modes over noise in the filter: they move in step with the mode, noise does not
 MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for instance
 ITERATIONS = 80
 HALVINGS = 8
@@ -177,19 +180,59 @@ class _Fit:
         return theta, np.asarray(np.linalg.inv(info), dtype=np.float64), misfit, done
 
 
-def _filter(b: SpectralBins, at: Int, f: float, half: float, psi: Complex, others: tuple[Complex, Int]) -> Complex:
-    """w (ch,) with wᴴψ = 1 that passes least of the noise and of the other modes around, shapes and bins `others`."""
-    off = at[np.abs(b.freqs[at] - f) > 2.5 * half]
-    r = b.cross[off if off.size > 2 * psi.size else at].mean(0, dtype=np.complex128)
-    for v, k in zip(others[0].T, others[1], strict=True):  # the few modes nearby
-        r = r + np.outer(v, v.conj()) * np.trace(b.cross[k]).real / np.vdot(v, v).real
-    r = 0.5 * (r + r.conj().T) + 1e-6 * np.trace(r).real / psi.size * np.eye(psi.size)
-    x = np.linalg.solve(r, psi)
-    return np.asarray(x / np.vdot(psi, x))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Filter:
+    """w (ch,) with wᴴψ = 1, and what passes it beside the mode.
+
+    Attributes
+    ----------
+    weights : (ch,) complex128
+    noise : (2,) float64
+        Background expected at both ends of the band; NaN where the shapes leave no room to see it.
+    leak : (other,) float64
+        Peak expected of each other mode.
+    """
+
+    weights: Complex
+    noise: Float
+    leak: Float
+
+
+def _filter(b: SpectralBins, at: Int, f: Float, z: Float, psi: Complex, i: int, others: Int) -> _Filter:
+    """The filter of mode `i` that passes least of the noise and of the `others` in the bins `at`.
+
+    The noise is what no shape explains, away from the peak. All that lies there would not do: the mode's own skirts
+    are in it, a motion of other modes in step with them would cancel them, and the peak would look too sharp.
+    """
+    shapes = psi[:, [i, *others.tolist()]]
+    u, s, _ = np.linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
+    q = u[:, s > INDEPENDENT * s[0]]
+    off = at[np.abs(b.freqs[at] - f[i]) > 2.5 * z[i] * f[i]]
+    parts = np.array_split(off if off.size > 20 else at, 3)
+    r = np.stack([b.cross[k].mean(0, dtype=np.complex128) for k in parts])
+    out = np.eye(len(psi)) - q @ q.conj().T
+    seen = np.einsum("ca,pab,bc->pc", out, r, out).real
+    floor = 1e-6 * np.trace(r, axis1=1, axis2=2).real[:, None] / len(psi)
+    noise = np.maximum(seen / np.maximum(np.diag(out).real, 0.1), floor)
+    peak = [
+        np.trace(b.cross[np.abs(b.freqs - f[k]).argmin()]).real / np.vdot(v, v).real
+        for k, v in zip(others, psi.T[others], strict=True)
+    ]
+    share = [_lorentz(b.freqs[at] / f[k], 1.0, z[k], 0.0, b.duration * f[k]).level.mean() for k in others]
+    r_all = np.diag(noise.mean(0)) + NULL * (shapes[:, 1:] * (np.array(peak) * share)) @ shapes[:, 1:].conj().T
+    x = np.linalg.solve(r_all, psi[:, i])
+    w = x / np.vdot(psi[:, i], x)
+    ends = noise[[0, 2]] @ np.abs(w) ** 2 if q.shape[1] < len(psi) else np.full(2, np.nan)
+    return _Filter(w, ends, np.abs(w.conj() @ shapes[:, 1:]) ** 2 * peak)
 
 
 def refine(
-    bins: SpectralBins, frequency: Float, damping: Float, shape: Complex, slope: tuple[float, float] = (4.0, 1.5)
+    bins: SpectralBins,
+    frequency: Float,
+    damping: Float,
+    shape: Complex,
+    slope: tuple[float, float] = (4.0, 1.5),
+    doubt: Float | None = None,
 ) -> Fitted:
     """Refine modes by maximum likelihood, two rounds, the others held.
 
@@ -202,8 +245,11 @@ def refine(
     slope : (mean, std)
         Of the exponent of ω in the response: 4 for accelerations under a flat force, 2 for velocities, 0 for
         displacements.
+    doubt : (m,) float64, optional
+        Relative standard deviation of `damping`; a fit that ends far beyond it has found something else. 0.2 if absent.
     """
     m = frequency.size
+    reach = np.minimum(0.3 + 3 * (np.full(m, 0.2) if doubt is None else doubt), 0.9)  # of ln damping
     f, z = frequency.copy(), damping.copy()
     cov, misfit, ok = np.full((m, 2, 2), np.nan), np.full(m, np.nan), np.zeros(m, dtype=np.bool_)
     for _ in range(2):
@@ -213,7 +259,8 @@ def refine(
                 continue
             theta, c, chi, good = fit.run()
             new_f, new_z = f0[i] * np.exp(theta[0]), np.exp(theta[1])
-            near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002) and 0.4 < new_z / damping[i] < 2.5
+            near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002)
+            near &= bool(abs(np.log(new_z / damping[i])) < reach[i])
             if good and near and chi < MISFIT:
                 f[i], z[i], cov[i], misfit[i], ok[i] = new_f, new_z, c[:2, :2] * max(chi, 1.0), chi, True
     return Fitted(f, z, cov, misfit, ok)
@@ -222,20 +269,20 @@ def refine(
 def _prepare(b: SpectralBins, i: int, f: Float, z: Float, psi: Complex, slope: tuple[float, float]) -> _Fit | None:
     """The filtered spectrum of mode `i` with a start; None where lines are too few or too coarse."""
     half = z[i] * f[i]
-    reach = min(REACH * half, SPAN * f[i])
-    at = np.flatnonzero(np.abs(b.freqs - f[i]) < reach)
+    at = np.flatnonzero(np.abs(b.freqs - f[i]) < min(REACH * half, SPAN * f[i]))
     if at.size < 30 or half < 1.5 * np.median(np.diff(b.freqs[at])):
         return None
-    others = np.flatnonzero((np.abs(f - f[i]) < reach) & (np.arange(f.size) != i))
-    where = np.abs(b.freqs[:, None] - f[others]).argmin(0)
-    w = _filter(b, at, f[i], half, psi[:, i], (psi[:, others], where))
-    power = np.maximum(((b.cross[at] @ w) @ w.conj()).real, 1e-300)
+    others = np.flatnonzero((np.abs(f - f[i]) < 2 * SPAN * f[i]) & (np.arange(f.size) != i))
+    k = _filter(b, at, f, z, psi, i, others)
+    power = np.maximum(((b.cross[at] @ k.weights) @ k.weights.conj()).real, 1e-300)
     nu, few = b.freqs[at] / f[i], max(at.size // 10, 3)
     peak = np.median(power[np.argsort(np.abs(nu - 1))[: max(few, 5)]])
-    ends = np.array([np.median(power[:few]), np.median(power[-few:])]) / 2
-    level = 1e-2 * power[np.abs(nu[:, None] - f[others] / f[i]).argmin(0)]
-    mean = np.array([0.0, np.log(z[i]), slope[0], *np.log([peak, *ends, *level])])
-    # weak priors keep levels that the data do not show from running away
-    prior = np.concatenate([[1e-6, 1e-4, slope[1] ** -2, 1e-4], np.full(mean.size - 4, 1 / 9)])
+    known = np.isfinite(k.noise)
+    ends = np.where(known, k.noise, np.array([np.median(power[:few]), np.median(power[-few:])]) / 2)
+    mean = np.array([0.0, np.log(z[i]), slope[0], *np.log([peak, *ends, *np.maximum(k.leak, 1e-6 * peak)])])
+    # what the data do not show is held near what the filter is expected to pass: levels cannot be negative, so that
+    # free ones take from the skirts of the mode on average, and with them from its damping
+    loose = np.where(known, LEVEL, 3.0) ** -2
+    prior = np.concatenate([[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LEVEL**-2)])
     near = tuple((float(f[j] / f[i]), float(z[j])) for j in others)
     return _Fit(nu, power, b.count[at], b.duration * f[i], near, mean, prior)
