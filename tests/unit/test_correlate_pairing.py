@@ -63,6 +63,18 @@ def test_rotated_close_pair_is_a_subspace() -> None:
     assert len(pair_modes(a, b, PairingSettings(close=0.0))) == 2
 
 
+def test_rotated_pair_beside_a_third_close_mode() -> None:
+    """In the test the third mode is close to the pair, in the model it is not."""
+    phi = sines(3)
+    c, s = np.cos(np.pi / 4), np.sin(np.pi / 4)
+    turned = phi.copy()
+    turned[:, :2] = phi[:, :2] @ np.array([[c, -s], [s, c]])
+    p = pair_modes(modes([20, 20.3, 20.6], phi), modes([20, 20.2, 21.5], turned, Norm.MASS))
+    assert p.a.tolist() == p.b.tolist() == [0, 1, 2]
+    assert p.subspace.tolist() == [True, True, False]
+    np.testing.assert_allclose(p.mac, 1.0, rtol=1e-9)
+
+
 def test_close_modes_that_match_one_to_one_are_not_rotated() -> None:
     phi = sines(3)
     p = pair_modes(modes([10, 20, 20.1], phi), modes([10, 20, 20.1], phi))

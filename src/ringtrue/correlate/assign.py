@@ -143,9 +143,11 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
     groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
     for gb in (np.array(g) for g in groups_b if len(g) > 1):
         share = subspace_mac(a, b[:, gb])  # no rotation inside the group reaches more
-        for ga in (g for g in groups_a if g.size <= gb.size):
-            if (share[ga] > single[np.ix_(ga, gb)].max(axis=1) + SOFT - TIE).any():
-                _merge(merged, single, error, ga, gb, a, b, settings)
+        for ga in groups_a:
+            # a chain of close modes of A may be longer: a neighbour belongs elsewhere
+            these = np.sort(ga[np.argsort(-share[ga], kind="stable")[: gb.size]])
+            if (share[these] > single[np.ix_(these, gb)].max(axis=1) + SOFT - TIE).any():
+                _merge(merged, single, error, these, gb, a, b, settings)
     return Scores(single, merged, error, groups_b)
 
 
