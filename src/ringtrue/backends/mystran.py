@@ -15,7 +15,7 @@ from ringtrue.backends.runner import Finished
 from ringtrue.backends.runner_deck import DeckAnalysis, Progress
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.errors import SolverMissing
+from ringtrue.errors import SolverMissing, UnsupportedCard
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 
@@ -83,7 +83,15 @@ class MystranSolver:
         return (find_mystran(), deck.name)
 
     def adapted(self, model: Model) -> Model:
-        """PSOLID with its integration written out: MYSTRAN takes no blank there."""
+        """PSOLID with its integration written out: MYSTRAN takes no blank there.
+
+        Raises
+        ------
+        UnsupportedCard
+            On lists of non-structural mass, which MYSTRAN passes over.
+        """
+        if model.case.nsm:
+            raise UnsupportedCard("NSM", why=f"MYSTRAN does not know the lists of NSM = {model.case.nsm}")
         if "PSOLID" not in model:
             return model
         solid = model["PSOLID"]

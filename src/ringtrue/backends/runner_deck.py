@@ -80,7 +80,7 @@ def modes_deck(model: Model, request: ModesRequest, program: DeckProgram) -> str
 
 def case_control(model: Model) -> list[str]:
     """The choices of constraint sets and method."""
-    chosen = [("SPC", model.case.spc), ("MPC", model.case.mpc), ("METHOD", METHOD)]
+    chosen = [("SPC", model.case.spc), ("MPC", model.case.mpc), ("NSM", model.case.nsm), ("METHOD", METHOD)]
     matrices = [("K2GG", model.case.k2gg), ("M2GG", model.case.m2gg), ("B2GG", model.case.b2gg)]
     added = [f"{name} = " + ", ".join(f"{a:.9G}*{m}" for a, m in terms) for name, terms in matrices if terms]
     return ["TITLE = RINGTRUE", "ECHO = NONE", *(f"{name} = {sid}" for name, sid in chosen if sid), *added]

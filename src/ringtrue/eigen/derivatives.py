@@ -13,14 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.eigen.complement import Complement
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
 from ringtrue.errors import InputError
 
 CLOSE = 1e-6  # relative distance under which eigenvalues are treated as one repeated root
-CHUNK = 40  # right-hand sides solved together
+COLUMNS = 190  # right-hand sides solved together: more do not make a solve cheaper
+ROOM = 2**24  # numbers in an array of them, which lessens them in large models
+STILL = 1e-9  # share of its terms under which the load of a rigid-body mode is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,11 +48,21 @@ def eigenvalue_derivatives(modes: EigenModes, slopes: Sequence[Slope]) -> Float:
     In a group of repeated roots these are the diagonal of the group's block: their sum is that of the
     branches; `split_derivatives` gives the derivatives of the branches.
     """
-    phi, lam = modes.vectors, modes.values
-    out = np.empty((lam.size, len(slopes)))
+    phi, lam = np.ascontiguousarray(modes.vectors), modes.values
+    out = np.zeros((lam.size, len(slopes)))
     for i, s in enumerate(slopes):  # over parameters
-        out[:, i] = np.einsum("fm,fm->m", phi, s.stiffness @ phi - (s.mass @ phi) * lam)
+        for a, factor in ((s.stiffness, 1.0), (s.mass, -lam)):
+            rows, product = _product(a, phi)
+            out[:, i] += np.einsum("rm,rm->m", phi[rows], product) * factor
     return out
+
+
+def _product(a: sparse.csr_array, phi: Float) -> tuple[Int, Float]:
+    """The rows of a that are not empty, and a times phi (f, m), row-major, on them."""
+    rows = np.flatnonzero(np.diff(a.indptr))
+    ends = np.append(a.indptr[rows], a.nnz).astype(a.indptr.dtype)
+    full = sparse.csr_array((a.data, a.indices, ends), shape=(rows.size, a.shape[1]))
+    return rows, np.asarray(full @ phi)
 
 
 def split_derivatives(modes: EigenModes, slope: Slope, close: float = CLOSE) -> Float:
@@ -125,18 +137,78 @@ def eigenvector_derivatives(
     m = n if count is None else count
     if m > n:
         raise InputError(f"derivatives of {m} modes asked for; {n} are given")
-    phi, lam = modes.vectors, modes.values
-    out, space = np.empty((phi.shape[0], m, len(slopes))), Complement.of(pencil, modes)
-    for i, s in enumerate(slopes):  # over parameters
-        dk, dm = s.stiffness @ phi[:, :m], s.mass @ phi[:, :m]
-        out[:, :, i] = phi @ modal_coefficients(phi.T @ dk, phi.T @ dm, lam, close)
-        load = dm * lam[:m] - dk
-        for start in range(0, m, CHUNK):
-            cut = slice(start, min(start + CHUNK, m))
-            out[:, cut, i] += space.solve(load[:, cut], lam[cut], tolerance)
+    phi, lam = np.ascontiguousarray(modes.vectors), modes.values
+    space = Complement.of(pencil, modes, m * len(slopes))
+    columns = min(max(ROOM // max(pencil.size, 1), 30), COLUMNS)
+    per = max(columns // max(m, 1), 1)
+    out = np.empty((len(slopes), m, pencil.size))
+    for start in range(0, len(slopes), per):
+        loads = [_Load.of(s, phi, lam, m, close) for s in slopes[start : start + per]]
+        owner, mode = np.nonzero([load.live for load in loads])
+        for first in range(0, owner.size, columns):
+            cut = slice(first, first + columns)
+            out[start + owner[cut], mode[cut]] = _moved(space, loads, owner[cut], mode[cut], tolerance).T
+        for i, load in enumerate(loads, start):
+            still = np.flatnonzero(~load.live)
+            out[i, still] = (phi @ load.along[:, still]).T
         if progress is not None:
-            progress((i + 1) / len(slopes), "eigenvector derivatives")
-    return out
+            progress(min((start + per) / len(slopes), 1.0), "eigenvector derivatives")
+    return out.transpose(2, 1, 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Load:
+    """λM'φ − K'φ of the modes for one parameter, on the rows where it is not zero.
+
+    Attributes
+    ----------
+    rows : (r,) int64
+    force : (r, m) float64
+    part : (n, m) float64
+        Along all modes.
+    along : (n, m) float64
+        The part of φ' in the modes.
+    live : (m,) bool
+        False where there is no load but rounding: rigid-body modes that stay such.
+    """
+
+    rows: Int
+    force: Float
+    part: Float
+    along: Float
+    live: Bool
+
+    @classmethod
+    def of(cls, s: Slope, phi: Float, lam: Float, m: int, close: float) -> _Load:
+        """Of a slope; phi (f, n) row-major."""
+        (rk, dk), (rm, dm) = (_product(a, phi[:, :m]) for a in (s.stiffness, s.mass))
+        pk, pm = phi[rk].T @ dk, phi[rm].T @ dm
+        rows = np.union1d(rk, rm)
+        force = np.zeros((rows.size, m))
+        force[np.searchsorted(rows, rm)] = dm * lam[:m]
+        force[np.searchsorted(rows, rk)] -= dk
+        size = np.linalg.norm(force, axis=0)
+        live = size > 0
+        rigid = np.flatnonzero(np.abs(lam[:m]) <= STILL * np.abs(lam).max(initial=0.0))
+        if rigid.size:
+            terms = np.linalg.norm(_product(abs(s.stiffness), np.abs(phi[:, rigid]))[1], axis=0)
+            terms += np.abs(lam).max() * np.linalg.norm(dm[:, rigid], axis=0)
+            live[rigid] &= size[rigid] > STILL * terms
+        return cls(rows, force, pm * lam[:m] - pk, modal_coefficients(pk, pm, lam, close), live)
+
+
+def _moved(space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tolerance: float) -> Float:
+    """φ' (f, k) for pairs of a load and a mode; those of a load stand side by side."""
+    pairs = list(zip(owner.tolist(), mode.tolist(), strict=True))
+    r = space.balance(np.stack([loads[i].part[:, j] for i, j in pairs], axis=1))
+    size = np.empty(owner.size)
+    for i in np.unique(owner).tolist():
+        at = np.flatnonzero(owner == i)
+        force = loads[i].force[:, mode[at]]
+        r.T[at[0] : at[-1] + 1, loads[i].rows] += force.T
+        size[at] = np.linalg.norm(force, axis=0)
+    along = np.stack([loads[i].along[:, j] for i, j in pairs], axis=1)
+    return space.balanced(r, space.modes.values[mode], tolerance * size, along)
 
 
 def branch_derivatives(

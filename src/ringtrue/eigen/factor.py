@@ -86,7 +86,7 @@ class Pencil:
             log.warning("neither pymklpardiso nor rslab is used: SuperLU is slower and cannot prove completeness")
         self.labels: Labels = labels or (lambda rows: [f"row {i}" for i in rows.tolist()])
         self._pattern = Pattern(self.stiffness, self.mass)
-        self._k, self._m = self._pattern.values(self.stiffness), self._pattern.entries(self.mass)
+        self._m = self._pattern.entries(self.mass)
         self._factor: Engine | None = None
         self.shift = np.nan
 
@@ -105,7 +105,7 @@ class Pencil:
         """
         if self._factor is not None and shift == self.shift:
             return self._factor
-        values = self._k.copy()
+        values = self._pattern.values(self.stiffness)  # anew for each shift: they take as much room as the matrix
         values[self._m[0]] -= shift * self._m[1]
         factor = self._make(values)
         self._factor, self.shift = factor, shift

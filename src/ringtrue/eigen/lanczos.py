@@ -20,6 +20,7 @@ BLOCK = 4
 TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
 WELL = 1e-8  # condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
 MAX_STEPS = 1000
+ROWS = 8192  # of the basis that are turned at once
 Progress = Callable[[float, str], None]
 
 
@@ -165,7 +166,9 @@ class Krylov:
         last, n = self.coupling.shape[1], self.held
         q = self.basis[:, n : n + self.ahead].copy()
         self.coupling = self.coupling @ y[n - last :, :keep]
-        self.basis[:, :keep] = self.basis[:, :n] @ y[:, :keep]
+        for first in range(0, len(self.basis), ROWS):  # a piece at a time: what is made of all is as large as the basis
+            piece = self.basis[first : first + ROWS]
+            piece[:, :keep] = piece[:, :n] @ y[:, :keep]
         self.basis[:, keep : keep + self.ahead] = q
         self.projected[:] = 0
         self.projected[:keep, :keep] = np.diag(theta[:keep])

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, freeze_fields
 
-PIECE = 8  # modes treated together
+PIECE, ROWS = 8, 16384  # modes, and rows of a matrix, treated together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +93,19 @@ def _pieces(count: int) -> Iterator[slice]:
         yield slice(first, first + PIECE)
 
 
+def _largest(a: sparse.csr_array, v: Float) -> Float:
+    """‖|A| v‖ of each column of v, some rows of A at a time: |A| is as large as A."""
+    total = np.zeros(v.shape[1])
+    for first in range(0, a.shape[0], ROWS):
+        ends = a.indptr[first : first + ROWS + 1]
+        cut = slice(ends[0], ends[-1])
+        part = sparse.csr_array(
+            (np.abs(a.data[cut]), a.indices[cut], ends - ends[0]), shape=(ends.size - 1, a.shape[1])
+        )
+        total += ((part @ v) ** 2).sum(axis=0)
+    return np.asarray(np.sqrt(total))
+
+
 def _judged(
     stiffness: sparse.csr_array, mass: sparse.csr_array, vectors: Float, cut: slice
 ) -> tuple[Float, Float, Float]:
@@ -101,8 +114,7 @@ def _judged(
     kv, mv = stiffness @ v, mass @ v
     values = np.einsum("ij,ij->j", v, kv)
     size = np.linalg.norm(kv, axis=0)
-    sizes = sparse.csr_array((np.abs(stiffness.data), stiffness.indices, stiffness.indptr), shape=stiffness.shape)
-    floor = 1e-8 * np.linalg.norm(sizes @ np.abs(v), axis=0)
+    floor = 1e-8 * _largest(stiffness, np.abs(v))
     rest = np.linalg.norm(kv - mv * values, axis=0)
     residuals = rest / np.where(size > floor, size, np.maximum(floor * 1e8, np.finfo(float).tiny))
     return values, residuals, vectors.T @ mv

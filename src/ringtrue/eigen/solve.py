@@ -17,8 +17,12 @@ from ringtrue.errors import InputError, NumericalError, SingularModel
 EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
 GAP = 1e-4  # a gap below this share of λ is too narrow for a count
 NEAR = 1e-5  # share of λ: no shift nearer to zero
-FINE = 1e-3  # share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined once
+FINE = 1e-6  # share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined once
 PROBE = 4  # Lanczos blocks that judge a shift
+TRIES = 6  # shifts that are judged
+BLURRED = (
+    1e-2  # relative error of the first pair after them: all modes asked for lie close together, seen from the shift
+)
 ROUNDS = 6  # searches for missing modes before the result is given as incomplete
 
 
@@ -119,7 +123,7 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
     The probe of the last shift is the beginning of the solution.
     """
     shift, columns = _start_shift(pencil), lanczos.capacity(pencil.size, count + EXTRA)
-    for last in (False, False, False, False, True):
+    for last in (*(False,) * TRIES, True):
         krylov = lanczos.Krylov(pencil.at(shift), pencil.mass, columns, np.random.default_rng(0))
         krylov.start(np.zeros((pencil.size, 0)), np.zeros(0))
         if last:
@@ -127,7 +131,11 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
         for _ in range(PROBE):
             if krylov.ahead:
                 krylov.step()
-        theta = krylov.ritz()[0]
+        theta, _, error = krylov.ritz()
+        first = shift + 1 / float(theta[0])
+        if error[0] > BLURRED * theta[0] and first < -shift:
+            shift = -max(0.3 * abs(first), 1e-4 * -shift)
+            continue
         values = shift + 1 / theta[theta > 1e-12 * theta.max()][: max(2, min(count, 10))]
         better = -_suitable(values)
         top = float(np.abs(values).max())

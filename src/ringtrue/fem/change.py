@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ringtrue.core.arrays import Bool, Int
 from ringtrue.core.parameters import Parameter, Shape, Target
 from ringtrue.errors import InputError, did_you_mean
+from ringtrue.fem.added_mass import CARDS, sharers
 from ringtrue.fem.elements.shell_normals import with_neighbours
 from ringtrue.fem.kinds import ELEMENTS
 from ringtrue.model.frames import positions
@@ -20,15 +21,15 @@ from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.model.references import REFERENCES
 
 BOTH_ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "I12": "I12B", "J": "JB", "NSM": "NSMB"}
-_PLY = re.compile(r"([A-Z]+)(\d+)")
+_PLY = re.compile(r"([A-Z](?:[A-Z0-9]*[A-Z])?)(\d+)")
 Factor = float | complex
 
 
 def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
     """A copy of the model with the parameter at `factor`: fields, for some elements only where told, and nodes.
 
-    A PBEAM whose end B equals its end A keeps that. Where a target holds for some elements only, they get a copy of
-    the property or material.
+    A PBEAM whose end B or stations equal its end A keeps that. Where a target holds for some elements only, they get a
+    copy of the property or material.
 
     Raises
     ------
@@ -67,10 +68,11 @@ def changed(model: Model, name: str, targets: Sequence[Target], factor: Factor) 
 def _with_fields(
     tables: dict[str, Table], where: str, card: str, field: str, ids: Int, step: float, factor: Factor
 ) -> Table:
-    rows = tables[card].find(ids) if card in tables else np.full(ids.shape, -1)
-    if (rows < 0).any():
-        raise InputError(f"{where} {ids[rows < 0][0]} {field}: no such card in the model")
+    lost = ~np.isin(ids, tables[card].ids) if card in tables else np.ones(ids.shape, dtype=bool)
+    if lost.any():
+        raise InputError(f"{where} {ids[lost][0]} {field}: no such card in the model")
     table, where = tables[card], f"{where} {ids[0]} {field}"
+    rows = np.flatnonzero(np.isin(table.ids, ids))
     ply = _PLY.fullmatch(field)
     if field not in table.columns and ply and isinstance(table.columns.get(ply[1]), Ragged):
         return _with_ply(table, where, ply[1], int(ply[2]), rows, step, factor)
@@ -81,10 +83,20 @@ def _with_fields(
         raise InputError(f"{where} is a list; number its entries: {field}1, {field}2 ...")
     twin = BOTH_ENDS.get(field) if card == "PBEAM" else None
     both = rows[table[twin][rows] == column[rows]] if twin else rows[:0]
+    stations = f"{field}X" if twin and f"{field}X" in table.columns else ""
+    equal = _equal(table.ragged(stations), column, rows) if stations else rows[:0]
     table = table.with_column(field, _multiplied(column, rows, where, step, factor))
     if twin and both.size:
         table = table.with_column(twin, _multiplied(table[twin], both, where, step, factor))
+    if equal.size:
+        table = _with_entries(table, where, stations, table.ragged(stations).values, equal, step, factor)
     return table
+
+
+def _equal(entries: Ragged, column: NDArray[Any], rows: Int) -> Int:
+    """Places of the entries of `rows` that have the value of the row in `column`."""
+    of = np.repeat(np.arange(len(entries)), np.diff(entries.offsets))
+    return np.flatnonzero(np.isin(of, rows) & (entries.values == column[of]))
 
 
 def _multiplied(column: NDArray[Any], rows: Int, where: str, step: float, factor: Factor) -> NDArray[Any]:
@@ -100,12 +112,18 @@ def _multiplied(column: NDArray[Any], rows: Int, where: str, step: float, factor
 def _with_ply(table: Table, where: str, name: str, ply: int, rows: Int, step: float, factor: Factor) -> Table:
     """Entry `ply` (from 1) of a list; a blank one takes the value of the entry before it first."""
     ragged = table.ragged(name)
-    values = _filled(ragged, rows)
+    values = ragged.values if table.card == "PBEAM" else _filled(ragged, rows)
     at = ragged.offsets[rows] + ply - 1
     if (at >= ragged.offsets[rows + 1]).any() or ply < 1:
         raise InputError(f"{where}: there is no entry {ply}")
+    return _with_entries(table, where, name, values, at, step, factor)
+
+
+def _with_entries(
+    table: Table, where: str, name: str, values: NDArray[Any], at: Int, step: float, factor: Factor
+) -> Table:
     values = _multiplied(values, at, where, step, factor)
-    return replace(table, columns={**table.columns, name: Ragged(values, ragged.offsets)})
+    return replace(table, columns={**table.columns, name: Ragged(values, table.ragged(name).offsets)})
 
 
 def _filled(ragged: Ragged, rows: Int) -> NDArray[Any]:
@@ -146,6 +164,10 @@ def rows_of(model: Model, target: Target) -> dict[str, Int]:
     """Rows of each element card that the target changes; all users of the card where no elements are named."""
     if target.card == "GRID":
         return users_of_nodes(model, np.array([target.id]))
+    if target.card in CARDS:
+        return sharers(model, {}, np.array([target.id]))
+    if target.card in ("CBAR", "CBEAM") and target.field.startswith("W"):  # offsets change its length
+        return sharers(model, _users(model, target.card, np.array([target.id])))
     return _users(model, target.card, np.array([target.id]))
 
 
@@ -197,7 +219,7 @@ _NODES = _node_fields()
 def users_of_nodes(model: Model, nodes: Int) -> dict[str, Int]:
     """Rows of each element card that stand on any of the nodes; every row if a frame hangs on one.
 
-    With them the shells whose node normals (PARAM,SNORM) those decide.
+    With them the shells whose node normals (PARAM,SNORM) those decide, and all that share a whole mass (NSML).
     """
     found = {}
     frame = any(f"CORD1{k}" in model and _on(model[f"CORD1{k}"], nodes).any() for k in "RCS")
@@ -205,7 +227,7 @@ def users_of_nodes(model: Model, nodes: Int) -> dict[str, Int]:
         at = np.flatnonzero(_on(model[card], nodes) | frame)
         if at.size:
             found[card] = at
-    return with_neighbours(model, found)
+    return sharers(model, with_neighbours(model, found))
 
 
 def affected_cards(model: Model) -> Iterable[str]:

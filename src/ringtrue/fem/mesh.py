@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,12 +29,24 @@ class Mesh:
         Displacement (CD) frame of each node, unit vectors as rows.
     scalar : (s,) int64
         Ids of the scalar points, ascending.
+    added : mapping of str to (rows,)
+        Non-structural mass a length or area of the lists that case control chooses, by element card.
     """
 
     model: Model
     xyz: Float
     cd: Float
     scalar: Int
+    added: Mapping[str, Any_] = field(init=False)
+
+    def __post_init__(self) -> None:
+        from ringtrue.fem.added_mass import added_mass  # the elements behind it import this module
+
+        object.__setattr__(self, "added", added_mass(self) if self.model.case.nsm else {})
+
+    def nsm(self, card: str, at: Int) -> Any_:
+        """What chosen lists add to the non-structural mass a length or area of rows `at` (e,)."""
+        return self.added[card][at] if card in self.added else np.zeros(at.size)
 
     @property
     def size(self) -> int:

@@ -75,6 +75,7 @@ RBE2    EID GN CM:s *GM
 SPC1    SID C:s *G
 SPCADD  SID *S
 MPCADD  SID *S
+NSMADD  SID *S
 EIGRL   SID V1:f=nan V2:f=nan ND MSGLVL MAXSET SHFSCL:f NORM:s
 """
 
@@ -84,12 +85,19 @@ SPECIAL = {
     "RBE1": "EID *GN *CN:s *GM *CM:s",  # independent pairs share the offsets of GN, dependent ones (UM) those of GM
     "RBE3": "EID REFGRID REFC:s *G *C:s *WT:f *GM *CM:s",  # one entry of G an independent node; GM those of UM
     "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f M:f",
+    # the section at end A, at end B (a blank end B equals A), and at the stations between; nan: on the straight line
     "PBEAM": "PID MID A:f I1:f I2:f I12:f J:f NSM:f K1:f=1.0 K2:f=1.0 S1:f S2:f NSIA:f NSIB:f "
-    "M1A:f M2A:f M1B:f M2B:f N1A:f N2A:f N1B:f N2B:f AB:f I1B:f I2B:f I12B:f JB:f NSMB:f",
+    "M1A:f M2A:f M1B:f M2B:f N1A:f N2A:f N1B:f N2B:f AB:f I1B:f I2B:f I12B:f JB:f NSMB:f "
+    "*X:f *AX:f *I1X:f *I2X:f *I12X:f *JX:f *NSMX:f",
     "PCOMP": "PID Z0:f=nan NSM:f SB:f FT:s TREF:f GE:f LAM:s *MID *T:f *THETA:f *SOUT:s",  # one entry a ply
     "PCOMPG": "PID Z0:f=nan NSM:f SB:f FT:s TREF:f GE:f LAM:s *GPLYID *MID *T:f *THETA:f *SOUT:s",
+    # non-structural mass a length or area, in all of the elements for NSML and NSML1; it counts where case control
+    # says NSM = SID; one row a pair (NSM, NSML) or a list, in which ID 0 stands for ALL
+    "NSM": "SID TYPE:s ID VALUE:f",
+    "NSML": "SID TYPE:s ID VALUE:f",
+    "NSM1": "SID TYPE:s VALUE:f *ID",
+    "NSML1": "SID TYPE:s VALUE:f *ID",
     "DMIG": "ID NAME:s IFO TIN TOUT POLAR NCOL *GJ *CJ *GI *CI *A:f *B:f",  # one row a matrix, ID from 1 on
-    # PBEAM: the section at end A, at end B (a blank end B equals A); stations between must lie on the straight line
 }
 
 CARDS = {line.split()[0]: line.split(maxsplit=1)[1] for line in _TEXT.replace("\\\n", "").strip().splitlines()}
@@ -143,8 +151,8 @@ PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT3 MAT11 MATORT MATHP MFLUID RBAR
 RSSCON RTRPLT RTRPLT1 RBAX DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEBULK SECONCT SEELT SESET
 SEBNDRY SELOC SEMPLN SETREE CSUPER CSUPEXT RELEASE BCONP BCTABLE BLSEG SLBLOAD AXIC PDAMP5
 """
+NONSTRUCTURAL = ("NSM", "NSM1", "NSML", "NSML1", "NSMADD")
 UNSUPPORTED = frozenset(_CARRYING.split())
-CHOSEN_MASS = frozenset(("NSM", "NSM1", "NSML", "NSML1", "NSMADD"))  # count only where case control says NSM = n
 _HARMLESS_C = (  # names that begin like an element but connect nothing
     "CAERO", "CASE", "CBARAO", "CORD", "CMETHOD", "CSET", "CSCHD", "CSSCHD", "CYJOIN", "CYSYM",
     "CYAX", "CYSUP", "CLOAD", "CREEP", "CON", "CHBDY", "CCRSFIL",

@@ -11,6 +11,7 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import InputError, did_you_mean
+from ringtrue.model.cards import NONSTRUCTURAL
 from ringtrue.model.model import Model, Ragged, Table
 
 # A PBEAM whose end B equals its end A keeps that.
@@ -40,6 +41,8 @@ def resolve_target(model: Model, target: Target | FieldChange) -> Int:
     table = model[target.card]
     if target.field not in table.columns and not _is_ply(table, target.field):
         raise InputError(f"{target.card} has no field {target.field}{did_you_mean(target.field, table.columns)}")
+    if target.card in NONSTRUCTURAL and (table.ids == target.id).sum() > 1:
+        raise InputError(f"{target.card} {target.id} has several values; give each a set of its own, united by NSMADD")
     if isinstance(table.columns.get(target.field), Ragged):
         raise InputError(f"{target.card} field {target.field} is a list, not one value")
     rows = np.flatnonzero(table.ids == target.id)
@@ -50,13 +53,14 @@ def resolve_target(model: Model, target: Target | FieldChange) -> Int:
     if ply and target.field not in table.columns:
         count = int(np.diff(table.ragged(ply[0]).offsets)[rows].min())
         if not 1 <= ply[1] <= count:
-            raise InputError(f"{target.card} {target.id} has no {target.field}: it has {count} plies")
+            what = "stations between its ends" if target.card == "PBEAM" else "plies"
+            raise InputError(f"{target.card} {target.id} has no {target.field}: it has {count} {what}")
     return rows
 
 
 def ply_field(field: str) -> tuple[str, int] | None:
-    """`T3` as ("T", 3): the column of a laminate and the number of the ply, from 1; None if there is no number."""
-    found = re.fullmatch(r"([A-Z]+)([0-9]+)", field)
+    """`T3` as ("T", 3): the column of a list and the number of its entry (a ply, a station), from 1; None without."""
+    found = re.fullmatch(r"([A-Z](?:[A-Z0-9]*[A-Z])?)([0-9]+)", field)
     return (found[1], int(found[2])) if found else None
 
 
@@ -76,13 +80,19 @@ def field_value(model: Model, target: Target | FieldChange) -> Any:
 
 
 def companions(model: Model, target: Target) -> tuple[Target, ...]:
-    """The target, and the same field at end B of a PBEAM that is equal there."""
-    rows = resolve_target(model, target)
+    """The target, and the same field at end B and at the stations of a PBEAM that are equal there."""
+    row = int(resolve_target(model, target)[0])
     twin = BOTH_ENDS.get(target.field) if target.card == "PBEAM" else None
-    table = model[target.card]
-    if twin is None or (table[twin][rows] != table[target.field][rows]).any():
+    if twin is None:
         return (target,)
-    return (target, Target(target.card, target.id, twin))
+    table, same = model[target.card], [target]
+    value = table[target.field][row]
+    if table[twin][row] == value:
+        same.append(replace(target, field=twin))
+    if (name := f"{target.field}X") in table.columns:
+        equal = np.flatnonzero(table.ragged(name).row(row) == value)
+        same += [replace(target, field=f"{name}{k + 1}") for k in equal.tolist()]
+    return tuple(same)
 
 
 def _nominal(model: Model, parameter: Parameter, target: Target) -> float:

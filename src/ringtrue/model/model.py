@@ -99,6 +99,7 @@ class CaseControl:
     method: int = 0
     spc: int = 0
     mpc: int = 0
+    nsm: int = 0
     k2gg: tuple[tuple[float, str], ...] = ()
     m2gg: tuple[tuple[float, str], ...] = ()
     b2gg: tuple[tuple[float, str], ...] = ()

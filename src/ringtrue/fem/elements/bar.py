@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,23 +12,28 @@ from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, scatter, unit
 from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import components, node_dofs, orientation, segment, triad
+from ringtrue.model.model import Table
 
 PLANE1, PLANE2 = [1, 5, 7, 11], [2, 4, 8, 10]  # (v, θz) and (w, θy) at both ends
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])  # the slope of w is -θy
-_GAUSS, _WEIGHT = (a / 2 for a in np.polynomial.legendre.leggauss(16))  # on (-½, ½); I 10:1 to nine digits
+# Points on (-½, ½) of each part between two stations. Sixteen: I 10:1 to nine digits. Four: cubic shapes and a linear
+# mass exactly.
+_FLEXIBILITY, _MASS = (np.stack(np.polynomial.legendre.leggauss(n), axis=1) / 2 for n in (16, 4))
 OFFSETS = ("GGG", "BGG", "GGO", "BGO", "GOG", "BOG", "GOO", "BOO")  # OFFT: orientation, offset A, offset B
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """Beam sections at both ends, (e, 2): area, second moments, torsion constant, masses; linear between.
+    """Beam sections at stations, (e, s): area, second moments, torsion constant, masses; linear between.
 
-    `k1`, `k2` (e,): shear factors, 0 for no shear flexibility. `nsm`, `nsm_polar`: non-structural mass a length and
-    its inertia about its own centre. `neutral`, `nsm_at` (e, 2, 2): y, z of the neutral axis and of the
-    non-structural mass from the shear centre, at each end.
+    `x` (e, s): place over the length, from 0 at end A to 1 at end B, ascending. `k1`, `k2` (e,): shear factors, 0 for
+    no shear flexibility. `nsm`, `nsm_polar`: non-structural mass a length and its inertia about its own centre.
+    `neutral`, `nsm_at` (e, 2, 2): y, z of the neutral axis and of the non-structural mass from the shear centre, at
+    each end.
     """
 
+    x: Float
     A: Any_
     I1: Any_
     I2: Any_
@@ -42,8 +48,8 @@ class Section:
 
     def integrated(self) -> Bool:
         """Which beams (e,) need the flexibility integral: tapered, or I12 together with shear flexibility."""
-        ends = np.stack([self.A, self.I1, self.I2, self.I12, self.J], axis=-1)
-        taper = (ends[:, 0] != ends[:, 1]).any(axis=1)
+        every = np.stack([self.A, self.I1, self.I2, self.I12, self.J], axis=-1)
+        taper = (every != every[:, :1]).any(axis=(1, 2))
         coupled = (self.I12 != 0).any(axis=1) & ((self.k1 != 0) | (self.k2 != 0))
         return np.asarray(taper | coupled)
 
@@ -72,7 +78,7 @@ def _rows(s: Section, at: Int) -> Section:
 
 
 def uniform(L: Float, iso: Isotropic, s: Section) -> Any_:
-    """Stiffness with the mean of the end sections (Przemieniecki 1968, eq. 5.116; I12 without shear)."""
+    """Stiffness with the mean of the stations (Przemieniecki 1968, eq. 5.116; I12 without shear)."""
     A, I1, I2, I12, J = (v.mean(axis=1) for v in (s.A, s.I1, s.I2, s.I12, s.J))
     b0, b1 = _curvature(L)
     constant, linear = (np.einsum("e,ei,ej->eij", c, b, b) for c, b in ((L, b0), (L / 3, b1)))
@@ -102,7 +108,7 @@ def _shear(iso: Isotropic, A: Any_, I: Any_, k: Any_, L: Float) -> Any_:
 
 
 def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
-    """Stiffness (e, 12, 12) of beams with linearly varying sections: the inverse of the integrated flexibility.
+    """Stiffness (e, 12, 12) of beams whose sections vary linearly from station to station, from the flexibility.
 
     End B moves by F f under its end forces f, F = ∫ bᵀ(x) C(x) b(x) dx with b from equilibrium and C the compliance
     of the section (Przemieniecki 1968, section 5.6; force-based, so exact for end loads whatever the taper).
@@ -112,14 +118,14 @@ def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
     F = np.zeros((len(L), 4, 4), dtype=dtype)  # of (Fy, Mz/L, Fz, -My/L)
     none = [np.asarray((v == 0).all(axis=1) | (c == 0)) for v, c in ((s.A, E), (s.J, G), (s.I1, E), (s.I2, E))]
     E = np.where(E == 0, 1.0, E)
-    for x, w in zip(_GAUSS, _WEIGHT, strict=True):  # a fixed number of points
-        A, I1, I2, I12, J = ((0.5 - x) * v[:, 0] + (0.5 + x) * v[:, 1] for v in (s.A, s.I1, s.I2, s.I12, s.J))
+    for x, w, value in _along(s.x, _FLEXIBILITY):
+        A, I1, I2, I12, J = (value(v) for v in (s.A, s.I1, s.I2, s.I12, s.J))
         axial += w * L / np.where(none[0], 1.0, E * A)
         twist += w * L / np.where(none[1], 1.0, G * J)
         I1, I2 = np.where(none[2], 1.0, I1), np.where(none[3], 1.0, I2)
         C = scaled(w * L**3 / (E * (I1 * I2 - I12**2)), np.stack([np.stack([I2, -I12], 1), np.stack([-I12, I1], 1)], 1))
-        b = np.array([0.5 - x, 1.0])  # bending moment at x by end force and end moment, over L
-        F += np.einsum("epq,i,j->epiqj", C, b, b).reshape(-1, 4, 4)
+        b = np.stack([1 - x, np.ones_like(x)], axis=1)  # bending moment at x by end force and end moment, over L
+        F += np.einsum("epq,ei,ej->epiqj", C, b, b).reshape(-1, 4, 4)
         for plane, k in enumerate((s.k1, s.k2)):
             rigid = (k == 0) | (A == 0) | (G == 0)
             F[:, 2 * plane, 2 * plane] += np.where(rigid, 0.0, w * L / np.where(rigid, 1.0, k * G * A))
@@ -138,45 +144,54 @@ def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
     return congruent(relative, K)
 
 
-def consistent(L: Float, per_length: Any_, polar: Any_) -> Any_:
-    """Coupled local mass (e, 12, 12) of mass a length and polar inertia a length at both ends (e, 2), linear between.
+def _along(x: Float, rule: Float) -> Iterator[tuple[Float, Float, Callable[[Any_], Any_]]]:
+    """Points of integration over the length: place (e,), weight (e,) and what gives values (e, s) there."""
+    for k in range(x.shape[1] - 1):  # over the parts between stations, of a length of nothing where a beam has fewer
+        part = x[:, k + 1] - x[:, k]
+        for p, w in rule.tolist():  # a fixed number of points
+
+            def value(v: Any_, k: int = k, p: float = p) -> Any_:
+                return np.asarray((0.5 - p) * v[:, k] + (0.5 + p) * v[:, k + 1])
+
+            yield x[:, k] + part * (0.5 + p), part * w, value
+
+
+def consistent(L: Float, per_length: Any_, polar: Any_, x: Float) -> Any_:
+    """Coupled local mass (e, 12, 12) of mass a length and polar inertia a length at the stations x, (e, s) each.
 
     Cubic transverse and linear torsional shapes; axial the mean of lumped and consistent, as for a rod.
     """
-    mean, slope = (f(per_length) for f in (_mean, _slope))
-    plane = scaled(mean * L, _hermite(L, 0)) + scaled(slope * L, _hermite(L, 1))
-    e = len(L)
-    ends = np.broadcast_to(np.diag([-1.0, 1.0]) / 12, (e, 2, 2))
-    axial = scaled(mean * L, np.broadcast_to(np.array([[5.0, 1.0], [1.0, 5.0]]) / 12, (e, 2, 2)))
-    twist = scaled(_mean(polar) * L, np.broadcast_to(np.array([[2.0, 1.0], [1.0, 2.0]]) / 6, (e, 2, 2)))
-    blocks = [([0, 6], axial + scaled(slope * L, ends)), (PLANE1, plane)]
-    blocks += [(PLANE2, plane * _SIGN[:, None] * _SIGN), ([3, 9], twist + scaled(_slope(polar) * L, ends))]
-    return scatter(e, 12, *blocks)
+    plane, linear = _moments(L, per_length, x, _hermite), _moments(L, per_length, x, _linear)
+    axial = (linear + linear.sum(axis=2)[:, :, None] * np.eye(2)) / 2
+    blocks = [([0, 6], axial), (PLANE1, plane), (PLANE2, plane * _SIGN[:, None] * _SIGN)]
+    return scatter(len(L), 12, *blocks, ([3, 9], _moments(L, polar, x, _linear)))
 
 
-def _mean(v: Any_) -> Any_:
-    return np.asarray((v[:, 0] + v[:, 1]) / 2)
+def _moments(L: Float, v: Any_, x: Float, shapes: Callable[[Float, Float], Float]) -> Any_:
+    """∫ v NᵀN dx of v (e, s) at the stations and of shapes (e, n) at a place."""
+    total = []
+    for place, w, at in _along(x, _MASS):
+        N = shapes(place, L)
+        total.append(np.einsum("e,ei,ej->eij", w * L * at(v), N, N))
+    return np.asarray(sum(total))
 
 
-def _slope(v: Any_) -> Any_:
-    return np.asarray(v[:, 1] - v[:, 0])
+def _linear(x: Float, L: Float) -> Float:
+    return np.stack([1 - x, x], axis=1)
 
 
-def _hermite(L: Float, power: int) -> Float:
-    """∫ (ξ - ½)^power NᵀN dξ of the cubic shapes of (v1, θ1, v2, θ2), (e, 4, 4); ξ from 0 to 1."""
-    x = _GAUSS + 0.5
-    shapes = np.stack([1 - 3 * x**2 + 2 * x**3, x - 2 * x**2 + x**3, 3 * x**2 - 2 * x**3, x**3 - x**2])
-    unit = np.einsum("g,ig,jg->ij", _WEIGHT * _GAUSS**power, shapes, shapes)
-    scale = np.stack([L**0, L, L**0, L], axis=1)
-    return np.asarray(unit * scale[:, :, None] * scale[:, None, :])
+def _hermite(x: Float, L: Float) -> Float:
+    """The cubic shapes (e, 4) of (v1, θ1, v2, θ2)."""
+    return np.stack(
+        [1 - 3 * x**2 + 2 * x**3, L * (x - 2 * x**2 + x**3), 3 * x**2 - 2 * x**3, L * (x**3 - x**2)], axis=1
+    )
 
 
-def lumped(L: Float, per_length: Any_, polar: Any_) -> Any_:
-    """The mass at the two ends that keeps mass and centre, local (e, 12, 12); values at both ends (e, 2)."""
-    shares = np.array([[2.0, 1.0], [1.0, 2.0]]) / 6
+def lumped(L: Float, per_length: Any_, polar: Any_, x: Float) -> Any_:
+    """The mass at the two ends that keeps mass and centre, local (e, 12, 12); values (e, s) at the stations x."""
     ends = np.zeros((len(L), 2, 6), dtype=np.result_type(per_length, polar))
-    ends[..., :3] = (per_length @ shares * L[:, None])[..., None]
-    ends[..., 3] = polar @ shares * L[:, None]
+    ends[..., :3] = _moments(L, per_length, x, _linear).sum(axis=2)[..., None]
+    ends[..., 3] = _moments(L, polar, x, _linear).sum(axis=2)
     return ends.reshape(-1, 12)[:, :, None] * np.eye(12)
 
 
@@ -211,9 +226,10 @@ def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     row = lookup(m.model, "PBAR", t["PID"][at], t, at)
     p = m.model["PBAR"]
     A, I1, I2, I12, J, nsm = (np.stack([p[c][row]] * 2, axis=1) for c in ("A", "I1", "I2", "I12", "J", "NSM"))
+    nsm = nsm + m.nsm(card, at)[:, None]
     k1, k2 = (np.where(np.isnan(p[k][row]) | (I12[:, 0].real != 0), 0.0, p[k][row]) for k in ("K1", "K2"))
-    o, none = np.zeros((at.size, 2)), np.zeros((at.size, 2, 2))
-    return isotropic(m.model, p["MID"][row], p, row), Section(A, I1, I2, I12, J, k1, k2, nsm, o, none, none)
+    o, none, x = np.zeros((at.size, 2)), np.zeros((at.size, 2, 2)), np.tile([0.0, 1.0], (at.size, 1))
+    return isotropic(m.model, p["MID"][row], p, row), Section(x, A, I1, I2, I12, J, k1, k2, nsm, o, none, none)
 
 
 def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
@@ -223,13 +239,46 @@ def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
         raise UnsupportedCard(card, why=f"{t.ids[at[warping][0]]} has warping points SA, SB; leave them out")
     row = lookup(m.model, "PBEAM", t["PID"][at], t, at)
     p = m.model["PBEAM"]
-    pairs = [("A", "AB"), ("I1", "I1B"), ("I2", "I2B"), ("I12", "I12B"), ("J", "JB")]
-    A, I1, I2, I12, J = (p.stack(*ends)[row] for ends in pairs)
+    x, order = _stations(p, row)
+    A, I1, I2, I12, J, nsm = (_at_stations(p, row, name, x, order) for name in ("A", "I1", "I2", "I12", "J", "NSM"))
     k1, k2 = (np.where(np.isnan(p[k][row]), 0.0, p[k][row]) for k in ("K1", "K2"))
-    nsm, polar = p.stack("NSM", "NSMB")[row], p.stack("NSIA", "NSIB")[row]
+    nsm = nsm + m.nsm(card, at)[:, None]
+    polar = _between(p["NSIA"][row], p["NSIB"][row], x)
     neutral, nsm_at = (p.stack(*(f"{c}{i}{end}" for end in "AB" for i in (1, 2)))[row].reshape(-1, 2, 2) for c in "NM")
     iso = isotropic(m.model, p["MID"][row], p, row)
-    return iso, Section(A, I1, I2, I12, J, k1, k2, nsm, polar, neutral, nsm_at)
+    return iso, Section(x, A, I1, I2, I12, J, k1, k2, nsm, polar, neutral, nsm_at)
+
+
+def _stations(p: Table, row: Int) -> tuple[Float, Int]:
+    """Places (e, s) of the stations of rows of PBEAM, ends included, and which entry each is, -1 for an end.
+
+    A beam with fewer stations than others has end B several times.
+    """
+    if "X" not in p.columns or not p.ragged("X").values.size:
+        return np.tile([0.0, 1.0], (row.size, 1)), np.full((row.size, 2), -1)
+    every = p.ragged("X")
+    first, count = every.offsets[row], np.diff(every.offsets)[row]
+    k = np.arange(count.max(initial=0))
+    entry = np.where(k < count[:, None], first[:, None] + k, -1)
+    x = np.where(entry < 0, 1.0, every.values[entry])
+    order = np.argsort(x, axis=1, kind="stable")
+    end = np.ones((row.size, 1))
+    entry = np.take_along_axis(entry, order, axis=1)
+    x = np.hstack([0 * end, np.take_along_axis(x, order, axis=1), end])
+    return x, np.hstack([-end, entry, -end]).astype(np.int64)
+
+
+def _at_stations(p: Table, row: Int, name: str, x: Float, entry: Int) -> Any_:
+    """A field of PBEAM at the stations (e, s); a blank one is on the straight line between the ends."""
+    line = _between(p[name][row], p[f"{name}B"][row], x)
+    if (entry < 0).all():
+        return line
+    given = p.ragged(f"{name}X").values[entry]
+    return np.where((entry < 0) | np.isnan(given), line, given)
+
+
+def _between(a: Any_, b: Any_, x: Float) -> Any_:
+    return np.asarray(a[:, None] + (b - a)[:, None] * x)
 
 
 def _offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
@@ -281,8 +330,8 @@ def _mass(L: Float, iso: Isotropic, s: Section, coupled: bool, beam: bool) -> An
     rho = iso.rho[:, None]
     polar = rho * (s.I1 + s.I2) if beam else np.zeros_like(s.A)
     form = consistent if coupled else lumped
-    M = _placed(form(L, rho * s.A, polar), s.neutral)
-    return M + _placed(form(L, s.nsm, s.nsm_polar), s.nsm_at) if np.any(s.nsm) or np.any(s.nsm_polar) else M
+    M = _placed(form(L, rho * s.A, polar, s.x), s.neutral)
+    return M + _placed(form(L, s.nsm, s.nsm_polar, s.x), s.nsm_at) if np.any(s.nsm) or np.any(s.nsm_polar) else M
 
 
 def _placed(M: Any_, at: Any_) -> Any_:
@@ -290,6 +339,13 @@ def _placed(M: Any_, at: Any_) -> Any_:
     if not np.any(at):
         return M
     return congruent(nodal(np.stack([_eccentric(at[:, end, 0], at[:, end, 1]) for end in (0, 1)], axis=1)), M)
+
+
+def measure(m: Mesh, card: str, at: Int) -> Float:
+    """Lengths (e,) of the rows `at` between their offset ends."""
+    t = m.model[card]
+    nodes = m.nodes(t.stack("GA", "GB")[at], t, at)
+    return segment(m.xyz[nodes] + _offsets(m, card, at, nodes))[0]
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:

@@ -57,11 +57,17 @@ def _section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Any_, Any_, Any_]:
     return iso, *tube((p["OD"][row] + end) / 2, p["T"][row]), p["NSM"][row]
 
 
+def measure(m: Mesh, card: str, at: Int) -> Float:
+    """Lengths (e,) of the rows `at`."""
+    t = m.model[card]
+    return segment(m.xyz[m.nodes(t.stack("G1", "G2")[at], t, at)])[0]
+
+
 def build(m: Mesh, card: str, at: Int) -> Matrices:
     """Matrices of the rows `at` (e,) of CROD, CONROD or CTUBE."""
     t = m.model[card]
     nodes = m.nodes(t.stack("G1", "G2")[at], t, at)
     x = m.xyz[nodes]
     iso, A, J, nsm = _section(m, card, at)
-    M = mass(x, iso.rho * A + nsm, m.model.param("COUPMASS", -1) > 0)
+    M = mass(x, iso.rho * A + nsm + m.nsm(card, at), m.model.param("COUPMASS", -1) > 0)
     return Matrices(node_dofs(nodes), kernel(x, iso.E * A, iso.G * J), M, iso.loss, np.empty((0, 12, 12)))

@@ -123,6 +123,12 @@ def kernel(xy: Any_, area: Any_, s: Section) -> Any_:
     return K
 
 
+def measure(m: Mesh, card: str, at: Int) -> Any_:
+    """Areas (e,) of the rows `at`."""
+    t = m.model[card]
+    return flatten(m.xyz[m.nodes(t.stack("G1", "G2", "G3")[at], t, at)])[2]
+
+
 def build(m: Mesh, card: str, at: Int) -> Matrices:
     """Matrices of the rows `at` (e,) of CTRIA3 or CTRIAR.
 

@@ -142,6 +142,13 @@ def _turn_both(K: Any_) -> Any_:
     return of_rotations(of_rotations(K).swapaxes(1, 2)).swapaxes(1, 2)
 
 
+def measure(m: Mesh, card: str, at: Int) -> Any_:
+    """Areas (e,) of the rows `at` in their mean planes."""
+    t = m.model[card]
+    xy = flatten(m.xyz[m.nodes(t.stack("G1", "G2", "G3", "G4")[at], t, at)])[1]
+    return np.asarray(jacobian(_DN, xy)[1].sum(axis=1))
+
+
 def build(m: Mesh, card: str, at: Int) -> Matrices:
     """Matrices of the rows `at` (e,) of CQUAD4 or CQUADR.
 

@@ -24,16 +24,8 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     DeckError
         If an element is folded or without area.
     """
-    rule, t = _RULES[card], m.model[card]
-    ids = t.stack(*(f"G{i + 1}" for i in range(len(rule.nodes))))[at]
-    absent = ids <= 0
-    absent[:, : rule.corners] = False  # a blank corner is an error
-    known = np.where(absent, ids[:, :1], ids)
-    nodes = m.nodes(known, t, at)
-    x = m.xyz[nodes]
-    middle = x[:, rule.sides].mean(axis=2)
-    middle = np.where(absent[:, rule.corners :, None], middle, x[:, rule.corners :])
-    x = np.concatenate([x[:, : rule.corners], middle], axis=1)
+    rule = _RULES[card]
+    nodes, absent, x = _nodes(m, card, at, rule)
     _check(m, card, at, rule, x)
     s = section(m, card, at, rule.corners)
     K = in_spans(len(at), lambda i: kernel(m, card, at[i], x[i], s.take(i)))
@@ -42,6 +34,26 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     if absent.any():
         K, M = _without(rule, absent, K, M)
     return Matrices(dofs, K, M, s.loss, np.empty((0, *K.shape[1:])))
+
+
+def measure(m: Mesh, card: str, at: Int) -> Any_:
+    """Areas (e,) of the rows `at`."""
+    rule = _RULES[card]
+    x = _nodes(m, card, at, rule)[2]
+    return length(tangents(rule.shapes(rule.mass_points)[1], x)[1]) @ rule.mass_weights
+
+
+def _nodes(m: Mesh, card: str, at: Int, rule: Rule) -> tuple[Int, Bool, Any_]:
+    """Rows of GRID (e, k), which nodes are absent, and places (e, k, 3), those of absent ones amid their sides."""
+    t = m.model[card]
+    ids = t.stack(*(f"G{i + 1}" for i in range(len(rule.nodes))))[at]
+    absent = ids <= 0
+    absent[:, : rule.corners] = False  # a blank corner is an error
+    nodes = m.nodes(np.where(absent, ids[:, :1], ids), t, at)
+    x = m.xyz[nodes]
+    middle = x[:, rule.sides].mean(axis=2)
+    middle = np.where(absent[:, rule.corners :, None], middle, x[:, rule.corners :])
+    return nodes, absent, np.concatenate([x[:, : rule.corners], middle], axis=1)
 
 
 def _check(m: Mesh, card: str, at: Int, rule: Rule, x: Any_) -> None:

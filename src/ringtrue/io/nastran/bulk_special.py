@@ -67,6 +67,7 @@ def _pbush(t: Table) -> Iterator[str]:
 _NO_STIFFNESS: list[list[Value]] = [["K"]]
 _BUSH = {"K": [f"K{i}" for i in range(1, 7)], "B": [f"B{i}" for i in range(1, 7)], "GE": ["GE"]}
 _BEAM_A, _BEAM_B = ("A", "I1", "I2", "I12", "J", "NSM"), ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
+_BEAM_X = ("X", "AX", "I1X", "I2X", "I12X", "JX", "NSMX")
 _BEAM_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")
 _BEAM_AXIS = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
 
@@ -79,9 +80,21 @@ def _pbeam(t: Table) -> Iterator[str]:
 
         blank: list[Value] = [None] * 8
         fields = [int(t["PID"][i]), int(t["MID"][i]), *values(_BEAM_A), *blank]
+        for station in zip(*(t.ragged(n).row(i).tolist() for n in _BEAM_X if n in t.columns), strict=True):
+            fields += ["NO", *(None if np.isnan(v) else v for v in station)]
         fields += ["YES", 1.0, *values(_BEAM_B), *blank]
         fields += [*values(_BEAM_TAIL), None, None, *values(_BEAM_AXIS)]
         yield large_card("PBEAM", fields)
+
+
+def _nsm_pairs(t: Table) -> Iterator[str]:
+    for row in zip(*(t[k].tolist() for k in ("SID", "TYPE", "ID", "VALUE")), strict=True):
+        yield large_card(t.card, row)
+
+
+def _nsm_lists(t: Table) -> Iterator[str]:
+    for i, head in enumerate(zip(*(t[k].tolist() for k in ("SID", "TYPE", "VALUE")), strict=True)):
+        yield large_card(t.card, [*head, *("ALL" if g == 0 else g for g in t.ragged("ID").row(i).tolist())])
 
 
 def _rbe1(t: Table) -> Iterator[str]:
@@ -130,6 +143,10 @@ SPECIAL: dict[str, Callable[[Table], Iterator[str]]] = {
     "RBE3": _rbe3,
     "PBUSH": _pbush,
     "PBEAM": _pbeam,
+    "NSM": _nsm_pairs,
+    "NSML": _nsm_pairs,
+    "NSM1": _nsm_lists,
+    "NSML1": _nsm_lists,
     "RBE1": _rbe1,
     "PCOMP": _laminate,
     "PCOMPG": _laminate,

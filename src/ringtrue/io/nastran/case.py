@@ -12,8 +12,13 @@ from ringtrue.model.model import CaseControl
 
 _COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?\s*=\s*(.*?)\s*", re.I | re.S)
 _SUBCASE = re.compile(r"\s*SUBC\w*", re.I)
-_NAMES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC")
-_SHORT = {"METH": "METHOD", "TITL": "TITLE", "AUTO": "AUTOSPC"}  # Nastran reads the first four characters
+_NAMES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC", "TEMPERATURE")
+_SHORT = {
+    "METH": "METHOD",
+    "TITL": "TITLE",
+    "AUTO": "AUTOSPC",
+    "TEMP": "TEMPERATURE",
+}  # Nastran reads the first four characters
 _TEXT = re.compile(r"\s*(TITL|SUBT|LABE)", re.I)
 _TERM = re.compile(r"(?:\(?\s*([^*()\s]+?)\s*\)?\s*\*)?\s*([A-Z]\w*)", re.I)
 
@@ -60,15 +65,18 @@ def case_control(top: Sequence[str]) -> CaseControl:
     Raises
     ------
     DeckError
-        If K2GG, M2GG or B2GG names no matrices.
+        If K2GG, M2GG or B2GG names no matrices, or NSM no set.
     """
     found = commands(top)
+    if not re.fullmatch(r"\d{1,18}", found.get("NSM", "0"), re.A):
+        raise DeckError(f"NSM = {found['NSM']} in case control: it must be the number of a set")
     number = {k: int(v) for k, v in found.items() if re.fullmatch(r"\d{1,18}", v, re.A)}
     return CaseControl(
         found.get("TITLE", ""),
         number.get("METHOD", 0),
         number.get("SPC", 0),
         number.get("MPC", 0),
+        number.get("NSM", 0),
         **{name.lower(): _matrices(name, found) for name in ("K2GG", "M2GG", "B2GG")},
     )
 

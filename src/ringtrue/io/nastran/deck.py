@@ -64,10 +64,10 @@ class _Reading:
 
     def read(self, path: Path, chain: tuple[Path, ...] = ()) -> bool:
         """Append the pieces of a file; True once ENDDATA is met."""
-        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")  # the mark that some editors put before UTF-8
+        data = _text(path)
         number = self.files.setdefault(path, len(self.files))
         upper = data.upper()
-        limit = next(_lines_of(upper, b"ENDDATA"), len(data))
+        limit = next(_lines_of(upper, b"ENDDATA"), len(data.rstrip(b"\x1a")))  # Ctrl-Z ended files of DOS
         at = 0
         for begin in _lines_of(upper, b"INCLUDE", limit):
             found = _INCLUDE.match(data, begin, limit)
@@ -82,7 +82,7 @@ class _Reading:
                 return True
             at = found.end()
         self._add(number, data, at, limit)
-        return limit < len(data)
+        return limit < len(data.rstrip(b"\x1a"))
 
     def _add(self, number: int, data: bytes, a: int, b: int) -> None:
         if b > a:
@@ -102,13 +102,23 @@ class _Reading:
         raise DeckError(f"the included file is not there; looked for {places}", path=path, line=line, card="INCLUDE")
 
 
+def _text(path: Path) -> bytes:
+    """The bytes of a file, without the mark that some editors put before UTF-8."""
+    data = path.read_bytes()
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise DeckError("the file is UTF-16; save it as plain text", path=path)
+    if b"\n" not in data and b"\r" in data.rstrip(b"\r"):
+        raise DeckError("its lines end with CR alone; save it with LF or CR LF", path=path)
+    return data.removeprefix(b"\xef\xbb\xbf")
+
+
 def load(path: str | Path) -> Deck:
     """Read a deck with all its includes.
 
     Raises
     ------
     DeckError
-        If the deck or an included file is not there, or a file includes itself.
+        If the deck or an included file is not there or no plain text, or a file includes itself.
     """
     path = Path(path)
     if not path.is_file():

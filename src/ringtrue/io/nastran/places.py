@@ -5,13 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ringtrue.errors import InputError
-from ringtrue.io.nastran.fields import Card
+from ringtrue.io.nastran.added_mass import VALUE
+from ringtrue.io.nastran.beams import BETWEEN, END_A, END_B, beam_stations
+from ringtrue.io.nastran.fields import Card, Reader
 from ringtrue.io.nastran.lists import PLY, ply_places
-from ringtrue.io.nastran.special import END_A, END_B, FLAGS, beam_stations
+from ringtrue.io.nastran.special import FLAGS
 from ringtrue.model.cards import CARDS, columns
 from ringtrue.model.edit import ply_field
 
-_SEVERAL = {"PELAS": ("K", "GE", "S"), "PMASS": ("M",), "PDAMP": ("B",), "PVISC": ("CE", "CR", "")}
+_SEVERAL = {
+    **dict.fromkeys(("CORD1R", "CORD1C", "CORD1S"), ("G1", "G2", "G3")),
+    "PELAS": ("K", "GE", "S"),
+    "PMASS": ("M",),
+    "PDAMP": ("B",),
+    "PVISC": ("CE", "CR", ""),
+}
 _BEAM = (
     "K1",
     "K2",
@@ -42,6 +50,8 @@ def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | 
     """
     if name in _SEVERAL:
         return _of_several(name, fields, id, field)
+    if name in VALUE and field == "VALUE":
+        return VALUE[name]
     if name in CARDS:
         return _by_schema(name, field)
     if name in PLY:
@@ -97,9 +107,11 @@ def _of_bush(fields: Sequence[str], field: str) -> int | None:
 def _of_beam(fields: Sequence[str], field: str) -> int | None:
     if field in END_A:
         return 2 + END_A.index(field)
-    stations, behind = beam_stations(Card("PBEAM", list(fields), 0, 0), ())
+    stations, behind = beam_stations(Reader(Card("PBEAM", list(fields), 0, 0), ("",)))
     if field in END_B:
-        k = END_B.index(field)
-        place = next((p + k for x, p in stations if x == 1.0), None)
-        return place
+        return next((p + END_B.index(field) for x, p in stations if x == 1.0), None)
+    key, number = ply_field(field) or ("", 0)
+    if key in BETWEEN:
+        between = [p for x, p in stations if x < 1.0]
+        return between[number - 1] + BETWEEN.index(key) if 1 <= number <= len(between) else None
     return behind + _BEAM.index(field)

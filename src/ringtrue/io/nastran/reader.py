@@ -17,11 +17,13 @@ from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written
 from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import fault, make_table
-from ringtrue.model.cards import CARDS, CHOSEN_MASS, is_unsupported
+from ringtrue.model.cards import CARDS, NONSTRUCTURAL, is_unsupported
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.model.references import Missing, missing, unused
 
-_SHARED_IDS = frozenset(("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD"))  # several cards of one id belong together
+_SHARED_IDS = frozenset(  # several cards of one id belong together
+    ("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL)
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,12 +84,12 @@ def survey(path: str | Path) -> Survey:
     deck = load(path)
     found = cards(deck)
     unsupported = {}
-    nsm = "NSM" in commands(deck.top)
+    warm = "TEMPERATURE" in commands(deck.top)
     if deck.superelements:
         unsupported["BEGIN SUPER"] = f"{deck.files[deck.superelements[0]]}:{deck.superelements[1]}"
     names, first, count = found.kinds()
     for name, at in zip(names.tolist(), first.tolist(), strict=True):
-        if _stops(name.decode(), nsm):
+        if _stops(name.decode(), warm):
             unsupported[name.decode()] = "{}:{}".format(*found.place(at))
     model, skipped = _model(found)
     unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
@@ -97,15 +99,16 @@ def survey(path: str | Path) -> Survey:
     )
 
 
-def _stops(name: str, nsm: bool) -> bool:
-    return name not in EXPAND and (is_unsupported(name) or name[0] == "/" or (nsm and name in CHOSEN_MASS))
+def _stops(name: str, warm: bool) -> bool:
+    """Whether a card must not be passed over; `warm`: case control chooses temperatures, which MATT1 to MATT9 need."""
+    return name not in EXPAND and (is_unsupported(name) or name[0] == "/" or (warm and name.startswith("MATT")))
 
 
 def _refuse(found: Cards) -> None:
     names, first, _ = found.kinds()
     stopping = [(at, name.decode()) for at, name in zip(first.tolist(), names.tolist(), strict=True)]
-    nsm = "NSM" in commands(found.deck.top)
-    stopping = sorted((at, name) for at, name in stopping if _stops(name, nsm))
+    warm = "TEMPERATURE" in commands(found.deck.top)
+    stopping = sorted((at, name) for at, name in stopping if _stops(name, warm))
     if stopping:
         at, name = stopping[0]
         path, line = found.place(at)
@@ -128,11 +131,14 @@ def _foreign_ids(found: Cards, unsupported: Collection[str]) -> dict[str, set[in
 def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]:
     """The model, and special cards that were met in a form that is not supported: why and where."""
     names, _, count = found.kinds()
+    case = case_control(found.deck.top)
     tables: dict[str, Table] = {}
     kept: dict[str, int] = {}
     skipped: dict[str, tuple[str, tuple[str, int]]] = {}
     for name, n in zip((x.decode() for x in names.tolist()), count.tolist(), strict=True):
-        if name in CARDS and name not in EXPAND:
+        if name in NONSTRUCTURAL and not case.nsm:  # counts only where case control chooses it
+            kept[name] = n
+        elif name in CARDS and name not in EXPAND:
             tables[name] = make_table(found, name)
         elif name in EXPAND:
             try:
@@ -152,12 +158,18 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
     if "SPC1" in tables:
         tables["SPC1"] = _without_gaps(tables, found)
-    return Model(tables, _params(found), case_control(found.deck.top), found.deck.files, kept), skipped
+    return Model(tables, _params(found), case, found.deck.files, kept), skipped
 
 
 def _stacked(a: Table, b: Table) -> Table:
-    columns = {k: np.concatenate([a[k], b[k]]) for k in a.columns}
+    columns = {k: _behind(a.columns[k], b.columns[k]) for k in a.columns}
     return replace(a, columns=columns, file=np.concatenate([a.file, b.file]), line=np.concatenate([a.line, b.line]))
+
+
+def _behind(a: Any_ | Ragged, b: Any_ | Ragged) -> Any_ | Ragged:
+    if isinstance(a, Ragged) and isinstance(b, Ragged):
+        return Ragged(np.concatenate([a.values, b.values]), np.concatenate([a.offsets, a.offsets[-1] + b.offsets[1:]]))
+    return np.concatenate([np.asarray(a), np.asarray(b)])
 
 
 def _params(found: Cards) -> dict[str, int | float | str]:

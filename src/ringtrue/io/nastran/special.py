@@ -1,9 +1,8 @@
-"""Cards with a pattern of their own: SPC, MPC, RBE3, PELAS, PMASS, PDAMP, PVISC, PBUSH, PBEAM, PBARL, PBEAML."""
+"""Cards with a pattern of their own: SPC, MPC, RBE3, PELAS, PMASS, PDAMP, PVISC, PBUSH; more in `beams`, `lists`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -11,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.errors import UnsupportedCard
+from ringtrue.io.nastran import added_mass
+from ringtrue.io.nastran.beams import pbarl, pbeam, pbeaml
 from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
 from ringtrue.io.nastran.lists import dmig, pcomp, pcompg, rbe1
-from ringtrue.io.nastran.sections import SECTIONS
-from ringtrue.model.cards import columns
 from ringtrue.model.model import Ragged, Table
 
 
@@ -38,20 +37,25 @@ def _spc(cards: Sequence[Card], files: Files) -> Table:
     return Table("SPC", cols, *places(from_card))
 
 
-def _several(card: str, id_name: str, names: Sequence[str], pitch: int = 0) -> Callable[[Sequence[Card], Files], Table]:
-    """A card that holds several rows of 1 + len(names) fields, `pitch` fields apart."""
+def _several(
+    card: str, id_name: str, names: Sequence[str], pitch: int = 0, *, whole: bool = False
+) -> Callable[[Sequence[Card], Files], Table]:
+    """A card that holds several rows of 1 + len(names) fields, real or `whole` numbers, `pitch` fields apart."""
 
     def read(cards: Sequence[Card], files: Files) -> Table:
-        ids, values, of = [], [], []
+        ids: list[int] = []
+        values: list[list[float]] = []
+        of = []
         width = pitch or 1 + len(names)
         for c in cards:
             r = Reader(c, files)
             for i in range(0, max(len(c.fields), 1), width):
                 if i == 0 or r.text(i):
                     ids.append(r.whole(i, id_name))
-                    values.append([r.real(i + 1 + k, name, 0.0) for k, name in enumerate(names)])
+                    read_ = r.whole if whole else r.real
+                    values.append([read_(i + 1 + k, name, 0) for k, name in enumerate(names)])
                     of.append(c)
-        data = np.array(values, dtype=np.float64).reshape(-1, len(names))
+        data = np.array(values, dtype=np.int64 if whole else np.float64).reshape(-1, len(names))
         made: dict[str, NDArray[Any]] = {id_name: np.array(ids, dtype=np.int64)}
         made |= {name: data[:, k] for k, name in enumerate(names)}
         return Table(card, made, *places(of))
@@ -145,6 +149,14 @@ def _rbe3_groups(r: Reader) -> tuple[list[int], list[str], list[float]]:
 FLAGS = {"K": [f"K{i}" for i in range(1, 7)], "B": [f"B{i}" for i in range(1, 7)], "GE": ["GE"], "M": ["M"]}
 
 
+def _one_loss(r: Reader, at: int) -> None:
+    """Refuse loss factors of a bush that differ from direction to direction; blank ones are GE1."""
+    first = r.real(at, "GE1", 0.0)
+    if any(r.real(at + k, f"GE{k + 1}", first) != first for k in range(1, 6)):
+        why = "GE differs from direction to direction; give GE1 alone, it holds for all"
+        raise UnsupportedCard("PBUSH", path=r.files[r.card.file], line=r.card.line, why=why)
+
+
 def _pbush(cards: Sequence[Card], files: Files) -> Table:
     names = [n for f in FLAGS.values() for n in f]
     cols: dict[str, list[float]] = {n: [] for n in names}
@@ -155,135 +167,18 @@ def _pbush(cards: Sequence[Card], files: Files) -> Table:
         row = dict.fromkeys(names, 0.0)
         for start in range(1, len(c.fields), 8):
             flag = r.text(start).upper()
-            if flag == "RIGID":
+            if "RIGID" in (r.text(i).upper() for i in range(start, start + 7)):
                 raise r.fail("K", "RIGID is not supported; use RBE2")
             if flag and flag not in (*FLAGS, "RCV", "T", "D"):
                 raise r.fail("flag", f"{flag!r}: allowed are K, B, GE, M, RCV")
             for k, name in enumerate(FLAGS.get(flag, [])):
                 row[name] = r.real(start + 1 + k, name, 0.0)
+            if flag == "GE":
+                _one_loss(r, start + 1)
         for name, value in row.items():
             cols[name].append(value)
     data = {"PID": np.array(pid, dtype=np.int64)} | {n: np.array(v, dtype=np.float64) for n, v in cols.items()}
     return Table("PBUSH", data, *places(cards))
-
-
-END_A = ("A", "I1", "I2", "I12", "J", "NSM")
-END_B = ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
-_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB", "CWA", "CWB")
-_TAIL2 = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
-_CENTRE = ("N1", "N2")  # of a section: neutral axis from shear centre, which a PBARL leaves out
-_STATION = ("YES", "YESA", "NO")
-
-
-def _pbeam(cards: Sequence[Card], files: Files) -> Table:
-    rows: list[dict[str, float]] = []
-    head: list[tuple[int, int]] = []
-    for c in cards:
-        r = Reader(c, files)
-        head.append((r.whole(0, "PID"), r.whole(1, "MID")))
-        rows.append(_beam_row(r))
-    names = list(rows[0]) if rows else []
-    data: dict[str, NDArray[Any]] = {
-        "PID": np.array([h[0] for h in head], dtype=np.int64),
-        "MID": np.array([h[1] for h in head], dtype=np.int64),
-    }
-    data |= {n: np.array([row[n] for row in rows], dtype=np.float64) for n in names}
-    return Table("PBEAM", data, *places(cards))
-
-
-def _stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
-    """(x / length, place of its A) of the stations behind end A, and where the fields behind the stations begin."""
-    at = 8 if r.text(8).upper() in _STATION else 16  # the stress points may be left out
-    found = []
-    while (flag := r.text(at).upper()) in _STATION:
-        found.append((r.real(at + 1, "X/XB", 1.0), at + 2))
-        at += 16 if flag == "YES" and r.text(at + 8).upper() not in _STATION else 8  # YESA and NO: no stress points
-    return found, at
-
-
-def beam_stations(card: Card, files: Files) -> tuple[list[tuple[float, int]], int]:
-    """Stations behind end A of a PBEAM: x / length with the place of A, and the field behind the stations."""
-    return _stations(Reader(card, files))
-
-
-def _straight(r: Reader, name: str, x: float, value: float, a: float, b: float) -> None:
-    """Refuse a station at `x` whose value is not on the straight line from end A to end B."""
-    if abs(value - a - x * (b - a)) > 1e-6 * max(abs(a), abs(b)):
-        why = f"{name} at the station {x} is not on the straight line between the ends"
-        raise UnsupportedCard(r.card.name, path=r.files[r.card.file], line=r.card.line, why=why)
-
-
-def _beam_row(r: Reader) -> dict[str, float]:
-    row = {n: r.real(2 + k, n, 0.0) for k, n in enumerate(END_A)}
-    row |= dict(zip(END_B, row.values(), strict=True))
-    stations, at = _stations(r)
-    for x, place in stations:
-        if x == 1.0:
-            row |= {b: r.real(place + k, b, row[a]) for k, (a, b) in enumerate(zip(END_A, END_B, strict=True))}
-    for x, place in stations:
-        for k, (a, b) in enumerate(zip(END_A, END_B, strict=True)):
-            _straight(r, a, x, r.real(place + k, a, row[a] + x * (row[b] - row[a])), row[a], row[b])
-    row |= {n: r.real(at + k, n, 1.0 if n in ("K1", "K2") else 0.0) for k, n in enumerate(_TAIL)}
-    row |= {n: r.real(at + 8 + k, n, 0.0) for k, n in enumerate(_TAIL2)}
-    if not r.text(at + 5):
-        row["NSIB"] = row["NSIA"]
-    for a, b in (("M1A", "M1B"), ("M2A", "M2B"), ("N1A", "N1B"), ("N2A", "N2B")):
-        if not r.text(at + 8 + _TAIL2.index(b)):
-            row[b] = row[a]
-    return row
-
-
-def _section(r: Reader, at: int) -> tuple[dict[str, float], int]:
-    """Properties of the section whose dimensions begin at field `at`, NSM among them, and the field behind."""
-    c, kind = r.card, r.text(3).upper()
-    if kind not in SECTIONS:
-        why = f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
-        raise UnsupportedCard(c.name, path=r.files[c.file], line=c.line, why=why)
-    count, section = SECTIONS[kind]
-    dims = [r.real(at + k, f"DIM{k + 1}") for k in range(count)]
-    try:
-        values = section(*dims)
-    except ValueError as e:
-        raise r.fail("DIM1", str(e)) from None
-    return {**values, "NSM": r.real(at + count, "NSM", 0.0)}, at + count + 1
-
-
-def _bar_row(r: Reader) -> dict[str, float]:
-    return _section(r, 8)[0]
-
-
-def _tapered_row(r: Reader) -> dict[str, float]:
-    row, at = _section(r, 8)
-    row |= {f"{n}A": row.get(n, 0.0) for n in _CENTRE} | {f"{n}B": row.get(n, 0.0) for n in _CENTRE}
-    row |= {b: row.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
-    between: list[tuple[float, dict[str, float]]] = []
-    while r.text(at).upper() in _STATION:
-        x = r.real(at + 1, "X/XB", 1.0)
-        if not r.text(at + 2):  # a blank section is that of end A
-            break
-        section, at = _section(r, at + 2)
-        if x != 1.0:
-            between.append((x, section))
-            continue
-        row |= {b: section.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
-        row |= {f"{n}B": section.get(n, 0.0) for n in _CENTRE}
-    for x, section in between:
-        for a, b in zip(END_A, END_B, strict=True):
-            _straight(r, a, x, section.get(a, 0.0), row.get(a, 0.0), row[b])
-    return row
-
-
-def _from_sections(card: str, read: Callable[[Reader], dict[str, float]], cards: Sequence[Card], files: Files) -> Table:
-    rows = []
-    for c in cards:
-        r = Reader(c, files)
-        rows.append({"PID": r.whole(0, "PID"), "MID": r.whole(1, "MID"), **read(r)})
-    made = {}
-    for spec in columns(card):
-        if not spec.blank:
-            kind = np.int64 if spec.kind == "i" else np.float64
-            made[spec.name] = np.array([row.get(spec.name, spec.default) for row in rows], dtype=kind)
-    return Table(card, made, *places(cards))
 
 
 EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyType(
@@ -292,6 +187,7 @@ EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyTyp
         "MPC": _mpc,
         "RBE1": rbe1,
         "RBE3": _rbe3,
+        **{f"CORD1{k}": _several(f"CORD1{k}", "CID", ("G1", "G2", "G3"), whole=True) for k in "RCS"},
         "PELAS": _several("PELAS", "PID", ("K", "GE", "S")),
         "PMASS": _several("PMASS", "PID", ("M",)),
         "PDAMP": _several("PDAMP", "PID", ("B",)),
@@ -300,8 +196,10 @@ EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyTyp
         "PCOMPG": pcompg,
         "DMIG": dmig,
         "PBUSH": _pbush,
-        "PBEAM": _pbeam,
-        "PBARL": partial(_from_sections, "PBAR", _bar_row),  # the table is of PBAR
-        "PBEAML": partial(_from_sections, "PBEAM", _tapered_row),  # the table is of PBEAM
+        **dict.fromkeys(added_mass.PAIRS, added_mass.pairs),
+        **dict.fromkeys(added_mass.LISTS, added_mass.lists),
+        "PBEAM": pbeam,
+        "PBARL": pbarl,  # the table is of PBAR
+        "PBEAML": pbeaml,  # the table is of PBEAM
     }
 )

@@ -1,0 +1,133 @@
+"""Beam properties: PBEAM with its stations, PBARL and PBEAML from their sections.
+
+A row of the PBEAM table holds both ends; its ragged columns hold the stations between them in the order of the card,
+`X` their place over the length, `AX` .. `NSMX` what stands there, nan for a blank: on the straight line between
+the ends (MSC Nastran Quick Reference Guide, PBEAM, remark 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.errors import UnsupportedCard
+from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
+from ringtrue.io.nastran.sections import SECTIONS
+from ringtrue.model.cards import columns
+from ringtrue.model.model import Ragged, Table
+
+END_A = ("A", "I1", "I2", "I12", "J", "NSM")
+END_B = ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
+BETWEEN = ("AX", "I1X", "I2X", "I12X", "JX", "NSMX")
+_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")  # CWA and CWB count with SA and SB of a CBEAM only
+_TAIL2 = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
+_CENTRE = ("N1", "N2")  # of a section: neutral axis from shear centre, which a PBARL leaves out
+_STATION = ("YES", "YESA", "NO")
+Row = Mapping[str, float | list[float]]
+
+
+def pbeam(cards: Sequence[Card], files: Files) -> Table:
+    """PBEAM: a row a property; a blank end B is that of end A."""
+    return _table("PBEAM", [(c, _beam_row(Reader(c, files))) for c in cards], files)
+
+
+def pbarl(cards: Sequence[Card], files: Files) -> Table:
+    """PBARL as a table of PBAR."""
+    return _table("PBAR", [(c, _section(Reader(c, files), 8)[0]) for c in cards], files)
+
+
+def pbeaml(cards: Sequence[Card], files: Files) -> Table:
+    """PBEAML as a table of PBEAM."""
+    return _table("PBEAM", [(c, _tapered_row(Reader(c, files))) for c in cards], files)
+
+
+def _table(card: str, rows: Sequence[tuple[Card, Row]], files: Files) -> Table:
+    made: dict[str, NDArray[Any] | Ragged] = {}
+    for spec in columns(card):
+        if spec.name in ("PID", "MID"):
+            values: list[Any] = [Reader(c, files).whole(("PID", "MID").index(spec.name), spec.name) for c, _ in rows]
+            made[spec.name] = np.array(values, dtype=np.int64)
+        elif spec.tail:
+            made[spec.name] = ragged([row.get(spec.name, []) for _, row in rows], np.float64)  # type: ignore[misc]
+        elif not spec.blank:
+            made[spec.name] = np.array([row.get(spec.name, spec.default) for _, row in rows], dtype=np.float64)
+    return Table(card, made, *places([c for c, _ in rows]))
+
+
+def beam_stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
+    """Stations behind end A of a PBEAM: x / length with the place of A, and the field behind the stations.
+
+    Raises
+    ------
+    DeckError
+        If a station is not between 0 and 1.
+    """
+    at = 8 if r.text(8).upper() in _STATION else 16  # the stress points may be left out
+    found = []
+    while (flag := r.text(at).upper()) in _STATION:
+        found.append((_place(r, at + 1), at + 2))
+        at += 16 if flag == "YES" and r.text(at + 8).upper() not in _STATION else 8  # YESA and NO: no stress points
+    return found, at
+
+
+def _place(r: Reader, at: int) -> float:
+    x = r.real(at, "X/XB", 1.0)
+    if not 0 < x <= 1:
+        raise r.fail("X/XB", f"a station at {x:g} of the length; allowed are places behind 0 up to 1, end B")
+    return x
+
+
+def _beam_row(r: Reader) -> Row:
+    row = {n: r.real(2 + k, n, 0.0) for k, n in enumerate(END_A)}
+    row |= dict(zip(END_B, row.values(), strict=True))
+    stations, at = beam_stations(r)
+    for x, place in stations:
+        if x == 1.0:
+            row |= {b: r.real(place + k, b, row[a]) for k, (a, b) in enumerate(zip(END_A, END_B, strict=True))}
+    row |= {n: r.real(at + k, n, 1.0 if n in ("K1", "K2") else 0.0) for k, n in enumerate(_TAIL)}
+    row |= {n: r.real(at + 8 + k, n, 0.0) for k, n in enumerate(_TAIL2)}
+    if not r.text(at + 5):
+        row["NSIB"] = row["NSIA"]
+    for a, b in (("M1A", "M1B"), ("M2A", "M2B"), ("N1A", "N1B"), ("N2A", "N2B")):
+        if not r.text(at + 8 + _TAIL2.index(b)):
+            row[b] = row[a]
+    between = [(x, place) for x, place in stations if x < 1.0]
+    inner = {n: [r.real(p + k, n, np.nan) for _, p in between] for k, n in enumerate(BETWEEN)}
+    return row | {"X": [x for x, _ in between]} | inner
+
+
+def _section(r: Reader, at: int) -> tuple[dict[str, float], int]:
+    """Properties of the section whose dimensions begin at field `at`, NSM among them, and the field behind."""
+    c, kind = r.card, r.text(3).upper()
+    if kind not in SECTIONS:
+        why = f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
+        raise UnsupportedCard(c.name, path=r.files[c.file], line=c.line, why=why)
+    count, section = SECTIONS[kind]
+    dims = [r.real(at + k, f"DIM{k + 1}") for k in range(count)]
+    try:
+        values = section(*dims)
+    except ValueError as e:
+        raise r.fail("DIM1", str(e)) from None
+    return {**values, "NSM": r.real(at + count, "NSM", 0.0)}, at + count + 1
+
+
+def _tapered_row(r: Reader) -> Row:
+    row, at = _section(r, 8)
+    row |= {f"{n}A": row.get(n, 0.0) for n in _CENTRE} | {f"{n}B": row.get(n, 0.0) for n in _CENTRE}
+    row |= {b: row.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
+    inner: dict[str, list[float]] = {n: [] for n in ("X", *BETWEEN)}
+    while r.text(at).upper() in _STATION:
+        x = _place(r, at + 1)
+        if not r.text(at + 2):  # a blank section is that of end A
+            break
+        section, at = _section(r, at + 2)
+        if x == 1.0:
+            row |= {b: section.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
+            row |= {f"{n}B": section.get(n, 0.0) for n in _CENTRE}
+            continue
+        for n, value in zip(inner, (x, *(section.get(a, 0.0) for a in END_A)), strict=True):
+            inner[n].append(value)
+    return row | inner
