@@ -9,12 +9,19 @@ import numpy as np
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.pairing import Pairing
+from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.correlate.complete import complete
+from ringtrue.correlate.faults import Suspect
+from ringtrue.correlate.frf import compare_frfs, fdac
 from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.track import track
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.study import results as r
+from ringtrue.update.posterior import Posterior
+from ringtrue.update.predict import Bands, RunUp, Unbalance
 
 RNG = np.random.default_rng(7)
 ELASTIC = np.array(
@@ -218,6 +225,21 @@ def correlation(a: ModeSet, b: ModeSet, first: int = 0, left_out: tuple[int, ...
     return CorrelationTable(pairing, f[one], g[two], 2e-4 * f[one], ~np.isin(one, left_out), mac, f, g)
 
 
+def evidence(a: ModeSet, b: ModeSet, table: CorrelationTable) -> r.Evidence:
+    """All measures over a unit mass, and a channel that looks reversed."""
+    found = complete(a, b, table.pairing, mass=np.eye(len(a.channels)), mass_name="IRS", std_a=2e-4 * a.frequencies)
+    said = "reads with the opposite sign in all modes; turned: mean MAC 91.2 % -> 93.0 %"
+    suspect = Suspect("103+Y", "reversed", said, "", -1.0, 0.912, 0.93)
+    return r.Evidence(replace(found, suspects=(suspect,)), _mac(a, a))
+
+
+def _compared(frfs: FrfSet) -> r.FrfEvidence:
+    one, two = (replace(frfs, data=frfs.data[::step] * 1.05) for step in (-1, 1))
+    rows = [x.data[::20].reshape(80, -1) for x in (frfs, one, two)]
+    maps = [fdac(rows[0], x) for x in rows[1:]]
+    return r.FrfEvidence(compare_frfs(frfs, one), compare_frfs(frfs, two), frfs.freqs[::20], *maps)
+
+
 def _unsure(modes: ModeSet) -> Uncertainty:
     f, m = modes.frequencies, len(modes)
     return Uncertainty.independent(2e-4 * f, 0.04 * modes.damping, np.full((len(modes.channels), m), 0.01))
@@ -331,6 +353,61 @@ def _set(name: str, names: tuple[str, ...], best: float) -> r.SetResult:
     )
 
 
+def damped() -> r.DampingStage:
+    """Two materials, a joint that the test says nothing about, a dashpot; 26 modes, five left out."""
+    natures = ("material", "material", "joint", "dashpot")
+    regions = r.DampedRegions(
+        ("concrete", "steel", "vessel mounts", "air springs, vertical"),
+        ("MAT1 1 GE", "MAT1 11 GE; MAT1 12 GE; MAT1 13 GE; 4 more", "PBUSH 54 GE", "PBUSH 60 B3"),
+        natures,
+        np.array([0.012, 0.003, 0.0, 2.0e4]),
+        np.diag([0.003, 0.001, 0.068, 2.7e3]) ** 2,
+        np.array([0.014, 0.014, 0.041, 5e3]),
+        np.array([0.014, 0.014, 0.068, 2.7e4]),
+    )
+    hertz = np.concatenate([RIGID, ELASTIC])
+    ratio = 0.006 + 0.02 * (hertz < 5) + 0.002 * np.sin(hertz)
+    error = np.where(np.arange(26) < 6, np.nan, 0.3)
+    modes = r.DampedModes(
+        np.arange(26),
+        tuple(f"{'ambient' if i < 6 else 'test'} mode {i + 1}" for i in range(26)),
+        ~np.isin(np.arange(26), (9, 13, 17, 20, 23)),
+        hertz,
+        ratio,
+        0.03 * ratio,
+        np.full(26, 0.0065),
+        ratio * (1 + 0.1 * np.cos(hertz)),
+        0.1 * ratio,
+        error,
+        0.7 * error,
+    )
+    told = ("the test says little about vessel mounts: their values are those expected, or zero",)
+    return r.DampingStage("", regions, modes, 1.2, "0.65 % for all modes, the median of the test", told, (), ())
+
+
+def predicted() -> r.PredictStage:
+    """A rotor and one group of springs, two resonances."""
+    freqs = np.linspace(1, 200, 400)
+    lines = (38.0, 61.0)
+    curve = np.array([freqs**2 / sum(np.abs(f**2 - freqs**2 + 0.02j * f * freqs) for f in lines) for _ in range(3)])
+    curve *= np.array([[1e-4], [1e4], [3e3]])
+    names = ("rotor, node 9001", "bearings, largest in one of 2", "bearings, sum along X")
+    peak = curve.max(axis=1)
+    at = np.full(3, 38.0)
+    run = RunUp(
+        freqs,
+        names,
+        ("m", "N", "N"),
+        curve,
+        Bands(0.7 * curve, curve, 1.6 * curve, 0.9),
+        Bands(0.7 * peak, peak, 1.6 * peak, 0.9),
+        Bands(at - 1, at, at + 1.5, 0.9),
+        (0.6, 41.0),
+    )
+    known = Posterior(ParameterSet((Parameter("k"),)), np.zeros(1), np.eye(1), np.eye(1), np.ones(1))
+    return r.PredictStage(9001, "X", Unbalance(2500.0, 2.5, 50.0), run, known, 0.02, "by region", 0.01, ("k: a flag",))
+
+
 def study() -> dict[str, object]:
     """All stages by name."""
     s, test = scene(), test_model()
@@ -392,6 +469,10 @@ def study() -> dict[str, object]:
         _set("ten", CANDIDATES[:10], 0.9),
     )
     curve = frfs.data[:, [2, 40, 90], [0, 1, 2]]
+    path = track([m.frequencies for m in seen[::-1]], [m.shapes for m in seen[::-1]])
+    told = [evidence(reference, m, t) for m, t in zip(seen, tables, strict=True)]
+    last = replace(told[2], tracks=path, frfs=_compared(frfs))
+    pair = replace(correlation(ambient, hammer, first=6), names=("ambient", "hammer"))
     diff = (
         "--- frame.bdf\n+++ frame.bdf\n@@ -812,3 +812,5 @@\n $ bracing of bay 3\n"
         "-CBAR    4401    31      2101    2109    0.      1.      0.\n"
@@ -422,7 +503,7 @@ def study() -> dict[str, object]:
             "Effective independence over 12 target modes.",
         ),
         "identify": identify,
-        "compare": r.CompareStage(replace(correlation(ambient, hammer, first=6), names=("ambient", "hammer"))),
+        "compare": r.CompareStage(pair, evidence(ambient, hammer, pair)),
         "correlate": r.CorrelateStage(
             reference,
             _unsure(reference),
@@ -436,6 +517,8 @@ def study() -> dict[str, object]:
             diff,
             seen[0],
             seen[1],
+            told[0],
+            told[1],
         ),
         "sensitivity": r.SensitivityStage(
             CANDIDATES,
@@ -470,7 +553,10 @@ def study() -> dict[str, object]:
             curve,
             curve[::-1] * 0.5 + 1e-9,
             curve * 1.05,
+            last,
         ),
+        "damping": damped(),
+        "predict": predicted(),
         "provenance": r.Provenance(
             "0.1.0",
             "3.11.2",

@@ -328,7 +328,7 @@ def test_run_and_report(tmp_path: Path, capsys: Capture) -> None:
     assert {p.name for p in out.iterdir()} == {"study.h5", "summary.json", "report.html", "updated"}
     status, text, _ = call(capsys, "run", study, "--out", out)
     assert status == 0
-    assert text.count("up to date") == 7
+    assert text.count("up to date") == 10
     (out / "report.html").unlink()
     again = parsed(capsys, "report", out / "study.h5")
     assert again["final"] == found["final"]
@@ -416,8 +416,9 @@ def test_five_storeys(capsys: Capture) -> None:
     w, step = np.sort(np.load(DATA / "oma/shear_frame/omega_n.npy").ravel()), 1 / 12
     # the record was made by the average-acceleration method, whose own frequencies are up to 3 % lower
     made = 2 / step * np.arctan(w * step / 2) / (2 * np.pi)
-    # 3e-3: 20 minutes with 60 % noise
-    assert f == pytest.approx(made, rel=3e-3)
+    std = np.array([m["std_frequency_hz"] for m in found["modes"]])
+    assert (std < 0.01 * f).all()  # 20 minutes with 60 % noise
+    assert (np.abs(f - made) < 2.5 * std).all()
 
 
 @pytest.mark.data

@@ -67,6 +67,18 @@ def test_faults_are_found(fault: str, least: float) -> None:
     assert wrong <= 3
 
 
+def test_a_part_that_is_softer_than_the_models_is_no_faulty_channel() -> None:
+    """An end wall that moves as expected in the lowest mode and 6 times as much in the highest."""
+    rng = np.random.default_rng(9)
+    b = plate(rng, 40, 8)
+    read = b + 0.03 * rng.standard_normal(b.shape)
+    i = int(np.argmax((b**2).sum(axis=1)))
+    read[i] *= np.linspace(1.0, 6.0, 8)
+    assert find_faults(read, b) == ()
+    read[i] = 2.5 * b[i]  # one factor for all modes: the cable or the amplifier
+    assert [(f.i, f.fault) for f in find_faults(read, b)] == [(i, "scaled")]
+
+
 def test_suspects_carry_names_and_the_mac_if_mended_and_nothing_is_changed() -> None:
     rng = np.random.default_rng(7)
     b = plate(rng, 24, 8)

@@ -6,7 +6,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import linalg, sparse
+from scipy.sparse import csgraph
 
 from ringtrue.errors import InputError
 from ringtrue.plan import exciters
@@ -20,7 +21,7 @@ from ringtrue.plan.exciters import (
     reciprocity_pairs,
 )
 from ringtrue.plan.suspension import loaded_frequencies, quiet, roving_spread, suspension_points
-from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
+from ringtrue.plan.wireframe import mesh_edges, neighbours, shown, wireframe
 
 
 def sines(n: int, m: int) -> np.ndarray:
@@ -190,6 +191,38 @@ def test_the_wireframe_of_a_plate_is_its_grid() -> None:
     assert 8 <= len(tree) <= 12
     with pytest.raises(InputError, match="3 positions, 2 different"):
         wireframe(xyz, edges, np.array([0, 4, 4]))
+
+
+def test_a_line_that_cuts_through_the_air_is_left_out_unless_nothing_else_holds_the_drawing_together() -> None:
+    """A trough: floor and two walls; a line from wall to wall over the floor is straight in the air only."""
+    y, z = np.r_[np.zeros(4), np.arange(1, 4), np.full(4, 4.0)], np.r_[3.0, 2, 1, 0, 0, 0, 0, 0, 1, 2, 3]
+    x = np.arange(7)
+    xyz = np.array([[a, b, c] for a in x for b, c in zip(y, z, strict=True)])
+    at = np.arange(xyz.shape[0]).reshape(7, 11)
+    pairs = [np.stack([p.ravel(), q.ravel()], 1) for p, q in ((at[:-1], at[1:]), (at[:, :-1], at[:, 1:]))]
+    edges = np.concatenate(pairs)
+    chosen = at[[0, 0, 3, 3, 6, 6], [0, 10, 0, 10, 0, 10]]  # on the tops of both walls
+    lines = {tuple(v) for v in wireframe(xyz, edges, chosen).tolist()}
+    along = {(0, 2), (2, 4), (1, 3), (3, 5)}
+    assert along <= lines
+    assert len(lines - along) == 1  # one way over the floor joins the walls
+    every = {tuple(v) for v in wireframe(xyz, edges, chosen, bend=np.inf).tolist()}
+    assert lines < every
+
+
+def test_neighbours_hold_each_part_together_and_join_no_two_parts() -> None:
+    rng = np.random.default_rng(4)
+    xyz = rng.uniform(size=(60, 3))
+    groups = ["frame"] * 25 + ["vessel"] * 34 + ["alone"]
+    lines = neighbours(xyz, groups)
+    graph = sparse.coo_array((np.ones(len(lines)), tuple(lines.T)), shape=(60, 60))
+    count, part = csgraph.connected_components(graph, directed=False)
+    assert count == 3
+    assert len({(g, int(k)) for g, k in zip(groups, part, strict=True)}) == 3
+    ladder = np.array([[a, b, 0.0] for a in range(4) for b in (0.0, 1.0)])
+    want = {(2 * a, 2 * a + 1) for a in range(4)} | {(k, k + 2) for k in range(6)}
+    assert {tuple(v) for v in neighbours(ladder, ["l"] * 8).tolist()} == want
+    assert neighbours(ladder[:1], ["l"]).shape == (0, 2)
 
 
 def test_drawings_show_slow_modes_and_hide_fast_ones() -> None:

@@ -12,21 +12,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_study import write_study
+from small_study import FULL, write_study
 
 from ringtrue.cli.main import run
 from ringtrue.cli.predict import settings
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.nastran.reader import read_deck
+from ringtrue.report.deliver import deliver
 from ringtrue.study.config import PredictSection
 from ringtrue.study.opened import Opened
-from ringtrue.study.predict import _forces
 from ringtrue.study.run import run_study
+from ringtrue.study.stages.predict import _forces
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.predict import (
     Damping,
     Output,
+    RegionDamping,
     Rows,
     RunUp,
     Unbalance,
@@ -76,6 +78,40 @@ def test_force_grows_with_the_stiffness_of_its_spring() -> None:
     freqs = np.linspace(1, 100, 100)
     found = runs(np.full((20, 1), np.log(1.5)), freqs)
     np.testing.assert_allclose(found.amplitude.median[1], 1.5 * K * exact(1.5, freqs), rtol=1e-9)
+
+
+def by_region(loss: float, std: float) -> RegionDamping:
+    """A loss factor of the springs, a dashpot that is not there."""
+    none = np.zeros((2, 2))
+    matrices = np.array([K * np.eye(2), none])
+    return RegionDamping(np.array([loss, 0.0]), np.diag([std**2, 0.0]), matrices, np.array([False, True]), (none, none))
+
+
+def test_a_loss_factor_of_the_springs_is_twice_the_ratio() -> None:
+    """At every stiffness of the spring: η K of the nominal spring is a ratio of η K/2λM."""
+    lam, y = np.array([K / M, 2 * K / M]), np.eye(2) / np.sqrt(M)
+    np.testing.assert_allclose(by_region(2 * ZETA, 0.0).drawn(None)(lam, y), [ZETA, ZETA / 2])
+    freqs = np.linspace(1, 100, 100)
+    args = (jeffcott(), np.zeros((20, 1)), np.zeros(1), freqs, np.eye(2), UNBALANCE, outputs())
+    found = run_up(*args, by_region(2 * ZETA, 0.0), np.random.default_rng(0))
+    np.testing.assert_allclose(found.nominal[0], exact(1.0, freqs), rtol=1e-9)
+
+
+def test_a_dashpot_gives_c_over_twice_the_frequency() -> None:
+    none, c = np.zeros((1, 1)), 300.0
+    one = RegionDamping(np.array([c]), none, np.ones((1, 1, 1)), np.array([True]), (none, none))
+    w = np.sqrt(K / M)
+    ratio = one.drawn(None)(np.array([w**2]), np.array([[1 / np.sqrt(M)]]))
+    np.testing.assert_allclose(ratio, c / (2 * M * w))
+
+
+def test_drawn_damping_scatters_as_told_and_is_never_negative() -> None:
+    rng, lam, y = np.random.default_rng(3), np.array([K / M]), np.array([[1.0], [0.0]]) / np.sqrt(M)
+    small = np.array([by_region(2 * ZETA, 0.004).drawn(rng)(lam, y)[0] for _ in range(2000)])
+    assert small.mean() == pytest.approx(ZETA, rel=0.01)
+    assert small.std() == pytest.approx(0.002, rel=0.06)
+    wide = np.array([by_region(2 * ZETA, 0.1).drawn(rng)(lam, y)[0] for _ in range(200)])
+    assert wide.min() == 0.0
 
 
 def test_bands_hold_what_a_machine_of_the_same_kind_does() -> None:
@@ -186,9 +222,49 @@ def test_command_on_a_finished_study(tmp_path: Path) -> None:
     assert rotor["peak"][0] < rotor["peak"][1] < rotor["peak"][2]
     assert low < rotor["peak_speed_hz"][1] < 2.0
     sheet = np.genfromtxt(tmp_path / "p.csv", delimiter=",", skip_header=1)
-    assert sheet.shape == (400, 5)
+    assert sheet.shape == (800, 5)
     assert (sheet[:, 2] <= sheet[:, 4]).all()
     assert set(sheet[sheet[:, 0] > high, 1]) == {0.0}
+
+
+PREDICT = """[predict]
+rotor = 305
+mass = 500.0
+axis = "Z"
+fmax = 20.0
+lines = 50
+draws = 20
+"""
+
+
+def test_the_stage_of_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """[predict] makes it a stage: stored, shown by the command, in summary and report."""
+    study = write_study(tmp_path, FULL + PREDICT)
+    ran = run_study(study)
+    found = ran.results["predict"]
+    assert found.residual < 0.02
+    assert found.damping == "loss factors and dashpots by region"
+    assert found.run_up.freqs.size == 50
+    assert run(["predict", str(study), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["outputs"][0]["median"] == found.run_up.amplitude.median[0].tolist()
+    assert "predict" in run_study(study).loaded
+    assert run(["predict", str(study), "--seed", "5", "--json", "-"]) == 0  # an option: computed, not stored
+    other = json.loads(capsys.readouterr().out)["outputs"][0]
+    np.testing.assert_allclose(other["peak"], told["outputs"][0]["peak"], rtol=0.3)
+    assert other["peak"] != told["outputs"][0]["peak"]
+    page = deliver(ran).read_text()
+    assert '<section id="prediction">' in page
+    assert {"name", "unit", "band"} == set(
+        json.loads((tmp_path / "summary.json").read_text())["prediction"]["peaks"][0]
+    )
+
+
+def test_a_rotor_that_is_not_in_the_deck_is_told_before_anything_is_computed(tmp_path: Path) -> None:
+    study = write_study(tmp_path, FULL + PREDICT.replace("305", "999"))
+    with pytest.raises(ConfigError, match="rotor node 999"):
+        run_study(study)
+    assert not (tmp_path / "study.h5").exists()
 
 
 def test_input_is_checked() -> None:

@@ -17,7 +17,8 @@ from ringtrue.study.run import StudyRun, load_study, run_study
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.store import Store
 
-ALL = ("model", "identify", "compare", "correlate", "sensitivity", "update", "final")
+AFTER = {"final", "uncertainty", "damping"}
+ALL = ("model", "identify", "compare", "correlate", "localise", "sensitivity", "update", *sorted(AFTER))
 
 
 def held(store: Store, stage: str) -> list[float]:
@@ -80,16 +81,16 @@ def rerun(run: StudyRun) -> set[str]:
 
 def test_a_second_run_computes_nothing_and_from_reruns_the_rest(finished: Path) -> None:
     assert rerun(run_study(finished)) == set()
-    assert rerun(run_study(finished, first="update")) == {"update", "final"}
+    assert rerun(run_study(finished, first="update")) == {"update"} | AFTER
     assert rerun(run_study(finished, first="compare", until="compare")) & {"identify", "model"} == set()
 
 
 def test_a_setting_reruns_exactly_the_stages_that_depend_on_it(finished: Path) -> None:
     text = finished.read_text()
     finished.write_text(text.replace("left_out = 2", "left_out = 2\nshape_weight = 0.2"))
-    assert rerun(run_study(finished)) == {"sensitivity", "update", "final"}
+    assert rerun(run_study(finished)) == {"localise", "sensitivity", "update"} | AFTER
     finished.write_text(text.replace("left_out = 2", 'left_out = 2\n[study]\ntitle = "Another"'))
-    assert rerun(run_study(finished)) == {"sensitivity", "update", "final"}  # shape_weight is back
+    assert rerun(run_study(finished)) == {"localise", "sensitivity", "update"} | AFTER  # shape_weight is back
     assert load_study(finished.with_name("study.h5")).config.study.title == "Another"
 
 
@@ -97,7 +98,7 @@ def test_a_changed_input_file_reruns_what_reads_it(finished: Path) -> None:
     run_study(finished)
     deck = finished.parent / "deck/frame.bdf"
     deck.write_text(deck.read_text().replace("2500.0", "2501.0"))
-    assert rerun(run_study(finished)) == {"model", "correlate", "sensitivity", "update", "final"}
+    assert rerun(run_study(finished)) == {"model", "correlate", "localise", "sensitivity", "update"} | AFTER
     sheet = finished.parent / "data/sensors.csv"
     sheet.write_text(sheet.read_text() + "\n")
     assert rerun(run_study(finished)) == {*ALL} - {"model"}
@@ -115,9 +116,9 @@ def test_a_stopped_run_can_be_reported_and_resumes(finished: Path, monkeypatch: 
         run_study(finished, out=out)
     monkeypatch.undo()
     partial = load_study(out / "study.h5")
-    assert set(partial.results) == {"model", "identify", "compare", "correlate", "provenance"}
+    assert set(partial.results) == {"model", "identify", "compare", "correlate", "localise", "provenance"}
     assert [p.name for p in out.iterdir()] == ["study.h5"]
-    assert rerun(run_study(finished, out=out)) == {"sensitivity", "update", "final"}
+    assert rerun(run_study(finished, out=out)) == {"sensitivity", "update"} | AFTER
 
 
 def _with_run(stage: Stage, run: Callable[..., None]) -> Stage:

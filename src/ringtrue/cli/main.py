@@ -10,7 +10,7 @@ from typer.exceptions import TyperException
 from typer.main import get_command
 
 from ringtrue import __version__
-from ringtrue.cli import convert, localise, measure, model, plan, predict, study, update
+from ringtrue.cli import convert, identify, localise, measure, model, plan, predict, study, track, update
 from ringtrue.cli.show import err
 from ringtrue.errors import InputError, RingtrueError, UnsupportedError
 
@@ -36,7 +36,7 @@ def _root(
     """Finite element model validation."""
 
 
-for module in (study, model, plan, measure, predict, convert, update, localise):
+for module in (study, model, plan, identify, track, measure, predict, convert, update, localise):
     module.register(app)
 
 

@@ -12,13 +12,14 @@ import typer
 from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
 from ringtrue.errors import ConfigError
 from ringtrue.io.atomic import atomic_write
-from ringtrue.study.config import PredictSection, read_config
-from ringtrue.study.predict import Prediction, predict
+from ringtrue.study.config import PredictSection, StudyConfig, read_config
+from ringtrue.study.results import PredictStage
+from ringtrue.study.run import run_study
+from ringtrue.study.stages import predict as stage
 from ringtrue.study.store import Store
 from ringtrue.study.workbench import Workbench
-from ringtrue.update.predict import PLANE, RunUp, Unbalance
+from ringtrue.update.predict import PLANE, RunUp
 
-LOWEST = 0.005  # of the highest speed: the first line
 AXES = ", ".join(PLANE)
 
 
@@ -35,10 +36,10 @@ def run(
         list[str] | None,
         typer.Option("--springs", metavar="NAME=PID[,PID]", help="PBUSH whose forces are wanted; repeat it."),
     ] = None,
-    lines: Annotated[int, typer.Option(help="Speeds.", min=2)] = 400,
-    draws: Annotated[int, typer.Option(help="Draws of the posterior.", min=20)] = 100,
-    level: Annotated[float, typer.Option(help="Of the bands.", min=0.5, max=0.95)] = 0.9,
-    seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 0,
+    lines: Annotated[int | None, typer.Option(help="Speeds.", min=2)] = None,
+    draws: Annotated[int | None, typer.Option(help="Draws of the posterior.", min=20)] = None,
+    level: Annotated[float | None, typer.Option(help="Of the bands.", min=0.5, max=0.95)] = None,
+    seed: Annotated[int | None, typer.Option(help="Of the draws.", min=0)] = None,
     table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write every line.")] = None,
     json: Annotated[
         str | None,
@@ -47,37 +48,39 @@ def run(
 ) -> int:
     """Unbalance run-up of the rotor on the validated model: response, bearing and support forces, with bands.
 
+    Without options it is the stage `predict` of the study, from its [predict]; what an option states stands in its
+    place, and then the result is shown, not stored.
+
     Example: ringtrue predict study.toml --rotor 9001 --mass 1200 --grade 2.5 --springs bearings=58
     """
     config = read_config(study)
     if table is not None and not table.parent.is_dir():
         raise ConfigError(f"--csv {table}: no folder {table.parent}")
-    stated = {"rotor": rotor, "mass": mass, "axis": axis, "grade": grade, "service": service, "fmax": fmax}
+    stated: dict[str, Any] = {"rotor": rotor, "mass": mass, "axis": axis, "grade": grade, "service": service}
+    stated |= {"fmax": fmax, "lines": lines, "draws": draws, "level": level}
     chosen = settings(config.predict, stated, springs or [])
     where = folder or study.parent
-    desk = Workbench(config, study.parent, where, Store(where / "study.h5"))
-    speeds = np.linspace(LOWEST * chosen.fmax, chosen.fmax, lines)
-    unbalance = Unbalance(chosen.mass, chosen.grade, chosen.service)
+    held = Store(where / "study.h5")
+    if "final" not in held.stages():
+        raise ConfigError("the study has no updated model yet: `ringtrue run` it to its final stage first")
     with progress("predict") as show:
-        found = predict(
-            desk,
-            chosen.rotor,
-            chosen.axis,
-            unbalance,
-            chosen.springs,
-            np.random.default_rng(seed),
-            freqs=speeds,
-            draws=draws,
-            level=level,
-            progress=show,
-        )
+        if chosen == config.predict and seed is None:
+            found = run_study(study, out=folder, until="predict", progress=show).results["predict"]
+        else:
+            found = stage.run(Workbench(_with(config, chosen, seed), study.parent, where, held), show)
     if table is not None:
         _write(found.run_up, table)
     if json:
-        write_json(summary(found, unbalance), json)
+        write_json(summary(found), json)
     if json != "-":
-        _print(found, unbalance)
+        _print(found)
     return 0
+
+
+def _with(config: StudyConfig, section: PredictSection, seed: int | None) -> StudyConfig:
+    """The study with other settings of its prediction."""
+    info = config.study if seed is None else config.study.model_copy(update={"seed": seed})
+    return config.model_copy(update={"predict": section, "study": info})
 
 
 def settings(section: PredictSection | None, stated: dict[str, Any], springs: list[str]) -> PredictSection:
@@ -109,11 +112,11 @@ def _group(text: str) -> tuple[str, list[int]]:
     return name, [int(i) for i in numbers]
 
 
-def summary(found: Prediction, unbalance: Unbalance) -> dict[str, Any]:
+def summary(found: PredictStage) -> dict[str, Any]:
     """What JSON holds."""
     r = found.run_up
     return {
-        "unbalance_kg_m": unbalance.moment,
+        "unbalance_kg_m": found.unbalance.moment,
         "validated_hz": list(r.validated),
         "level": r.amplitude.level,
         "discrepancy_percent": 100 * found.discrepancy,
@@ -134,7 +137,7 @@ def summary(found: Prediction, unbalance: Unbalance) -> dict[str, Any]:
     }
 
 
-def _print(found: Prediction, unbalance: Unbalance) -> None:
+def _print(found: PredictStage) -> None:
     r, level = found.run_up, f"{100 * found.run_up.amplitude.level:.0f} %"
     body = [
         (
@@ -148,7 +151,7 @@ def _print(found: Prediction, unbalance: Unbalance) -> None:
         for i, (name, unit) in enumerate(zip(r.names, r.units, strict=True))
     ]
     heads = ("what", "unit", "peak", f"{level} band", "at Hz", "validated")
-    rows(f"Run-up to {r.freqs[-1]:g} Hz, unbalance {unbalance.moment:.4g} kg m", heads, body)
+    rows(f"Run-up to {r.freqs[-1]:g} Hz, unbalance {found.unbalance.moment:.4g} kg m", heads, body)
     low, high = r.validated
     text = f"validated band: {low:.4g} to {high:.4g} Hz; beyond it no test has checked the model"
     out.print(text, markup=False, highlight=False, soft_wrap=True)

@@ -11,9 +11,10 @@ import typer
 from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
 from ringtrue.errors import ConfigError
 from ringtrue.report.deliver import deliver, report_from_store
+from ringtrue.study.acceptance import Check, limits, missed_words
 from ringtrue.study.results import UpdateStage
 from ringtrue.study.run import StudyRun, load_study, run_study
-from ringtrue.study.summary import Check, finite, summarise
+from ringtrue.study.summary import finite, summarise
 
 Json = Annotated[
     str | None,
@@ -70,6 +71,10 @@ def run(
 ) -> int:
     """Run a study: what is up to date is taken from study.h5, the rest is computed.
 
+    Exit status 1: the updating did not converge, or the final model misses a limit of [correlate] (accept_percent,
+    accept_hz, accept_mac, accept_pairs, accept_mean_percent, accept_mean_mac, accept_orthogonality,
+    accept_off_diagonal) that study.toml sets.
+
     Example: ringtrue run study.toml --until correlate
     """
     try:
@@ -79,7 +84,7 @@ def run(
     except KeyboardInterrupt:
         err.print("stopped: the stages that were finished are stored, the same command resumes", markup=False)
         return 1
-    outcome = _outcome(result)
+    outcome, stated = _outcome(result), limits(result.config, result.results)
     if json:
         write_json(_summary(result.folder), json)
     if json != "-":
@@ -87,9 +92,12 @@ def run(
             told = "up to date" if name in result.loaded else f"{seconds:.1f} s"
             out.print(f"{name}: {told}", markup=False, highlight=False)
         out.print(f"report: {path}", markup=False, soft_wrap=True)
+        _verdict(stated)
+    for line in missed_words(result.config, result.results):
+        err.print(f"not accepted: {line}", markup=False, highlight=False, soft_wrap=True)
     if outcome:
         err.print(f"the updating did not converge: {outcome}", markup=False, highlight=False, soft_wrap=True)
-    return 1 if outcome else 0
+    return 1 if outcome else _status(stated)
 
 
 def _outcome(result: StudyRun) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import sparse
@@ -17,7 +17,7 @@ from ringtrue.correlate.comac import comac, ecomac
 from ringtrue.correlate.contribution import Elimination, eliminate, mac_contribution
 from ringtrue.correlate.faults import Suspect, suspect_channels
 from ringtrue.correlate.gates import TRADE, Gate, Verdict, judge, verdict_json
-from ringtrue.correlate.pairing import paired_shapes
+from ringtrue.correlate.pairing import paired_shapes, turning
 from ringtrue.correlate.significance import Significance, significance
 from ringtrue.errors import InputError
 from ringtrue.shapes.complexity import mcf, mpc, mpd
@@ -38,11 +38,17 @@ class Check:
     name : str
     matrix : (ma, mb) float64, 0..1
     verdict : Verdict
+    kind : {"model", "self", "cross"}
+        B with itself, which says whether the mass is fit to judge by; A with itself; A with B.
+    mass : str
+        What the mass is called.
     """
 
     name: str
     matrix: Float
     verdict: Verdict
+    kind: Literal["model", "self", "cross"]
+    mass: str
 
     def __post_init__(self) -> None:
         freeze_fields(self, matrix=np.float64)
@@ -82,7 +88,7 @@ class CompleteCorrelation:
     mpc, mpd, mcf : (m,) float64
         Of the modes of A; `mpd` in rad.
     checks : tuple of Check
-        Self- and cross-orthogonality, where a mass was at hand.
+        Self- and cross-orthogonality over the mass that was given, and over that of a SEREP model.
     subspaces : tuple of Subspace
         Groups of close modes.
     suspects : tuple of Suspect
@@ -119,6 +125,7 @@ def complete(
     pairing: Pairing,
     *,
     mass: Any_ | sparse.csr_array | None = None,
+    mass_name: str = "given",
     gate: Gate = TRADE,
     std_a: Float | float = float("nan"),
     std_b: Float | float = float("nan"),
@@ -132,8 +139,9 @@ def complete(
         As they were paired; test and model, or any two.
     pairing : Pairing
     mass : (channel, channel) float64, optional
-        Of the structure at the channels of A (`reduce.tam`). Without it, mass-normalised real shapes of B give that of
-        a SEREP model.
+        Of the structure at the channels of A (`reduce.tam`).
+    mass_name : str
+        What it is called in the checks.
     gate : Gate
     std_a, std_b : (ma,), (mb,) float64 or float, Hz
         Standard deviations of the frequencies; NaN where unknown.
@@ -143,7 +151,9 @@ def complete(
     b = b if b.channels == a.channels else b.rows(a.channels)
     left, right = paired_shapes(a, b, pairing, settings)
     notes: list[str] = []
-    checks = _checks(a, b, pairing, mass, gate, notes)
+    turn = turning(a, b, pairing, settings)
+    checks = _over_mass(a, b, pairing, turn, mass, mass_name, gate) if mass is not None else ()
+    checks += _over_serep(a, b, pairing, turn, gate, notes, quiet=bool(checks))
     suspects: tuple[Suspect, ...] = ()
     if len(pairing) < 3:
         notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
@@ -175,31 +185,41 @@ def complete(
     )
 
 
-def _checks(
-    a: ModeSet, b: ModeSet, pairing: Pairing, mass: Any_ | sparse.csr_array | None, gate: Gate, notes: list[str]
+def _over_mass(
+    a: ModeSet, b: ModeSet, pairing: Pairing, turn: Any_, mass: Any_ | sparse.csr_array, name: str, gate: Gate
 ) -> tuple[Check, ...]:
-    rows, cols = pairing.a, pairing.b
-    if mass is not None:
-        own = self_orthogonality(a.shapes, mass)
-        cross = cross_orthogonality(a.shapes, b.shapes, mass)
-        return (
-            Check("self-orthogonality", own, judge(own, gate, a=rows, b=rows)),
-            Check("cross-orthogonality", cross, judge(cross, gate, a=rows, b=cols)),
-        )
+    """The modes of B up to the last that has a partner, those of A, and both, over a mass."""
+    rows, cols, upto = pairing.a, pairing.b, np.arange(int(pairing.b.max(initial=-1)) + 1)
+    model = self_orthogonality(b.shapes[:, upto], mass)
+    own = self_orthogonality(a.shapes, mass)
+    cross = cross_orthogonality(a.shapes, b.shapes @ turn, mass)
+    return (
+        Check(f"modes of the model, {name} mass", model, judge(model, gate, a=upto, b=upto), "model", name),
+        Check(f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name),
+        Check(f"cross-orthogonality, {name} mass", cross, judge(cross, gate, a=rows, b=cols), "cross", name),
+    )
+
+
+def _over_serep(
+    a: ModeSet, b: ModeSet, pairing: Pairing, turn: Any_, gate: Gate, notes: list[str], *, quiet: bool
+) -> tuple[Check, ...]:
+    """A, and A with B, over the mass that mass-normalised real shapes of B give; `quiet`: another mass is there."""
+    rows, cols, name = pairing.a, pairing.b, "SEREP"
     if b.norm is not Norm.MASS:
-        notes.append(
-            "orthogonality not checked: no mass given, and the shapes of the second set are not mass-normalised"
-        )
+        if not quiet:
+            notes.append(
+                "orthogonality not checked: no mass given, and the shapes of the second set are not mass-normalised"
+            )
         return ()
     try:
         coordinates = pseudo_inverse(b.shapes) @ a.shapes
     except InputError as e:
         notes.append(f"orthogonality over the SEREP mass not checked: {e}")
         return ()
-    own, q = auto_mac(coordinates) ** 0.5, np.abs(unit(coordinates)).T
+    own, q = auto_mac(coordinates) ** 0.5, np.abs(unit(turn.conj().T @ coordinates)).T
     return (
-        Check("self-orthogonality, SEREP mass", own, judge(own, gate, a=rows, b=rows)),
-        Check("pseudo-orthogonality (POC), SEREP mass", q, judge(q, gate, a=rows, b=cols)),
+        Check(f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name),
+        Check(f"pseudo-orthogonality (POC), {name} mass", q, judge(q, gate, a=rows, b=cols), "cross", name),
     )
 
 

@@ -35,9 +35,11 @@ class FaultLimits:
     correlation : float
         Least |correlation| over the modes, after mending, of a reversed or swapped channel.
     scaled_correlation : float
-        The same of a mis-scaled one; `correlation` where the factor is beyond 2.
+        The same of a mis-scaled one; `correlation` where the factor is beyond `far`.
     ratio : float
         Smallest factor that counts as mis-scaled; 1/ratio below one.
+    far : float
+        A factor that a part which is softer than the model's does not feign.
     dead : float
         A channel that reads less than this share of what is expected is dead.
     """
@@ -47,6 +49,7 @@ class FaultLimits:
     correlation: float = 0.8
     scaled_correlation: float = 0.95
     ratio: float = 1.25
+    far: float = 5.0
     dead: float = 0.1
 
 
@@ -162,7 +165,7 @@ def _gravest(y: Float, b: Float, at: Int, limits: FaultLimits) -> ChannelFault |
     silent = live & (size_y < limits.dead * size_b)
     able = np.isin(np.arange(b.shape[0]), at) & live
     found = _dead(error, silent & able) + _reversed(y, b, error, (cosine < -limits.correlation) & able & ~silent)
-    far = (factor > 2) | (factor < 0.5)
+    far = (factor > limits.far) | (factor < 1 / limits.far)
     positive = able & ~silent & (cosine > np.where(far, limits.correlation, limits.scaled_correlation))
     found += _mis_scaled(y, b, error, factor, positive, limits)
     poor = np.flatnonzero(able & ~silent & (cosine < 0.95) & (error > usual * limits.gain / 4))

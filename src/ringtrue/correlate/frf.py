@@ -135,6 +135,28 @@ def band_levels(a: Complex, b: Complex, freqs: Float, *, per_octave: int = 3) ->
     return Levels(1000 * 2.0 ** (names / per_octave), np.where(heard, 10 * np.log10(ratio), np.nan))
 
 
+@dataclass(frozen=True, slots=True)
+class InputSummary:
+    """FRFs of one input: median and least FRAC (0..1), level difference (dB), mean shape and amplitude correlation."""
+
+    name: str
+    frac: float
+    worst_output: str
+    least_frac: float
+    deviation: float
+    shape: float
+    amplitude: float
+
+
+@dataclass(frozen=True, slots=True)
+class OutputSummary:
+    """FRFs of one output: FRAC (0..1) and level difference (dB), medians over the inputs."""
+
+    name: str
+    frac: float
+    deviation: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrfComparison:
     """Two sets of FRFs on their common outputs, inputs and lines.
@@ -164,6 +186,39 @@ class FrfComparison:
     def __post_init__(self) -> None:
         f = np.float64
         freeze_fields(self, freqs=f, frac=f, deviation=f, shape=f, amplitude=f)
+
+    @property
+    def mean_shape(self) -> Float:
+        """(freq,) global shape correlation, mean of the inputs."""
+        return np.asarray(self.shape.mean(axis=1))
+
+    @property
+    def mean_amplitude(self) -> Float:
+        """(freq,) global amplitude correlation, mean of the inputs."""
+        return np.asarray(self.amplitude.mean(axis=1))
+
+    def by_input(self) -> tuple[InputSummary, ...]:
+        """What the measures say of each input."""
+        worst = self.frac.argmin(axis=0)
+        return tuple(
+            InputSummary(
+                name,
+                float(np.median(self.frac[:, j])),
+                self.outputs[int(worst[j])],
+                float(self.frac[worst[j], j]),
+                float(np.median(self.deviation[:, j])),
+                float(self.shape[:, j].mean()),
+                float(self.amplitude[:, j].mean()),
+            )
+            for j, name in enumerate(self.inputs)
+        )
+
+    def by_output(self) -> tuple[OutputSummary, ...]:
+        """Medians over the inputs of each output, the least FRAC first."""
+        middle = np.median(self.frac, axis=1)
+        level = np.median(self.deviation, axis=1)
+        order = np.argsort(middle, kind="stable").tolist()
+        return tuple(OutputSummary(self.outputs[i], float(middle[i]), float(level[i])) for i in order)
 
 
 def compare_frfs(a: FrfSet, b: FrfSet) -> FrfComparison:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
@@ -22,6 +23,7 @@ __all__ = [
     "correlation_table",
     "pair_modes",
     "paired_shapes",
+    "turning",
 ]
 
 
@@ -69,7 +71,7 @@ def pair_modes(
     rows, cols = assign(s, settings, sure, np.array([not why for why in hidden], dtype=np.bool_), locks)
     lone_a = np.setdiff1d(np.arange(len(a)), rows)
     lone_b = np.setdiff1d(np.arange(len(b)), cols)
-    why = _Reasons(s, settings, rows, cols, names, first_b, locks)
+    why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure)
     return Pairing(
         a=rows,
         b=cols,
@@ -114,6 +116,37 @@ def paired_shapes(
     return left, right
 
 
+def turning(
+    a: ModeSet,
+    b: ModeSet,
+    pairing: Pairing,
+    settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
+) -> Any_:
+    """The matrix U (mb, mb), UᴴU = 1, that turns close modes of B as the pairing did: compare A with `b.shapes @ U`.
+
+    Mass-normalised shapes stay orthonormal; what a group holds beyond its pairs takes the directions that are left.
+
+    Parameters
+    ----------
+    a, b : ModeSet
+        As they were paired.
+    settings : PairingSettings
+        Those of the pairing.
+    """
+    b = b if b.channels == a.channels else b.rows(a.channels)
+    kind = np.result_type(a.shapes, b.shapes, np.float64)
+    out = np.eye(len(b), dtype=kind)
+    for group in close_groups(b.frequencies, settings.close, settings.largest_group):
+        at = np.flatnonzero(np.isin(pairing.b, group) & pairing.subspace)
+        if not at.size:
+            continue
+        turn = rotation(a.shapes[:, pairing.a[at]], b.shapes[:, list(group)])
+        columns = [*pairing.b[at].tolist(), *(j for j in group if j not in pairing.b[at])]
+        rest = linalg.null_space(turn.conj().T) if turn.shape[1] < len(group) else turn[:, :0]
+        out[np.ix_(list(group), columns)] = np.concatenate([turn, rest], axis=1)
+    return out
+
+
 def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
     cross = (b.shapes[:, cols].conj() * a.shapes[:, rows]).sum(axis=0)
     return np.where(cross.real < 0, -1.0, 1.0)
@@ -144,6 +177,7 @@ class _Reasons:
     names: tuple[str, str]
     first_b: int
     locks: Locks
+    sure: Bool
 
     def of_a(self, i: int) -> str:
         macs, errors, barred = self.score.merged[i], self.score.error[i], [q for p, q in self.locks.forbidden if p == i]
@@ -156,6 +190,10 @@ class _Reasons:
             return f"outside of the {self.names[0]} band {a.frequencies.min():.4g} to {a.frequencies.max():.4g} Hz"
         macs, errors = self.score.merged[:, j], self.score.error[:, j]
         barred = [p for p, q in self.locks.forbidden if q == j]
+        near = np.flatnonzero((np.abs(errors) <= gate) & (macs >= self.settings.mac_gate))
+        best = int(near[np.argmax(macs[near])]) if near.size else -1
+        if best >= 0 and not self.sure[best]:
+            return f"{self.names[0]} {best + 1} (MAC {100 * macs[best]:.0f} %) has too little confidence"
         return self._of(macs, errors, barred, self.names[0], self.rows, self.cols, self.names[1], 0, self.first_b)
 
     def _of(
@@ -184,8 +222,9 @@ class _Reasons:
             return f"{theirs} {best + 1 + their_first} (MAC {100 * macs[best]:.0f} %) is forbidden by the user"
         owner = np.flatnonzero(taken == best)
         if owner.size:
+            number = int(by[owner[0]]) + 1 + my_first
             return (
-                f"{theirs} {best + 1} (MAC {100 * macs[best]:.0f} %) is already taken by {mine} {int(by[owner[0]]) + 1}"
+                f"{theirs} {best + 1 + their_first} (MAC {100 * macs[best]:.0f} %) is already taken by {mine} {number}"
             )
         return f"{theirs} {best + 1 + their_first} (MAC {100 * macs[best]:.0f} %) was set aside for another reason"
 

@@ -13,12 +13,14 @@ from itertools import chain
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify import variance as var
-from ringtrue.identify.ambient_verdict import Found, confidence, machine, reason, select, uncertainty
+from ringtrue.identify.ambient_verdict import Found, confidence, machine, overtones, reason, select, uncertainty
+from ringtrue.identify.choice import chosen, with_picks
 from ringtrue.identify.poles import PoleSet, StableDiagram, unit
 from ringtrue.identify.ssi import (
     BandPoles,
@@ -33,7 +35,8 @@ from ringtrue.identify.ssi import (
 )
 from ringtrue.identify.stabilise import Candidates, candidates, half_agreement, refined, steady
 from ringtrue.identify.whittle import SpectralBins, spectral_bins
-from ringtrue.signal.preprocess import Band, Harmonic, band_signals, harmonics, usable
+from ringtrue.signal.harmonics import steady_amplitudes
+from ringtrue.signal.preprocess import Band, Harmonic, band_signals, harmonics, uncut, usable
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
@@ -206,22 +209,22 @@ def _begin(data: Float, rate: float, band: Band, settings: AmbientSettings, refs
     return _Sums(band, rate, ssi, refs, eyes, scale, r, bins)
 
 
-def _band(sums: _Sums, settings: AmbientSettings, slope: tuple[float, float]) -> Found:
+def _band(sums: _Sums, settings: AmbientSettings, slope: tuple[float, float], choice: Choice | None) -> Found:
     """Modes of one band."""
     band, ssi, r, scale = sums.band, sums.ssi, sums.r, sums.scale[:, None]
     weights = loudness_weights(r, sums.references)
     poles = identify_band(r, weights, ssi, sums.rate, (band.low, band.high))
-    table = candidates(poles)
+    table, picked = with_picks(candidates(poles), poles, choice)
     if table.pole.size:
         table = replace(table, halves=half_agreement(table, _halves(r, weights, ssi, poles.subspace, band)))
     sure = confidence(table)
-    at = np.flatnonzero(sure >= settings.confidence_min)
+    at = np.flatnonzero((sure >= settings.confidence_min) & (picked < 0))
     if at.size and steady(weights):
         table = refined(table, at, sums.eyes, sums.bins, slope)
     scaled = table.shape * scale
     top = np.abs(scaled).max(0, initial=0.0)
     shown = _diagram(poles, table, sums)
-    return Found(table, unit(scaled), table.shape_std * scale / top, sure, shown)
+    return Found(table, unit(scaled), table.shape_std * scale / top, sure, shown, picked)
 
 
 def _slope(history: TimeHistory) -> tuple[float, float]:
@@ -245,7 +248,11 @@ def _notes(history: TimeHistory, left_out: list[str], modes: int, bands: tuple[B
 
 
 def identify_ambient(
-    history: TimeHistory, settings: AmbientSettings | None = None, *, progress: Progress | None = None
+    history: TimeHistory,
+    settings: AmbientSettings | None = None,
+    *,
+    choice: Choice | None = None,
+    progress: Progress | None = None,
 ) -> AmbientResult:
     """Modes of a structure in operation, from its responses alone.
 
@@ -254,20 +261,26 @@ def identify_ambient(
     history : TimeHistory
         Responses; (channel, sample).
     settings : AmbientSettings
+    choice : Choice, optional
+        What a person decided on the modes.
     progress : callable (fraction, text)
 
     Raises
     ------
     DataError
-        If no channel is usable or the record is too short.
+        If no channel is usable, the record is too short or a choice means a pole that is not there.
     ConfigError
         If the band of interest is empty.
     """
-    return identify_stretches((history,), settings, progress=progress)
+    return identify_stretches((history,), settings, choice=choice, progress=progress)
 
 
 def identify_stretches(
-    stretches: Iterable[TimeHistory], settings: AmbientSettings | None = None, *, progress: Progress | None = None
+    stretches: Iterable[TimeHistory],
+    settings: AmbientSettings | None = None,
+    *,
+    choice: Choice | None = None,
+    progress: Progress | None = None,
 ) -> AmbientResult:
     """Modes from a record that comes in stretches: what is kept of each does not grow with the record.
 
@@ -278,6 +291,7 @@ def identify_stretches(
         each, 50 cycles of the lowest mode at least. A shorter last one counts for less. The first one decides which
         channels are usable and where machines run.
     settings : AmbientSettings
+    choice : Choice, optional
     progress : callable (fraction, text)
         The fraction stays 0 while stretches come, as their number is not known.
 
@@ -298,7 +312,8 @@ def identify_stretches(
     refs = _references(good, settings.references)
     bands = _long_enough(bands_for(good.rate, good.duration, settings), good, settings)
     tell(0.0, "filtering into bands")
-    lines = tuple(h for h in harmonics(good, low=bands[-1].low) if h.frequency < bands[0].high)
+    whole = uncut(good, states)  # an amplitude that is cut off looks steady
+    lines = tuple(h for h in harmonics(whole, low=bands[-1].low) if h.frequency < bands[0].high) if whole else ()
     blocks = 0 if second is None else BLOCKS_EACH
     signals = band_signals(good.data, good.rate, bands)
     sums = [_begin(y, rate, b, settings, refs, blocks) for b, (y, rate) in zip(bands, signals, strict=True)]
@@ -310,10 +325,15 @@ def identify_stretches(
     found = []
     for k, x in enumerate(sums):
         tell((k + 1) / (len(bands) + 2), f"identifying {x.band.low:.3g} .. {x.band.high:.3g} Hz")
-        found.append(_band(x, settings, _slope(good)))
-    result = _assemble(good, found, lines, bands, settings)
+        found.append(_band(x, settings, _slope(good), choice))
+    result = _assemble(good, found, lines, bands, settings, choice, whole)
+    if whole is not good:
+        modes, reasons = overtones(result.modes, result.reasons)
+        result = replace(result, modes=modes, reasons=reasons)
     tell(1.0, f"{len(result.modes)} modes")
     notes = tuple(f"channel {s.id}: {s.why}{'' if s.usable else '; left out'}" for s in states)
+    if whole is None:
+        notes += ("every channel is clipped: machines are not told from modes",)
     return replace(result, notes=notes + result.notes)
 
 
@@ -358,17 +378,27 @@ def _assemble(
     lines: tuple[Harmonic, ...],
     bands: tuple[Band, ...],
     settings: AmbientSettings,
+    choice: Choice | None,
+    whole: TimeHistory | None,
 ) -> AmbientResult:
     resolution = 61 * 4 / history.duration  # main lobe of the window of `harmonics` in 120 half-overlapped segments
     at, left_out = [], []
-    for b, i in select(found, settings.confidence_min):
-        f, z = float(found[b].table.frequencies[i]), float(found[b].table.damping[i])
+    rows = select(found, settings.confidence_min)
+    f_all, z_all = (np.array([getattr(found[b].table, x)[i] for b, i in rows]) for x in ("frequencies", "damping"))
+    known = [h.frequency for h in lines]
+    machines = steady_amplitudes(whole, f_all, z_all, known) if whole else ("",) * len(rows)
+    for (b, i), f, z, unsteady in zip(rows, f_all, z_all, machines, strict=True):
         if h := machine(f, z, lines, resolution):
             left_out.append(f"pole at {f:.4g} Hz left out: {h.why}")
         elif z < LEAST_DAMPING:
             left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")
+        elif unsteady:
+            left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}")
         else:
             at.append((b, i))
+    by_hand = chosen(found, at, choice, history.source)
+    found, at = by_hand.found, by_hand.rows
+    left_out += by_hand.notes
     shapes = [found[b].shape[:, i] for b, i in at]
     modes = ModeSet(
         np.array([found[b].table.frequencies[i] for b, i in at]),
@@ -382,7 +412,7 @@ def _assemble(
         modes,
         uncertainty(found, at, len(history.channels)),
         tuple(x.diagram for x in found),
-        tuple(reason(found[b].table, i) for b, i in at),
+        tuple("; ".join(filter(None, (by_hand.said.get((b, i)), reason(found[b].table, i)))) for b, i in at),
         lines,
         tuple(_notes(history, left_out, len(at), bands)),
     )

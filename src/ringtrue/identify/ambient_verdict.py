@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify import variance as var
 from ringtrue.identify.poles import StableDiagram
@@ -14,16 +15,19 @@ from ringtrue.identify.stabilise import Candidates
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.preprocess import Harmonic
 
+OVERTONE = 2e-3  # relative distance
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Candidates of one band with shapes in the channels' units, and their confidence."""
+    """Candidates of one band with shapes in the channels' units, their confidence, and the pick behind each (-1)."""
 
     table: Candidates
     shape: Complex
     shape_std: Float
     confidence: Float
     diagram: StableDiagram
+    picked: Int
 
 
 def confidence(c: Candidates) -> Float:
@@ -36,7 +40,7 @@ def confidence(c: Candidates) -> Float:
 
 def select(found: list[Found], least: float) -> list[tuple[int, int]]:
     """(band, row) of the modes to report: confident ones, each once, ascending in frequency."""
-    rows = [(b, i) for b, x in enumerate(found) for i in np.flatnonzero(x.confidence >= least).tolist()]
+    rows = [(b, i) for b, x in enumerate(found) for i in np.flatnonzero(_automatic(x, least)).tolist()]
     if not rows:
         return []
     f = np.array([found[b].table.frequencies[i] for b, i in rows])
@@ -52,6 +56,10 @@ def select(found: list[Found], least: float) -> list[tuple[int, int]]:
         if not same[k, keep].any():
             keep.append(k)
     return [rows[k] for k in sorted(keep, key=lambda k: float(f[k]))]
+
+
+def _automatic(x: Found, least: float) -> Bool:
+    return np.asarray((x.confidence >= least) & (x.picked < 0))
 
 
 def _alike(like: Float, band: Int, conf: Float) -> Bool:
@@ -77,6 +85,23 @@ def reason(c: Candidates, i: int) -> str:
         f"{100 * sz[i] / c.damping[i]:.2g} % of damping, MPC {c.mpc[i]:.2f}, halves of the record agree to "
         f"{c.halves[i]:.2f}{sharp}{thin}"
     )
+
+
+def overtones(modes: ModeSet, reasons: tuple[str, ...]) -> tuple[ModeSet, tuple[str, ...]]:
+    """Modes and reasons of a clipped record: the half of the confidence where a mode is an overtone of surer ones.
+
+    Clipping makes responses at a + b, 2a, 3a and 2a ± b of the frequencies a, b of strong modes.
+    """
+    f, sure = modes.frequencies, modes.confidence.copy()
+    told = list(reasons)
+    for k in range(len(modes)):
+        base = f[(f < f[k]) & (modes.confidence > modes.confidence[k])]
+        a, b = (x.ravel() for x in np.meshgrid(base, base))
+        made = np.concatenate([a + b, 3 * base, 2 * a + b, 2 * a - b])
+        if made.size and np.abs(made / f[k] - 1).min() < OVERTONE:
+            sure[k] *= 0.5
+            told[k] += "; may be made by clipping, as an overtone of other modes"
+    return replace(modes, confidence=sure), tuple(told)
 
 
 def uncertainty(found: list[Found], at: list[tuple[int, int]], channels: int) -> Uncertainty:

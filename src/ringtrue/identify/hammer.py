@@ -10,13 +10,16 @@ from itertools import pairwise
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, freeze_fields
+from ringtrue.core.choice import Choice
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.outcome import Outcome
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
+from ringtrue.identify.choice_hammer import hand_poles
 from ringtrue.identify.deflate import missed, support
+from ringtrue.identify.frf_input import frf_notes, odd_channel, refuse_bad_frfs
 from ringtrue.identify.judge import Candidates, Verdict, judge
 from ringtrue.identify.lsfd import POWER, Lines, Noise, driving_pairs, lsfd, noise, prepare, synthesise_windowed
 from ringtrue.identify.peaks import cmif, count_peaks
@@ -89,6 +92,8 @@ class HammerResult:
         Singular values of the FRF matrix at those lines, descending.
     synthesis_error : (out, in) float64
         ‖H − H_fit‖/‖H‖ over the lines of the reported band.
+    notes : tuple of str
+        What the reader should know of the FRFs and of a choice by hand.
     """
 
     model: ModalModel
@@ -100,13 +105,18 @@ class HammerResult:
     freqs: Float
     cmif: Float
     synthesis_error: Float
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze_fields(self, freqs=np.float64, cmif=np.float64, synthesis_error=np.float64)
 
 
 def identify_hammer(
-    frfs: FrfSet, settings: HammerModes | None = None, *, progress: Progress | None = None
+    frfs: FrfSet,
+    settings: HammerModes | None = None,
+    *,
+    choice: Choice | None = None,
+    progress: Progress | None = None,
 ) -> HammerResult:
     """Modes from frequency response functions, automatically.
 
@@ -118,15 +128,18 @@ def identify_hammer(
     ----------
     frfs : FrfSet
     settings : HammerModes, optional
+    choice : Choice, optional
+        What a person decided on the modes; the poles picked are refined together with the others.
     progress : callable, optional
         Called with the share done and a word.
 
     Raises
     ------
     DataError
-        If there are fewer than 32 lines in the band.
+        If there are fewer than 32 lines in the band, the FRFs are no FRFs, or no mode is found.
     """
     settings = settings or HammerModes()
+    refuse_bad_frfs(frfs)
     tell = progress or (lambda share, text: None)
     low, high = _limits(frfs, settings)
     used = _lines(frfs, 0.8 * low, 1.25 * high)
@@ -150,10 +163,13 @@ def identify_hammer(
         )
     tell(0.65, f"residues of {candidates.pole.size} candidates")
     lines = prepare(used, sigma)
-    search = _Search(lines, driving_pairs(used), settings, [d.poles for d in diagrams], used.window_decay)
+    search = _Search(lines, driving_pairs(used), settings, [d.poles for d in diagrams], used.window_decay, frfs.source)
     fit, rejected = _fit(search, candidates, tell)
     tell(0.95, "verdict")
-    return _report(used, lines, fit, rejected, (low, high), tuple(diagrams), curve)
+    fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
+    odd = odd_channel(used, fit.refined.poles)
+    notes = (*frf_notes(frfs), *((odd,) if odd else ()), *notes)
+    return replace(_report(used, lines, fit, rejected, (low, high), tuple(diagrams), curve), notes=notes)
 
 
 def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[tuple[float, float], ...]:
@@ -282,6 +298,7 @@ class _Search:
     settings: HammerModes
     sets: Sequence[PoleSet]
     decay: float
+    source: str
 
     def refined(self, c: Candidates) -> _Fit:
         """The candidates refined; the verdict is still open."""
@@ -305,6 +322,8 @@ class _Search:
             if keep.all():
                 break
             rejected += [fit.verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
+            if not keep.any():
+                raise DataError(f"{self.source}: no mode is believed; the last ones: {'; '.join(rejected[-3:])}")
             fit = self.refined(fit.candidates.take(keep))
         return fit, rejected
 
@@ -328,6 +347,21 @@ def _fit(search: _Search, start: Candidates, tell: Progress) -> tuple[_Fit, list
         best = replace(best, refined=refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS))
     best, why = search.settle(best, best.refined.poles.size + 1, strict=True)  # every turn but the last drops a mode
     return best, rejected + why
+
+
+def _by_hand(
+    search: _Search, fit: _Fit, choice: Choice, band: tuple[float, float], source: str
+) -> tuple[_Fit, tuple[str, ...]]:
+    """The fit after a choice: refined anew where it changes the modes, none of which falls out again."""
+    hand = hand_poles(fit.refined.poles, search.sets, choice, band, decay=search.decay, source=source)
+    if hand.changes:
+        both = _joined(fit, hand.added)
+        keep = np.append(hand.keep, np.ones(hand.added.pole.size, dtype=bool))
+        if not keep.any():
+            raise DataError(f"{source}: the choice {choice.source} leaves no mode")
+        fit = search.judged(search.refined(both.take(keep)), strict=True)
+    reasons = tuple("; ".join(filter(None, x)) for x in zip(hand.said, fit.verdict.reason, strict=True))
+    return replace(fit, verdict=replace(fit.verdict, reason=reasons)), hand.notes
 
 
 def _joined(fit: _Fit, more: Candidates) -> Candidates:

@@ -42,7 +42,7 @@ def modes_of(
     shown = np.array([g.size / (poles.orders >= good.order[g].min()).sum() if g.size else 0.0 for g in groups])
     groups = [g for g, s in zip(groups, shown, strict=True) if s >= share and g.size > 2]
     part = shown[[i for i, s in enumerate(shown) if s >= share and (label == i).sum() > 2]]
-    rows = np.array([_centre(good, g) for g in groups]).reshape(len(groups), 5)
+    rows = np.array([centre(good, g) for g in groups]).reshape(len(groups), 5)
     rank = np.argsort(rows[:, 0], kind="stable")
     rows, at = rows[rank], rows[rank, 4].astype(np.int64)
     shape = unit(good.shape[:, at])
@@ -66,7 +66,7 @@ def _physical(poles: PoleSet, damping_max: float) -> Bool:
     return np.asarray(ok & (before & like & (mac(psi, psi) > 0.98)).any(1))
 
 
-def _centre(p: PoleSet, at: Int) -> tuple[float, float, float, float, float]:
+def centre(p: PoleSet, at: Int) -> tuple[float, float, float, float, float]:
     """Frequency, damping, their standard deviations, and the most typical pole of the cluster `at`."""
     f, z, sf, sz = p.frequencies[at], p.damping[at], p.std_frequency[at], p.std_damping[at]
     known = np.isfinite(sf).all() and (sf > 0).all()

@@ -65,6 +65,12 @@ class Candidates:
         df, dz = var.frequency_damping(self.pole, self.deviation)
         return var.std(df), var.std(dz)
 
+    def take(self, at: Int) -> Candidates:
+        """The chosen rows, in the given order; `label` and `stable` stay."""
+        rows = ("pole", "deviation", "share", "orders", "strength", "mpc", "halves", "refined")
+        part = {name: getattr(self, name)[at] for name in rows}
+        return replace(self, **part, shape=self.shape[:, at], shape_std=self.shape_std[:, at])
+
     @property
     def frequencies(self) -> Float:
         """(m,) Hz."""
@@ -118,6 +124,11 @@ def candidates(band: BandPoles, least: int = 4) -> Candidates:
     return _table(band, groups, means, stable)
 
 
+def groups_table(band: BandPoles, groups: list[Int]) -> Candidates:
+    """Candidates of given groups of poles (positions), whatever the checks say of them, in the given order."""
+    return _table(band, groups, [_average(band, g) for g in groups], stable_poles(band))
+
+
 def _table(
     band: BandPoles, groups: list[Int], means: list[tuple[complex, Complex, Complex, int]], stable: Bool
 ) -> Candidates:
@@ -159,7 +170,8 @@ def refined(c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: 
 
     Modes of one band are then independent: the deviations of each take two columns of their own.
     """
-    fit = refine(bins, c.frequencies[at], c.damping[at], c.shape[np.ix_(references, at)], slope)
+    doubt = c.stds()[1][at] / c.damping[at]
+    fit = refine(bins, c.frequencies[at], c.damping[at], c.shape[np.ix_(references, at)], slope, doubt)
     ok = np.flatnonzero(fit.ok)
     rows, f, z = at[ok], fit.frequency[ok], fit.damping[ok]
     root = np.sqrt(1 - z**2)

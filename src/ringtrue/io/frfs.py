@@ -8,12 +8,13 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from tokenize import TokenError
+from typing import get_args
 
 import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float
-from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
@@ -81,6 +82,14 @@ def _check(frfs: FrfSet, path: Path) -> None:
         raise DataError(f"{path}: no references (inputs); an FRF needs a response and a reference")
     if not frfs.outputs or frfs.freqs.size < 3:
         raise DataError(f"{path}: {len(frfs.outputs)} responses and {frfs.freqs.size} lines; there must be some")
+    for name, channels in (("response", frfs.outputs), ("reference", frfs.inputs)):
+        ids = [c.id for c in channels]
+        if twice := sorted({x for x in ids if ids.count(x) > 1}):
+            raise DataError(f"{path}: {name} {' '.join(twice[:8])} occurs twice")
+    if frfs.kind not in (kinds := get_args(FrfKind)):
+        raise DataError(f"{path}: kind {frfs.kind!r}{did_you_mean(frfs.kind, kinds)}")
+    if frfs.freqs[0] < 0:
+        raise DataError(f"{path}: the lines begin at {frfs.freqs[0]:g} Hz; they must be 0 or more")
     step = np.diff(frfs.freqs)
     if np.isfinite(step).all() and step.min() > 0:
         _check_gaps(frfs.freqs, step, path)

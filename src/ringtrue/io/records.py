@@ -34,6 +34,7 @@ _READERS = {
     ".wav": read_wav,
 }
 _HDF5 = (".h5", ".hdf5")
+_SLOWEST, _FASTEST = 1e-5, 1e9  # Hz: a sample a day, and what no recorder of vibration reaches
 _UFF = (".uff", ".unv", ".58")
 _WRITERS = {".csv": write_csv, ".mat": write_mat, ".uff": write_time, ".unv": write_time}
 _DAMAGED = (
@@ -240,6 +241,8 @@ def read_record(
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise DataError(f"{path}: rate {rate} Hz must be positive")
     history = _read(path, rate, channels, start, stop)
+    if not _SLOWEST <= history.rate <= _FASTEST:
+        raise DataError(f"{path}: rate {history.rate:g} Hz cannot be right; allowed are {_SLOWEST:g} to {_FASTEST:g}")
     _check_samples(history, path, check)
     return history
 
@@ -405,6 +408,8 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
         if not (np.isfinite(table.rate) and table.rate > 0):
             raise DataError(f"{path}: rate {table.rate} Hz must be positive")
         _agree(rate, table.rate, path, "its time column or header")
+    if twice := sorted({n for n in table.names if table.names.count(n) > 1}):
+        raise DataError(f"{path}: channel {' '.join(twice[:8])} occurs twice")
     rows = [to_si(u if u else "", q) for u, q in zip(table.units, table.quantities, strict=True)]
     channels = tuple(Channel(name, quantity, unit) for name, (quantity, _, unit) in zip(table.names, rows, strict=True))
     factor: Float = np.array([f for _, f, _ in rows])
@@ -424,4 +429,4 @@ def _check_samples(history: TimeHistory, path: Path, check: bool) -> None:
         raise DataError(f"{path}: NaN or infinite samples in {' '.join(names[:8])}; leave these channels out")
     if (low == high).any():
         names = [c.id for c, b in zip(history.channels, low == high, strict=True) if b]
-        raise DataError(f"{path}: channel {' '.join(names[:8])} is constant; leave it out with channels=")
+        raise DataError(f"{path}: channel {' '.join(names[:8])} is constant: a dead sensor; leave it out")

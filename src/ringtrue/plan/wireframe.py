@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import factorized
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import InputError
 from ringtrue.shapes.mac import paired_mac
+
+CHUNK = 20_000_000  # comparisons at once
 
 
 def mesh_edges(triangles: Int, lines: Int) -> Int:
@@ -20,12 +24,12 @@ def mesh_edges(triangles: Int, lines: Int) -> Int:
     return np.asarray(np.unique(every, axis=0))
 
 
-def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6) -> Int:
+def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6, bend: float = 1.3) -> Int:
     """Lines between measuring points whose neighbourhoods on the mesh touch.
 
     Each node belongs to the point that is nearest along the mesh; two points are neighbours where an edge joins their
     nodes (the dual of a Voronoi diagram, Erwig 2000). A line that is the longest of a triangle is left out where the
-    two others are hardly longer; the least spanning tree always stays.
+    two others are hardly longer, and so is one that cuts through the air; the least spanning tree always stays.
 
     Parameters
     ----------
@@ -35,6 +39,8 @@ def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6) -> In
     chosen : (c,) int64
     detour : float
         Largest ratio of the way round to a line that is left out; 1 keeps nearly all, inf leaves the fewest.
+    bend : float
+        Largest ratio of the way along the mesh to the straight line between two points.
 
     Returns
     -------
@@ -58,26 +64,66 @@ def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6) -> In
     touch = (a != b) & (a >= 0) & (b >= 0)
     pair = np.sort(np.stack([a, b], axis=1)[touch], axis=1)
     way = (far[edges[:, 0]] + length + far[edges[:, 1]])[touch]
-    return _thinned(pair, way, c.size, detour)
+    pair, way = _thinned(pair, way, c.size, detour)
+    straight = np.linalg.norm(xyz[c[pair[:, 0]]] - xyz[c[pair[:, 1]]], axis=1)
+    return np.asarray(pair[(way <= bend * straight) | _in_tree(pair, way, c.size)])
+
+
+def neighbours(xyz: Float, groups: Sequence[str]) -> Int:
+    """Lines between points where no mesh tells: the relative neighbours (Toussaint 1980) within each group.
+
+    Two points are joined unless a third is nearer to both than they are to each other; the least spanning tree of
+    each group is among the lines.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64, m
+    groups : (n,) sequence of str
+
+    Returns
+    -------
+    (l, 2) int64
+        Positions in `xyz`, ascending.
+    """
+    out = [np.zeros((0, 2), dtype=np.int64)]
+    for name in dict.fromkeys(groups):  # a handful
+        at = np.flatnonzero([g == name for g in groups])
+        gap = np.linalg.norm(xyz[at][:, None] - xyz[at][None], axis=-1)
+        i, j = np.triu_indices(at.size, 1)
+        order = np.argsort(gap[i, j], kind="stable")
+        keep = np.zeros(i.size, dtype=np.bool_)
+        for part in np.array_split(order, -(-order.size * at.size // CHUNK) or 1):  # to bound the memory
+            nearer = np.maximum(gap[i[part]], gap[j[part]]) < gap[i[part], j[part]][:, None] * (1 - 1e-9)
+            keep[part] = ~nearer.any(axis=1)
+        out.append(np.stack([at[i[keep]], at[j[keep]]], axis=1))
+    every = np.concatenate(out)
+    return np.asarray(every[np.lexsort((every[:, 1], every[:, 0]))])
 
 
 def _graph(pair: Int, weight: Float, n: int) -> sparse.csr_array:
     return sparse.coo_array((weight, (pair[:, 0], pair[:, 1])), shape=(n, n)).tocsr()
 
 
-def _thinned(pair: Int, way: Float, n: int, detour: float) -> Int:
+def _in_tree(pair: Int, way: Float, n: int) -> Bool:
+    """(l,) True for the lines of a least spanning tree."""
+    tree = csgraph.minimum_spanning_tree(_graph(pair, np.maximum(way, 1e-12), n)).tocoo()
+    return np.isin(pair[:, 0] * n + pair[:, 1], tree.row.astype(np.int64) * n + tree.col)
+
+
+def _thinned(pair: Int, way: Float, n: int, detour: float) -> tuple[Int, Float]:
     """The shortest way of each pair, less those that are the longest of a triangle and cheap to go round."""
     order = np.lexsort((way, pair[:, 1], pair[:, 0]))
     pair, first = np.unique(pair[order], axis=0, return_index=True)
     if not len(pair):
-        return np.zeros((0, 2), dtype=np.int64)
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
     way = way[order][first]
     full = np.full((n, n), np.inf)
     full[pair[:, 0], pair[:, 1]] = full[pair[:, 1], pair[:, 0]] = way
     legs = full[pair[:, 0]], full[pair[:, 1]]
     shorter = np.maximum(*legs) < way[:, None] * (1 - 1e-9)
     round_it = np.where(shorter, legs[0] + legs[1], np.inf).min(axis=1)
-    return np.asarray(pair[~np.isfinite(round_it) | (round_it > detour * way)])
+    keep = ~np.isfinite(round_it) | (round_it > detour * way)
+    return np.asarray(pair[keep]), np.asarray(way[keep])
 
 
 def shown(xyz: Float, edges: Int, chosen: Int, shapes: Float) -> Float:

@@ -1,4 +1,4 @@
-"""MAC matrices and frequency deviations."""
+"""MAC and orthogonality matrices, frequency deviations, channels, and modes followed from model to model."""
 
 from __future__ import annotations
 
@@ -8,9 +8,29 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
+from ringtrue.correlate.complete import Check, CompleteCorrelation
+from ringtrue.correlate.frf import FrfComparison
 from ringtrue.correlate.pairing import CorrelationTable
-from ringtrue.plots.style import FINAL, INITIAL, REMODELLED, SEQUENTIAL, TEST, axis, f32, figure
+from ringtrue.correlate.track import Tracks
+from ringtrue.plots.style import (
+    DIVERGING,
+    FE,
+    FINAL,
+    INITIAL,
+    MUTED,
+    QUALITATIVE,
+    REMODELLED,
+    SEQUENTIAL,
+    TEST,
+    axis,
+    f32,
+    figure,
+)
+from ringtrue.study.results import FrfEvidence
 
+BAD = "#a4351c"
+WORST = 12  # channels shown
+LOST = 0.6  # overlap of shapes below which a mode that is followed may be another one
 STAGE_COLORS = {"initial": INITIAL, "remodelled": REMODELLED, "final": FINAL}
 
 
@@ -22,10 +42,11 @@ def matrix(
     column_title: str,
     height: int = 0,
     diagonal: bool = True,
+    name: str = "MAC",
 ) -> go.Figure:
     """A MAC matrix in percent; `mac` (row, column) 0..1. Cells over 10 % carry their number.
 
-    `diagonal` False leaves out the ones of an auto-MAC.
+    `diagonal` False leaves out the ones of an auto-MAC; `name` is what the matrix holds.
     """
     percent = 100 * np.asarray(mac)
     size = max(percent.shape, default=1)
@@ -40,12 +61,12 @@ def matrix(
     if not diagonal:
         np.fill_diagonal(told, False)
     text = np.where(told, np.char.mod("%.0f", percent), "")
-    bar = {"thickness": 10, "outlinewidth": 0, "title": {"text": "MAC, %", "side": "top", "font": {"size": 11}}}
+    bar = {"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"}
     fig.add_heatmap(
         z=f32(percent), x=list(columns), y=list(rows), zmin=0, zmax=100, colorscale=SEQUENTIAL, colorbar=bar
     )
     fig.data[0].update(xgap=1, ygap=1, text=text, texttemplate="%{text}", textfont={"size": 9 if size > 12 else 10})
-    fig.data[0].hovertemplate = "%{y}<br>%{x}<br>MAC %{z:.1f} %<extra></extra>"
+    fig.data[0].hovertemplate = f"%{{y}}<br>%{{x}}<br>{name} %{{z:.1f}} %<extra></extra>"
     fig.update_layout(plot_bgcolor="#eef1f4", margin={"t": 12, "r": 8, "l": 50, "b": 50})
     return fig
 
@@ -74,27 +95,155 @@ def _columns(table: CorrelationTable) -> tuple[int, int]:
     return (first, last) if last > first else (0, table.mac.shape[1])
 
 
-def _outline(row: int, column: int) -> dict[str, object]:
+def _outline(row: int, column: int, color: str = TEST) -> dict[str, object]:
     edges = {"x0": column - 0.5, "x1": column + 0.5, "y0": row - 0.5, "y1": row + 0.5}
-    return {"type": "rect", **edges, "line": {"width": 1.5, "color": TEST}}
+    return {"type": "rect", **edges, "line": {"width": 1.5, "color": color}}
+
+
+def orthogonality(check: Check, table: CorrelationTable, height: int = 0) -> go.Figure:
+    """A self- or cross-orthogonality matrix; what is beyond the gate is outlined. Columns from the first pair on."""
+    cross, of_model = check.kind == "cross", check.kind == "model"
+    names = [labels(f) for f in (table.all_test_hz, table.all_fe_hz)]
+    titles = [f"{name} mode, Hz" for name in table.names]
+    first = int(table.pairing.b.min()) if cross and len(table) else 0
+    last = int(table.pairing.b.max(initial=-1)) + 1 if cross else check.matrix.shape[1]
+    values, down, right = check.matrix[:, first:last], int(of_model), int(cross or of_model)
+    fig = matrix(
+        values,
+        names[down][: values.shape[0]],
+        names[right][first:last],
+        titles[down],
+        titles[right],
+        height,
+        diagonal=cross,
+        name="orthogonality",
+    )
+    fig.update_layout(shapes=[_outline(f.a, f.b - first, BAD) for f in check.verdict.failures])
+    return fig
+
+
+def channels(c: CompleteCorrelation) -> go.Figure:
+    """The worst channels by CoMAC and by eCoMAC, and the mean MAC as channels are left out one after the other."""
+    spans = ([0, 0.25], [0.38, 0.63], [0.75, 1])
+    fig = figure(360, showlegend=False)
+    sides = (("1 − CoMAC", 1 - c.comac, FE), ("eCoMAC", c.ecomac, QUALITATIVE[4]))
+    for n, span, (name, value, color) in zip(("", "2"), spans, sides, strict=False):
+        fig.layout[f"xaxis{n}"] = axis(f"{name}, %", domain=span, anchor=f"y{n}", rangemode="tozero")
+        fig.layout[f"yaxis{n}"] = axis(anchor=f"x{n}", type="category", autorange="reversed", showgrid=False, ticks="")
+        worst = np.argsort(-value, kind="stable")[:WORST]
+        names = [c.channels[i] for i in worst.tolist()]
+        fig.add_bar(y=names, x=f32(100 * value[worst]), orientation="h", marker_color=color)
+        fig.data[-1].update(xaxis=f"x{n}", yaxis=f"y{n}", hovertemplate=f"%{{y}}: {name} %{{x:.1f}} %<extra></extra>")
+    fig.layout.xaxis3 = axis(
+        "Channel left out, one by one", domain=spans[2], anchor="y3", tickangle=-60, showgrid=False
+    )
+    fig.layout.xaxis3.update(type="category", tickfont={"size": 10})
+    fig.layout.yaxis3 = axis("Mean MAC, %", anchor="x3")
+    x = ["none", *(c.channels[i] for i in c.elimination.order.tolist())]
+    look = {"color": TEST, "width": 1.6}
+    fig.add_scatter(x=x, y=f32(100 * c.elimination.mean_mac), mode="lines+markers", line=look, xaxis="x3", yaxis="y3")
+    fig.data[-1].hovertemplate = "down to %{x}: %{y:.2f} %<extra></extra>"
+    fig.update_layout(margin={"t": 10})
+    return fig
+
+
+def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
+    """Frequencies of the final model's modes back to the initial model, followed by shape, beside the test's.
+
+    A dotted stretch: the shapes have so little in common that the mode may be another one.
+    """
+    steps = ("initial", "remodelled", "final", "test")
+    fig = figure(
+        460,
+        showlegend=False,
+        xaxis=axis(tickvals=[0, 1, 2, 3], ticktext=list(steps), range=[-0.12, 3.12], showgrid=False),
+        yaxis=axis("Frequency, Hz"),
+    )
+    partner = {r.fe - 1: r for r in table.rows()}
+    for k in range(min(partner, default=0), tracks.index.shape[1]):  # from the first mode that has a partner
+        f, overlap = tracks.frequencies[::-1, k], tracks.overlap[:0:-1, k]
+        pair = partner.get(int(tracks.index[0, k]))
+        color = FE if pair is not None else "#b4bec8"
+        for i, sure in enumerate((overlap >= LOST).tolist()):
+            line = {"width": 1.5, "color": color, "dash": "solid" if sure else "dot"}
+            fig.add_scatter(x=[i, i + 1], y=f32(f[i : i + 2]), mode="lines", line=line, hoverinfo="skip")
+        numbers = tracks.index[::-1, k] + 1
+        shared = ["", *(f", MAC with the step before {100 * o:.0f} %" for o in overlap)]
+        text = [f"FE {n}: {x:.3f} Hz{s}" for n, x, s in zip(numbers, f, shared, strict=True)]
+        mark = {"size": 6, "color": color}
+        fig.add_scatter(
+            x=[0, 1, 2], y=f32(f), mode="markers", marker=mark, text=text, hovertemplate="%{text}<extra></extra>"
+        )
+        if pair is not None:
+            look = {"width": 1.5, "color": TEST}
+            ends = f32(np.array([pair.fe_hz, pair.test_hz]))
+            fig.add_scatter(x=[2, 3], y=ends, mode="lines+markers", line=look, marker={"size": [0, 7], "color": TEST})
+            fig.data[-1].hovertemplate = f"test {pair.test}: {pair.test_hz:.3f} Hz<extra></extra>"
+    return fig
+
+
+def frf_agreement(e: FrfEvidence) -> go.Figure:
+    """Global shape and amplitude correlation over frequency, mean of the references, initial and final model."""
+    fig = figure(
+        330,
+        xaxis=axis(domain=[0, 1], anchor="y", matches="x2", showticklabels=False),
+        yaxis=axis("Shape, %", domain=[0.54, 1], range=[0, 102]),
+        xaxis2=axis("Frequency, Hz", anchor="y2"),
+        yaxis2=axis("Amplitude, %", domain=[0, 0.46], anchor="x2", range=[0, 102]),
+    )
+    sides: tuple[tuple[str, FrfComparison, str], ...] = (
+        ("initial model", e.initial, MUTED),
+        ("final model", e.final, FINAL),
+    )
+    for name, c, color in sides:
+        line = {"width": 1.6, "color": color}
+        x = f32(c.freqs)
+        fig.add_scatter(x=x, y=f32(100 * c.mean_shape), name=name, line=line, legendgroup=name)
+        y = f32(100 * c.mean_amplitude)
+        fig.add_scatter(x=x, y=y, xaxis="x2", yaxis="y2", name=name, line=line, legendgroup=name, showlegend=False)
+    return fig
+
+
+def fdac(values: Float, lines: Float, title: str) -> go.Figure:
+    """The FDAC, `values` (test line, model line) -1..1: a ridge beside the diagonal is a shift of frequency."""
+    ends = [float(lines[0]), float(lines[-1])]
+    fig = figure(
+        400,
+        xaxis=axis(f"{title}, Hz", showgrid=False, constrain="domain", range=ends),
+        yaxis=axis("Test, Hz", showgrid=False, scaleanchor="x", constrain="domain", range=ends),
+    )
+    bar = {"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"}
+    fig.add_heatmap(z=f32(100 * values), x=f32(lines), y=f32(lines), zmin=-100, zmax=100, colorscale=DIVERGING)
+    fig.data[0].update(colorbar=bar, hovertemplate="test %{y:.2f} Hz<br>model %{x:.2f} Hz<br>%{z:.0f} %<extra></extra>")
+    fig.add_scatter(
+        x=ends, y=ends, mode="lines", line={"width": 0.8, "color": "#5c6b7a", "dash": "dot"}, hoverinfo="skip"
+    )
+    fig.update_layout(showlegend=False, margin={"t": 12})
+    return fig
 
 
 def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
-    """Frequency deviation of each test mode, one mark a stage; hollow marks were left out of the updating."""
+    """Frequency deviation and MAC of each test mode, one mark a stage; hollow marks were left out of the updating."""
     fig = figure(
-        330,
-        xaxis=axis("Test mode, Hz", type="category", tickangle=-45),
-        yaxis=axis("(f FE − f test)/f test, %", zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1),
+        470,
+        xaxis=axis(type="category", anchor="y", matches="x2", showticklabels=False),
+        yaxis=axis("Δf, % of the test", domain=[0.44, 1], zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1),
+        xaxis2=axis("Test mode, Hz", type="category", anchor="y2", tickangle=-45),
+        yaxis2=axis("MAC, %", domain=[0, 0.38], anchor="x2"),
     )
     order = {r.test: r.test_hz for _, t in stages for r in t.rows()}
     names = {k: f"{k}: {order[k]:.2f}" for k in sorted(order)}
     for size, (name, table) in zip((13, 10, 9), stages, strict=False):
         color = STAGE_COLORS.get(name, FINAL)
-        marks = ["circle" if r.used or name != "final" else "circle-open" for r in table.rows()]
+        rows = table.rows()
+        marks = ["circle" if r.used or name != "final" else "circle-open" for r in rows]
         look = {"size": size, "color": color, "symbol": marks, "line": {"width": 2, "color": color}}
-        x = [names[r.test] for r in table.rows()]
-        y = f32(table.deviation_percent)
-        fig.add_scatter(x=x, y=y, mode="markers", marker=look, name=name)
-        fig.data[-1].hovertemplate = f"{name}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
-    fig.layout.xaxis.update(categoryorder="array", categoryarray=list(names.values()))
+        x, partner = [names[r.test] for r in rows], [f"FE {r.fe}" for r in rows]
+        drawn = {"x": x, "mode": "markers", "marker": look, "name": name, "text": partner, "legendgroup": name}
+        fig.add_scatter(y=f32(table.deviation_percent), **drawn)
+        fig.data[-1].hovertemplate = f"{name}, %{{text}}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
+        fig.add_scatter(y=f32(table.mac_percent), xaxis="x2", yaxis="y2", showlegend=False, **drawn)
+        fig.data[-1].hovertemplate = f"{name}, %{{text}}: MAC %{{y:.1f}} %<extra>%{{x}} Hz</extra>"
+    for a in (fig.layout.xaxis, fig.layout.xaxis2):
+        a.update(categoryorder="array", categoryarray=list(names.values()))
     return fig

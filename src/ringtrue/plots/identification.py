@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import plotly.graph_objects as go
 
@@ -104,4 +106,18 @@ def precision(modes: ModeSet, std: Float, expected: Float) -> go.Figure:
     names = [f"{f:.2f}" for f in modes.frequencies]
     fig.add_bar(x=names, y=f32(100 * std), name="frequency", marker_color=FE)
     fig.add_bar(x=names, y=f32(100 * expected), name="damping", marker_color=MUTED)
+    return fig
+
+
+def verified(rows: Sequence[Mapping[str, float]]) -> go.Figure:
+    """Standard deviations of the ambient modes over frequency: planned as lines, found as marks; `rows` in percent."""
+    x = axis("Frequency, Hz", type="log", dtick="D2")
+    fig = figure(430, xaxis=x, yaxis=axis("Standard deviation, %", type="log", dtick=1))
+    f = f32(np.array([r["frequency_hz"] for r in rows]))
+    for name, color in (("frequency", FE), ("damping", QUALITATIVE[4])):
+        planned, found = (f32(np.array([r[f"{k}_{name}"] for r in rows])) for k in ("planned", "found"))
+        line = {"width": 1.6, "color": color}
+        fig.add_scatter(x=f, y=planned, mode="lines", line=line, name=f"{name}, planned")
+        fig.add_scatter(x=f, y=found, mode="markers", marker={"size": 7, "color": color}, name="found")
+        fig.data[-1].hovertemplate = f"%{{x:.3f}} Hz: {name} %{{y:.2g}} %<extra></extra>"
     return fig

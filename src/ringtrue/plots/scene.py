@@ -92,6 +92,14 @@ def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[s
     return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": legend})
 
 
+def painted(
+    scene: Scene, colors: Sequence[str], alpha: Sequence[float], legend: Sequence[tuple[str, str, str]]
+) -> View:
+    """Every group in a colour of its own; `legend` holds name, colour and note of those that are told."""
+    told = [{"name": n, "color": c, "note": t} for n, c, t in legend]
+    return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": told})
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
     """One selectable shape: a model shape over the skin, a test shape over the wireframe, or both."""

@@ -22,6 +22,7 @@ from ringtrue.plots.style import (
 )
 from ringtrue.study.results import FinalStage, RecordSummary
 
+PHASE = {"(m/s²)/N": 90, "(m/s)/N": 0, "m/N": -90}  # of a driving point at resonance, degrees
 FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
 
 
@@ -101,13 +102,15 @@ def _modulus(h: Complex) -> Float:
 
 def frf_pair(final: FinalStage, k: int, unit: str = "(m/s²)/N") -> go.Figure:
     """One measured FRF with the model's before and after, modulus and phase."""
+    middle = PHASE.get(unit, 0)
+    ticks = [middle - 180, middle, middle + 180]
     fig = figure(
         300,
         title={"text": final.frf_channels[k], "x": 0.99, "xanchor": "right", "y": 0.97, "font": {"size": 13}},
         xaxis=axis(anchor="y", matches="x2", showticklabels=False),
         yaxis=log_axis(f"|H|, {unit}", domain=[0.36, 1], dtick=1),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
-        yaxis2=axis("Phase, °", domain=[0, 0.28], anchor="x2", tickvals=[-180, 0, 180], range=[-190, 190]),
+        yaxis2=axis("Phase, °", domain=[0, 0.28], anchor="x2", tickvals=ticks, range=[ticks[0] - 10, ticks[-1] + 10]),
     )
     x = f32(final.frf_freqs)
     for name, h, color, width in (
@@ -117,7 +120,7 @@ def frf_pair(final: FinalStage, k: int, unit: str = "(m/s²)/N") -> go.Figure:
     ):
         line = {"color": color, "width": width}
         fig.add_scatter(x=x, y=f32(_modulus(h[:, k])), name=name, line=line, legendgroup=name)
-        y = f32(np.degrees(np.angle(h[:, k])))
+        y = f32((np.degrees(np.angle(h[:, k])) - ticks[0]) % 360 + ticks[0])
         mark = {"color": color, "width": 0.9}
         fig.add_scatter(x=x, y=y, line=mark, xaxis="x2", yaxis="y2", showlegend=False, legendgroup=name, name=name)
     return fig

@@ -182,6 +182,34 @@ def expand_hybrid(
     return _result("hybrid", basis.vectors @ q, y, observe, used)
 
 
+def expand_reduced(
+    stiffness: Float, mass: Float, energy: Float, observe: Float, shapes: Any_, frequencies: Float, *, noise: float
+) -> Expanded:
+    """`expand_hybrid` over all motions of a reduced model: coordinates of its basis, (r, m).
+
+    Parameters
+    ----------
+    stiffness, mass : (r, r) float64
+    energy : (r, r) float64
+        Positive definite, K − σM with σ < 0 say: A of the residual's norm.
+    observe : (channel, r) float64
+        Channels may depend on each other.
+    shapes : (channel, m) float64 or complex128
+    frequencies : (m,) float64, Hz
+    noise : float
+        Relative error of the readings.
+    """
+    y = _readings(shapes, sparse.csr_array(observe), frequencies)
+    if not noise > 0:
+        raise ConfigError(f"expansion: noise {noise} must be above 0")
+    factor = linalg.cho_factor(energy)
+    k, m = linalg.cho_solve(factor, stiffness), linalg.cho_solve(factor, mass)
+    basis = _Basis(np.eye(len(mass)), observe, stiffness @ k, stiffness @ m, mass @ m)
+    found = [basis.solve(y[:, i], (2 * np.pi * f) ** 2, noise, None) for i, f in enumerate(frequencies.tolist())]
+    q = np.stack([c for _, c in found], axis=1) if found else np.zeros((len(mass), 0))
+    return _result("hybrid", q, y, sparse.csr_array(observe), np.array([w for w, _ in found]))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Basis:
     """Orthonormal vectors; what the sensors see of them; products of the residual in A⁻¹."""

@@ -144,7 +144,9 @@ def _project(system: AffineSystem, vectors: Float, old: Projection | None = None
     fresh = vectors[:, n:]
 
     def block(a: sparse.csr_array, kept: Float | None) -> Float:
-        right = vectors.T @ (a @ fresh)
+        rows = np.flatnonzero(np.diff(a.indptr))  # a region touches few DOFs
+        some = 2 * rows.size < a.shape[0]
+        right = vectors[rows].T @ (a[rows] @ fresh) if some else vectors.T @ (a @ fresh)
         if kept is None:
             return np.asarray((right + right.T) / 2)
         corner = (right[n:] + right[n:].T) / 2
@@ -314,9 +316,13 @@ class ReducedModel:
         none = (np.zeros((lam.size, 0)), np.zeros((*seen.shape, 0)))
         return Linearisation(np.array(x, dtype=float), frequencies(lam), seen, *none)
 
+    def coordinates(self, x: Float) -> tuple[Float, Float]:
+        """λ (m,) and the modes in the basis (r, m) at x."""
+        return self._solve(self.full_vector(x), all_modes=False)
+
     def vectors(self, x: Float) -> tuple[Float, Float]:
         """λ (m,) and φ (f, m) at x, in the free DOFs."""
-        lam, y = self._solve(self.full_vector(x), all_modes=False)
+        lam, y = self.coordinates(x)
         return lam, self.basis.vectors @ y
 
     def _matrices(self, a: Float) -> tuple[Float, Float]:
@@ -377,6 +383,13 @@ class ReducedModel:
         energy = sparse.csr_array(self.system.stiffness - self.shift * self.system.mass)
         fresh = _orthonormal(energy, self.basis.vectors, np.asarray(vectors, dtype=np.float64))
         return replace(self, basis=_project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis))
+
+    def on(self, vectors: Float) -> ReducedModel:
+        """The same model and parameters on another basis, independent vectors (f, r) of the free DOFs."""
+        energy = sparse.csr_array(self.system.stiffness - self.shift * self.system.mass)
+        root = linalg.cholesky(vectors.T @ (energy @ vectors), lower=True)
+        fresh = np.asarray(linalg.solve_triangular(root, vectors.T, lower=True)).T
+        return replace(self, basis=_project(self.system, fresh), count=min(self.count, vectors.shape[1]))
 
     def enrich(
         self, x: Float, *, sensitivities: bool = False, progress: Progress | None = None

@@ -11,7 +11,8 @@ import plotly.graph_objects as go
 
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.scene import View
-from ringtrue.study.summary import Check
+from ringtrue.study.acceptance import Acceptance as Acceptance
+from ringtrue.study.acceptance import Check
 
 IMAGES = {
     ".png": "image/png",
@@ -20,44 +21,6 @@ IMAGES = {
     ".webp": "image/webp",
     ".gif": "image/gif",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Acceptance:
-    """When a mode is accepted; a limit of None is not asked for.
-
-    Attributes
-    ----------
-    percent : float or None
-        Largest |frequency deviation|, %.
-    hz : float or None
-        Largest |frequency deviation|, Hz; with `percent` given too, one of the two is enough.
-    mac : float or None
-        Smallest MAC, %.
-    """
-
-    percent: float | None = 5.0
-    hz: float | None = None
-    mac: float | None = 80.0
-
-    def holds(self, deviation_percent: float, deviation_hz: float, mac_percent: float) -> bool:
-        """Whether a pair is accepted."""
-        limits = [
-            abs(value) <= limit
-            for value, limit in ((deviation_percent, self.percent), (deviation_hz, self.hz))
-            if limit is not None
-        ]
-        return (any(limits) if limits else True) and (self.mac is None or mac_percent >= self.mac)
-
-    def words(self) -> str:
-        """The rule in words."""
-        limit = " or ".join(
-            f"|Δf| ≤ {plain(value)} {unit}"
-            for value, unit in ((self.percent, "%"), (self.hz, "Hz"))
-            if value is not None
-        )
-        mac = f"MAC ≥ {plain(self.mac)} %" if self.mac is not None else ""
-        return " and ".join(x for x in (limit, mac) if x) or "every pair"
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +194,15 @@ class Tabs:
 
 
 @dataclass(frozen=True, slots=True)
+class Fold:
+    """Details, folded away on screen."""
+
+    title: str
+    blocks: Sequence[Block]
+    kind: str = field(default="fold", init=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Columns:
     """Blocks side by side where the page is wide enough."""
 
@@ -238,7 +210,23 @@ class Columns:
     kind: str = field(default="columns", init=False)
 
 
-Block = Table | Text | Heading | Items | Facts | Checks | Key | Plot | Scene3D | Diff | Code | Picture | Tabs | Columns
+Block = (
+    Table
+    | Text
+    | Heading
+    | Items
+    | Facts
+    | Checks
+    | Key
+    | Plot
+    | Scene3D
+    | Diff
+    | Code
+    | Picture
+    | Tabs
+    | Fold
+    | Columns
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,17 @@ from ringtrue.report.parts import Acceptance
 from ringtrue.study.results import (
     CompareStage,
     CorrelateStage,
+    DampingStage,
     FinalStage,
     IdentifyStage,
+    LocaliseStage,
     ModelStage,
     PlanStage,
+    PredictStage,
     Provenance,
     SensitivityStage,
     TuneStage,
+    UncertaintyStage,
     UpdateStage,
 )
 from ringtrue.study.summary import Check
@@ -30,10 +34,14 @@ KINDS: dict[str, type] = {
     "identify": IdentifyStage,
     "compare": CompareStage,
     "correlate": CorrelateStage,
+    "localise": LocaliseStage,
     "sensitivity": SensitivityStage,
     "update": UpdateStage,
     "tune": TuneStage,
     "final": FinalStage,
+    "uncertainty": UncertaintyStage,
+    "damping": DampingStage,
+    "predict": PredictStage,
     "provenance": Provenance,
 }
 
@@ -51,10 +59,14 @@ class Stages:
     identify: IdentifyStage | None = None
     compare: CompareStage | None = None
     correlate: CorrelateStage | None = None
+    localise: LocaliseStage | None = None
     sensitivity: SensitivityStage | None = None
     update: UpdateStage | None = None
     tune: TuneStage | None = None
     final: FinalStage | None = None
+    uncertainty: UncertaintyStage | None = None
+    damping: DampingStage | None = None
+    predict: PredictStage | None = None
     provenance: Provenance | None = None
 
     @classmethod

@@ -7,15 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.fft import fft, ifft, irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.signals import TimeHistory
-from ringtrue.errors import ConfigError, DataError
+from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.preprocess import detrend
 from ringtrue.signal.windows import step
 
-_BETWEEN = 2.0  # kurtosis: 1.5 of a sine, 3 of random response, the geometric mean is 2.1
+_BETWEEN = 2.1  # kurtosis: the geometric mean of 1.5 of a sine and 3 of random response
+_WIDEST = 0.05  # apparent damping of a machine that still has a speed
+_NEAR = 0.4  # share of the power of a band that lies near its pole
+_EYES, _LONGEST = 3, 1 << 21  # channels and samples that tell whether an amplitude is steady
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,16 +52,69 @@ def line_statistics(history: TimeHistory, frequencies: Sequence[float], width: f
     """
     _check_band(history, frequencies, width)
     n = int(next_fast_len(history.data.shape[1], real=True))
-    f = rfftfreq(n, 1 / history.rate)
     spectrum = rfft(detrend(history.data), n, axis=1)
-    edge = round(history.rate / width)
-    out = []
-    for at in frequencies:  # a few lines
-        gain = step(f, at - 0.75 * width, at - 0.4 * width) * step(f, at + 0.75 * width, at + 0.4 * width)
-        y = irfft(spectrum * gain, n, axis=1)[:, edge : history.data.shape[1] - edge]
-        power, fourth = (y**2).mean(axis=1), (y**4).mean(axis=1)
-        kurtosis = float((fourth / np.maximum(power, 1e-300)).sum() / max(power.sum(), 1e-300))
-        out.append(LineStatistic(float(at), kurtosis, kurtosis < _BETWEEN))
+    kurtosis = [_narrow(spectrum, n, history, at, width)[0] for at in frequencies]
+    return tuple(LineStatistic(float(f), k, k < _BETWEEN) for f, k in zip(frequencies, kurtosis, strict=True))
+
+
+def _narrow(spectrum: Complex, n: int, history: TimeHistory, frequency: float, width: float) -> tuple[float, float]:
+    """Kurtosis 1.5 E|a|⁴/(E|a|²)² of a narrow band by its complex envelope a, and the power E|a|² up to a factor."""
+    step_f = history.rate / n
+    first = max(int((frequency - 0.75 * width) / step_f), 1)
+    last = min(int((frequency + 0.75 * width) / step_f) + 2, spectrum.shape[1])
+    f = step_f * np.arange(first, last)
+    edges = (frequency - 0.75 * width, frequency - 0.4 * width), (frequency + 0.75 * width, frequency + 0.4 * width)
+    gain = step(f, *edges[0]) * step(f, *edges[1])
+    m = int(next_fast_len(2 * f.size))
+    power = np.abs(ifft(spectrum[:, first:last] * gain, m, axis=1) * m) ** 2
+    skirt = int(np.ceil(m * step_f / width))
+    power = power[:, skirt : m * history.data.shape[1] // n - skirt]
+    mean = power.mean(axis=1)
+    each = (power**2).mean(axis=1) / np.maximum(mean, 1e-300)
+    return float(1.5 * each.sum() / max(mean.sum(), 1e-300)), float(mean.sum())
+
+
+def steady_amplitudes(
+    history: TimeHistory, frequencies: ArrayLike, damping: ArrayLike, lines: Sequence[float] = ()
+) -> tuple[str, ...]:
+    """Why a pole is taken for a machine of unsteady speed by its steady amplitude; empty where it is not.
+
+    A line that wanders looks like a mode of small damping, but its amplitude stays. The kurtosis of the band of the
+    pole is that of random response, 3, with a standard deviation of 3/sqrt(2π ζ f T); a pole is told from a mode where
+    it is below 2.1 and more than three of these below 3. The band is widened to four times its width, as a line may
+    wander beyond its pole, while it holds most of its power near the pole and no known line. Poles of few cycles or of
+    much damping are not tried.
+
+    Parameters
+    ----------
+    history : TimeHistory
+        At most `_EYES` channels and `_LONGEST` samples of it are looked at.
+    frequencies : (k,) float, Hz
+    damping : (k,) float
+    lines : sequence of float, Hz
+        Lines known already: they make any band steady.
+    """
+    f, z = np.asarray(frequencies, dtype=np.float64), np.asarray(damping, dtype=np.float64)
+    eyes = np.unique(np.linspace(0, len(history.channels) - 1, _EYES).astype(np.int64))
+    part = replace(history, data=history.data[eyes, :_LONGEST], channels=tuple(history.channels[i] for i in eyes))
+    width = np.maximum(6 * z * f, 20 / part.duration)
+    cycles = 2 * np.pi * z * f * part.duration
+    known = np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf) - 120 / part.duration
+    room = np.minimum(0.9 * np.minimum(f, history.rate / 2 - f), known / 0.75)
+    try_at = (z < _WIDEST) & (cycles > 40) & (width < room)
+    out = [""] * f.size
+    if not try_at.any():
+        return tuple(out)
+    n = int(next_fast_len(part.data.shape[1], real=True))
+    spectrum = rfft(detrend(part.data).astype(np.float32), n, axis=1)
+    for k in np.flatnonzero(try_at).tolist():  # a few poles
+        widths = [float(w) for w in width[k] * np.array([1.0, 2.0, 4.0]) if w < room[k]]
+        bands = [_narrow(spectrum, n, part, float(f[k]), w) for w in widths]
+        kurtosis = min(kurtosis for kurtosis, power in bands if power < bands[0][1] / _NEAR)
+        if kurtosis < _BETWEEN and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
+            out[k] = (
+                f"a machine of unsteady speed: steady amplitude (kurtosis {kurtosis:.2f}, a mode has 3, a sine 1.5)"
+            )
     return tuple(out)
 
 
@@ -205,3 +261,50 @@ def edit_cepstrum(history: TimeHistory, frequency: float, *, width: int = 2) -> 
     left = np.exp(rfft(cepstrum, axis=1).real)
     data = irfft(spectrum / size * left, n, axis=1)[:, :samples]
     return replace(history, data=data + mean)
+
+
+def without_machines(
+    history: TimeHistory, frequencies: Sequence[float], method: str = "lines"
+) -> tuple[TimeHistory, tuple[str, ...]]:
+    """The record without the lines of machines at steady speed, and what was done.
+
+    Parameters
+    ----------
+    history : TimeHistory
+    frequencies : sequence of float, Hz
+        As `ringtrue.signal.preprocess.harmonics` lists them.
+    method : {"lines", "cepstrum"}
+        Each line by itself, tracked within 20 resolutions of the record; or a comb on the cepstrum for each family of
+        harmonics with three members or more, and lines for the rest.
+
+    Raises
+    ------
+    ConfigError
+        If the method is another one.
+    """
+    if method not in ("lines", "cepstrum"):
+        raise ConfigError(f"removal of harmonics {method!r}{did_you_mean(method, ('lines', 'cepstrum'))}")
+    left = sorted(float(f) for f in frequencies)
+    said: list[str] = []
+    for base in families(left, 4 * 61 / history.duration) if method == "cepstrum" else ():
+        exact = refine_frequency(history, base, 80 / history.duration)
+        history = edit_cepstrum(history, exact)
+        left = [f for f in left if abs(f - round(f / base) * base) > 4 * 61 / history.duration]
+        said.append(f"harmonics of {exact:.5g} Hz taken out by cepstrum")
+    if left:
+        history, steady = remove_lines(history, left, 20 / history.duration)
+        said += [f"line at {f:.6g} Hz taken out" for f in steady]
+    return history, tuple(said)
+
+
+def families(frequencies: Sequence[float], tolerance: float) -> tuple[float, ...]:
+    """Base frequencies (Hz) that three or more of the rising `frequencies` are multiples of, within `tolerance` Hz."""
+    left = np.array(sorted(frequencies))
+    out = []
+    for base in left.tolist():  # a few lines
+        multiple = np.round(left / base)
+        own = (multiple >= 1) & (np.abs(left - multiple * base) < tolerance)
+        if own.sum() >= 3:
+            out.append(base)
+            left = left[~own]
+    return tuple(out)

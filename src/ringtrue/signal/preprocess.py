@@ -10,10 +10,15 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import median_filter
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.psd import segments_spectrum
 from ringtrue.signal.windows import step, window
+
+_LARGEST = 1e70  # fourth powers stay finite
+_LOOK, _LEVELS = 1 << 16, 32  # samples looked at for different values, and how few are a coarse recorder
+_ODD = 100.0  # times the typical level of the channels of a quantity
+_CUT = 2e-3  # share of the samples at an extreme that changes the statistics of the amplitude
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,21 +118,88 @@ def _runs(flag: Bool) -> int:
 
 
 def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
-    """The channels that are dead, constant, not finite (left out), clipped or very weak (kept, but said)."""
-    finite: Bool = np.asarray(np.isfinite(history.data).all(1))
-    std = np.array([np.std(x, dtype=np.float64) if ok else np.nan for x, ok in zip(history.data, finite, strict=True)])
-    typical = float(np.median(std[finite & (std > 0)])) if (finite & (std > 0)).any() else np.nan
+    """What is wrong with the channels: dead, a straight line, not finite (left out), clipped, coarse, of an odd level,
+    the same as another one (kept, but said).
+
+    Raises
+    ------
+    DataError
+        If values are so large that their squares overflow.
+    """
+    data, ids = history.data, [c.id for c in history.channels]
+    finite: Bool = np.asarray(np.isfinite(data).all(1))
+    top = np.array([float(np.abs(x).max()) if ok else 0.0 for x, ok in zip(data, finite, strict=True)])
+    if (top > _LARGEST).any():
+        raise DataError(
+            f"{history.source}: channel {ids[int(top.argmax())]} reaches {top.max():.2g}: no unit makes that"
+        )
+    std = np.array([np.std(x, dtype=np.float64) if ok else np.nan for x, ok in zip(data, finite, strict=True)])
+    lively = finite & (std > 0)
+    typical = float(np.median(std[lively])) if lively.any() else 0.0
     out = []
-    for channel, x, ok, s in zip(history.channels, history.data, finite, std, strict=True):
+    for i, (x, ok, s) in enumerate(zip(data, finite, std, strict=True)):
         if not ok:
-            out.append(ChannelState(channel.id, False, f"{int((~np.isfinite(x)).sum())} samples are not finite"))
-        elif s <= 1e-12 * max(float(np.abs(x).max()), typical if np.isfinite(typical) else 0.0):
-            out.append(ChannelState(channel.id, False, f"constant at {float(x[0]):.4g}: a dead sensor"))
-        elif (stuck := max(_runs(x == x.max()), _runs(x == x.min()))) > max(4, x.size // 50000):
-            out.append(ChannelState(channel.id, True, f"clipped: {stuck} samples stand at its largest value"))
-        elif s < 1e-4 * typical:
-            out.append(ChannelState(channel.id, True, f"very weak: {s / typical:.1e} of the typical channel"))
+            out.append(ChannelState(ids[i], False, f"{int((~np.isfinite(x)).sum())} samples are not finite"))
+        elif s <= 1e-12 * max(top[i], typical):
+            out.append(ChannelState(ids[i], False, f"constant at {float(x[0]):.4g}: a dead sensor"))
+        elif _straight(x, s):
+            out.append(ChannelState(ids[i], False, "a straight line: no signal"))
+        else:
+            peers = [std[k] for k, c in enumerate(history.channels) if lively[k] and _alike(c, history.channels[i])]
+            why = (_ends(x), _level(s, peers), _twin(data, i, ids))
+            out += [ChannelState(ids[i], True, w) for w in why if w]
     return tuple(out)
+
+
+def _alike(a: Channel, b: Channel) -> bool:
+    return a.quantity == b.quantity
+
+
+def _straight(x: Any_, std: float) -> bool:
+    """Whether nothing but rounding is left beside a straight line."""
+    t = np.linspace(-1.0, 1.0, x.size)
+    slope = float((x - float(x[0])) @ (t - t.mean())) / float(t @ t)
+    return slope**2 * float(t @ t) / x.size > (1 - 1e-10) * std**2
+
+
+def _stuck(x: Any_) -> int:
+    """Samples that stand at an extreme, in runs of at least three."""
+    return max(_runs(x == x.max()), _runs(x == x.min()))
+
+
+def _ends(x: Any_) -> str:
+    if (levels := np.unique(x[:_LOOK]).size) < _LEVELS < x.size / 8:
+        return f"coarse: {levels} different values only"
+    stuck = _stuck(x)
+    return f"clipped: {stuck} samples stand at its largest value" if stuck > max(4, x.size // 50000) else ""
+
+
+def _level(std: float, peers: Sequence[float]) -> str:
+    """Far louder or quieter than the other channels of its quantity: the unit, the sensitivity or a node."""
+    ratio = std / float(np.median(peers))
+    if len(peers) < 3 or 1 / _ODD < ratio < _ODD:
+        return ""
+    return f"{ratio:.1e} of the typical level of its quantity: unit or sensitivity?"
+
+
+def _twin(data: Any_, i: int, ids: Sequence[str]) -> str:
+    """The first earlier channel with the same samples."""
+    first = data[:i, :_LOOK] == data[i, :_LOOK]
+    same = [k for k in np.flatnonzero(first.all(1)).tolist() if np.array_equal(data[k], data[i])]
+    return f"the same samples as {ids[same[0]]}" if same else ""
+
+
+def uncut(history: TimeHistory, states: Sequence[ChannelState]) -> TimeHistory | None:
+    """The channels whose amplitudes are not cut off by clipping; None if there is none."""
+    doubt = {s.id for s in states if s.why.startswith("clipped")}
+    whole = [
+        c.id
+        for c, x in zip(history.channels, history.data, strict=True)
+        if c.id not in doubt or _stuck(x) < _CUT * x.size
+    ]
+    if len(whole) == len(history.channels):
+        return history
+    return history.pick(whole) if whole else None
 
 
 def usable(history: TimeHistory) -> tuple[TimeHistory, tuple[ChannelState, ...]]:

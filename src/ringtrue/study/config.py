@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.update.damping_regions import DampingRegion
 
 
 def _rising(name: str, low: float | None, high: float | None) -> None:
@@ -64,7 +65,7 @@ class PlanSection(_Section):
     strike: Literal["greedy", "worst"] = "greedy"  # mean of the logarithms, or the mode that is excited worst
     suspension: int = Field(default=0, ge=0)  # points to hang from; 0: not asked for
     sensor_mass: float = Field(default=0.0, ge=0)  # kg a point, for the shift of the frequencies
-    lines: Literal["nearest", "mesh"] = "nearest"  # how the drawing of the points is made
+    lines: Literal["mesh", "nearest"] = "mesh"  # the drawing of the points follows the mesh, or joins neighbours
     trials: int = Field(default=0, ge=0)  # virtual tests of the plan
     background: float = Field(default=0.0, ge=0)  # N/√Hz at each reference in the virtual tests
 
@@ -94,6 +95,7 @@ class IdentifySection(_Section):
     hammer_fmin: float | None = None
     hammer_fmax: float | None = None
     confidence: float = Field(default=0.5, ge=0, le=1)  # modes below are not used, but listed
+    choice: str | None = None  # a choice of modes by hand, .toml or .json; records by their names, or "hammer"
 
     @model_validator(mode="after")
     def _bands(self) -> Self:
@@ -110,8 +112,15 @@ class CorrelateSection(_Section):
     rigid_below: float | None = None  # Hz: rigid-body modes lie below; None: the largest gap decides
     tolerance: float = Field(default=0.3, gt=0)  # m, sensor to node
     accept_percent: float = 5.0
-    accept_hz: float | None = None
-    accept_mac: float = 80.0
+    # judged where results are shown: no stage depends on them
+    accept_hz: float | None = Field(default=None, exclude=True)
+    accept_mac: float = Field(default=80.0, exclude=True)
+    accept_pairs: int | None = Field(default=None, ge=0, exclude=True)
+    accept_mean_percent: float | None = Field(default=None, ge=0, exclude=True)
+    accept_mean_mac: float | None = Field(default=None, ge=0, le=100, exclude=True)
+    accept_orthogonality: float = Field(default=90.0, ge=0, le=100)  # %, least cross-orthogonality of a pair
+    accept_off_diagonal: float = Field(default=10.0, ge=0, le=100)  # %, largest between different modes
+    tam: Literal["irs", "guyan", "hybrid", "serep"] = "irs"  # the mass at the channels that orthogonality is over
 
 
 class RemodelSection(_Section):
@@ -160,14 +169,61 @@ def parse_target(text: str) -> tuple[Target, ...]:
     return tuple(Target(words[0].upper(), int(words[1]), f.upper()) for f in words[2].split(","))
 
 
+class LocaliseSection(_Section):
+    """Where the model is wrong: error indicators, and a proposal of parameters."""
+
+    most: int = Field(default=8, gt=0)  # parameters that are proposed
+    kinds: list[Literal["material", "property", "region", "spring", "mass"]] = ["material", "property", "spring"]
+    pool: int = Field(default=24, ge=0)  # candidates made from the deck that are looked at closely; 0: none is made
+    alike: float = Field(default=0.95, gt=0, le=1)  # |cosine| from which on the data cannot tell two apart
+
+
+class UncertaintySection(_Section):
+    """How well the updated parameters and what the model predicts are known."""
+
+    folds: int = Field(default=5, ge=2)  # of the used modes, each left out once
+    level: float = Field(default=0.9, gt=0, lt=1)  # of intervals and bands
+    samples: int = Field(default=0, ge=0)  # of the posterior by Markov chains; 0: the normal approximation alone
+
+
 class UpdateSection(_Section):
     """Updating."""
 
+    propose: bool = False  # the proposal of the localisation is a parameter set; the only one without [[candidate]]
     choose: int = Field(default=6, gt=0)
     left_out: int = Field(default=5, ge=0)
     step: Literal["gauss-newton", "published"] = "gauss-newton"
     shape_weight: float = Field(default=1.0, ge=0)
     iterations: int = Field(default=30, gt=0)
+
+
+class DampingRegionSection(_Section):
+    """A region with one loss factor, `targets = ["MAT1 7 GE"]`, or one dashpot, `targets = ["PBUSH 3 B1,B2"]`."""
+
+    name: str
+    targets: list[str]
+    lower: float = Field(default=0.0, ge=0)
+    upper: float | None = Field(default=None, gt=0)
+    expected: float | None = Field(default=None, ge=0)
+    std: float | None = Field(default=None, gt=0)
+
+    @model_validator(mode="after")
+    def _readable(self) -> Self:
+        self.region()
+        return self
+
+    def region(self) -> DampingRegion:
+        """As a region of the updating."""
+        targets = tuple(t for text in self.targets for t in parse_target(text))
+        return DampingRegion(self.name, targets, self.lower, self.upper, self.expected, self.std)
+
+
+class DampingSection(_Section):
+    """Damping after stiffness and mass: loss factors and dashpots by region."""
+
+    region: list[DampingRegionSection] = []  # empty: one a material and one a spring group
+    error: float = Field(default=0.1, gt=0)  # of a mode's damping by the model's shapes, relative, 1 sigma
+    write: bool = False  # into GE and B of a copy of the delivered deck, out/damped
 
 
 class PredictSection(_Section):
@@ -180,6 +236,9 @@ class PredictSection(_Section):
     service: float = Field(default=50.0, gt=0)  # Hz
     fmax: float = Field(default=200.0, gt=0)  # Hz
     springs: dict[str, list[int]] = {}  # name -> PBUSH numbers
+    lines: int = Field(default=800, ge=2)  # speeds
+    draws: int = Field(default=60, ge=20)  # of the posterior
+    level: float = Field(default=0.9, ge=0.5, le=0.95)  # of the bands
 
 
 class ReportSection(_Section):
@@ -201,7 +260,10 @@ class StudyConfig(_Section):
     remodel: RemodelSection | None = None
     candidate: list[Candidate] = []
     suspension: list[Candidate] = []
+    localise: LocaliseSection = LocaliseSection()
     update: UpdateSection = UpdateSection()
+    uncertainty: UncertaintySection = UncertaintySection()
+    damping: DampingSection = DampingSection()
     predict: PredictSection | None = None
     report: ReportSection = ReportSection()
 
@@ -214,8 +276,13 @@ class StudyConfig(_Section):
             raise ValueError(f"candidates and suspensions need names of their own; twice: {', '.join(twice)}")
         return self
 
+    @property
+    def propose(self) -> bool:
+        """Whether the proposal of the localisation is updated."""
+        return self.update.propose
+
     def candidates(self) -> ParameterSet:
-        """The candidate parameters."""
+        """The candidate parameters that are given."""
         return ParameterSet(tuple(c.parameter() for c in self.candidate))
 
     def suspensions(self) -> ParameterSet:

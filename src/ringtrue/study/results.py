@@ -6,15 +6,24 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.correlate.complete import CompleteCorrelation
+from ringtrue.correlate.frf import FrfComparison
 from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.track import Tracks
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.plan.rehearsal import Rehearsal
+from ringtrue.update.kfold import Held
+from ringtrue.update.localise import SCARCE
+from ringtrue.update.posterior import Posterior
+from ringtrue.update.predict import RunUp, Unbalance
+from ringtrue.update.proposal import Proposal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +119,7 @@ class RecordSummary:
     psd: Float  # (channel<=4, f) one-sided, unit²/Hz
     notes: tuple[str, ...]  # harmonics found, channels dropped, band of the sensor correction
     unit: str = ""  # of the previewed channels; empty where they differ
+    setup: str = ""  # of a roving test
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,10 +155,32 @@ class IdentifyStage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FrfEvidence:
+    """Measured FRFs against those of the initial and of the final model, in the band of the identified modes."""
+
+    initial: FrfComparison
+    final: FrfComparison
+    lines: Float  # (l,) Hz, of the FDAC
+    fdac_initial: Float  # (test line, model line) -1..1, over all responses and references
+    fdac_final: Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a correlation rests on beside deviation and MAC."""
+
+    measures: CompleteCorrelation
+    auto_mac: Float  # (a, a) of the first set
+    tracks: Tracks | None = None  # FE modes followed by their shapes at the channels: final, remodelled, initial
+    frfs: FrfEvidence | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CompareStage:
     """Ambient against hammer."""
 
     table: CorrelationTable
+    evidence: Evidence | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,6 +199,38 @@ class CorrelateStage:
     diff: str  # unified diff of the deck
     fe_initial: ModeSet  # observed at the channels
     fe_remodelled: ModeSet
+    evidence_initial: Evidence | None = None
+    evidence: Evidence | None = None  # of the remodelled deck
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocaliseStage:
+    """Where the remodelled deck is wrong, and which parameters the data ask for."""
+
+    regions: tuple[str, ...]  # of the elements: groups of the scene, or cards without a property
+    strain: Float  # (g,) share of the strain energy in the test shapes, expanded
+    force: Float  # (g,) share of the force residual
+    constitutive: Float  # (g,) share of the error in constitutive relation
+    energy: Float  # (g,) share of the change of strain energy
+    modes: Int  # (m,) positions in the reference modes
+    relative: Float  # (m,) error in constitutive relation over the strain energy of each mode
+    parameters: ParameterSet  # the candidates (p)
+    what: tuple[str, ...]  # (p) in words
+    elements: tuple[str, ...]  # (p) regions that each candidate changes, in words
+    effect: Float  # (p,) of one prior standard deviation, in standard deviations of the residuals
+    alone: Float  # (p,) posterior over prior standard deviation, all others known
+    together: Float  # (p,) all candidates free
+    explains: Float  # (p,) share of the squared frequency errors that each explains by itself
+    made: int  # candidates that were made from the deck; 0: they are given
+    dropped: tuple[str, ...]  # of these, what changes nothing
+    screened: tuple[str, ...]  # of these, those that were not looked at closely
+    proposal: Proposal
+
+    @property
+    def concentration(self) -> Float:
+        """Error in constitutive relation over strain energy, share by share, (g,); NaN where nothing is strained."""
+        known = self.strain > SCARCE
+        return np.where(known, self.constitutive / np.where(known, self.strain, 1.0), np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,6 +313,109 @@ class FinalStage:
     frf_test: Complex  # (f, k)
     frf_initial: Complex
     frf_final: Complex
+    evidence: Evidence | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DampedRegions:
+    """Loss factors and dashpots, (k,) each."""
+
+    names: tuple[str, ...]
+    targets: tuple[str, ...]  # "MAT1 7 GE"
+    natures: tuple[str, ...]  # "material", "joint" or "dashpot"
+    coefficients: Float  # loss factor, or force over velocity in deck units
+    covariance: Float  # (k, k)
+    expected: Float  # before the data
+    expected_std: Float
+
+    @property
+    def std(self) -> Float:
+        """(k,) float64."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DampedModes:
+    """Damping ratios of the paired modes, (t,) each."""
+
+    fe: Int  # positions in the final modes
+    test: tuple[str, ...]  # "ambient mode 3", "test mode 1"
+    used: Bool  # False: left out, its damping is a prediction
+    hertz: Float  # of the test
+    measured: Float
+    measured_std: Float
+    before: Float
+    after: Float
+    after_std: Float
+    frf_before: Float  # relative error of the FRFs around the mode; NaN where there is none
+    frf_after: Float
+
+    def spread(self, used: bool) -> tuple[float, float]:
+        """Root mean square relative deviation from the test before and after, of the modes used or left out."""
+        at = self.used == used
+        if not at.any():
+            return float("nan"), float("nan")
+        before, after = (float(np.sqrt(np.mean((x / self.measured - 1)[at] ** 2))) for x in (self.before, self.after))
+        return before, after
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DampingStage:
+    """Damping by region and by mode; None where the test tells nothing of it."""
+
+    why: str  # why there is nothing; empty where there is
+    regions: DampedRegions | None
+    modes: DampedModes | None
+    misfit: float  # root mean square deviation of the ratios over the error of test and model
+    before: str  # what damps the model before, in words
+    flags: tuple[str, ...]  # what is not plausible, in words
+    files: tuple[str, ...]  # of the damped deck, if it was written
+    changes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UncertaintyStage:
+    """How well the chosen parameters are known, and what the delivered model predicts with bands."""
+
+    parameters: ParameterSet
+    factor: Float  # (p,) as delivered
+    std: Float  # (p,) of x, posterior
+    interval: Float  # (p, 2) of the factor
+    prior: Float  # (p, 2) the same interval before the test
+    ratio: Float  # (p,) posterior over prior standard deviation
+    moved: Bool  # (p,) the data have told something of it
+    correlation: Float  # (p, p)
+    level: float  # of the intervals and bands
+    discrepancy: Float  # (2,) of the model: relative frequency and 1 − MAC, from modes left out
+    assumed: Float  # (2,) the same as the updating assumed
+    test: Float  # (m,) Hz, the elastic test modes
+    predicted: Float  # (m,) Hz, NaN without a partner
+    band: Float  # (m, 2) Hz, where the measured frequency is expected
+    parts: Float  # (m, 3) relative standard deviations: parameters, test, model
+    used: Bool  # (m,) seen by the updating
+    inside: Bool  # (m,) the band holds the measured frequency
+    held: Held  # the used modes, predicted fold by fold
+    flags: tuple[str, ...]  # what of it is not plausible
+    draws: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (s, p) factors sampled from the posterior
+    sampled: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (p, 2) their intervals
+    acceptance: float = 0.0  # share of accepted moves
+    independent: float = 0.0  # effective number of draws
+    converged: bool = True  # the chains are long enough and agree
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictStage:
+    """Running a rotor on the validated model."""
+
+    rotor: int  # node
+    axis: str
+    unbalance: Unbalance
+    run_up: RunUp
+    posterior: Posterior  # of the elastic and suspension parameters
+    discrepancy: float  # relative, of a frequency, from the modes left out of the updating (all pairs if none was)
+    damping: str  # where it comes from, in words
+    residual: float  # of the reduced model at the worst speed, relative to the load
+    flags: tuple[str, ...]  # parameters that are not plausible
 
 
 @dataclass(frozen=True, slots=True, eq=False)

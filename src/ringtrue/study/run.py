@@ -20,10 +20,11 @@ import numpy as np
 
 from ringtrue import __version__
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
-from ringtrue.model.edit import apply_factors
+from ringtrue.model.edit import apply_factors, resolve_target
 from ringtrue.study.config import StudyConfig, parse_config, read_config
 from ringtrue.study.results import Provenance
 from ringtrue.study.stages import STAGES, Stage
+from ringtrue.study.stages.predict import check as check_rotor
 from ringtrue.study.store import Store
 from ringtrue.study.workbench import Workbench
 
@@ -118,7 +119,13 @@ def _downstream(name: str) -> set[str]:
 
 
 def _check_targets(desk: Workbench, todo: Iterable[Stage]) -> None:
-    """Candidates must be in the deck: found before hours of identification, not after."""
+    """What the study names must be in the deck: found before hours of identification, not after."""
+    names = {s.name for s in todo}
+    if "damping" in names:
+        for target in (t for r in desk.config.damping.region for t in r.region().targets):
+            resolve_target(desk.remodelled.model, target)
+    if "predict" in names and desk.config.predict is not None:
+        check_rotor(desk.remodelled.model, desk.config.predict)
     if not any(s.name in ("sensitivity", "tune") for s in todo):
         return
     for p in (desk.config.candidates(), desk.config.suspensions()):

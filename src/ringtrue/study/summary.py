@@ -3,38 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from ringtrue.correlate.complete import complete_json
 from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.significance import table_significance
 from ringtrue.plan.resolution import ambient_std
+from ringtrue.study.acceptance import Check as Check
+from ringtrue.study.acceptance import improvement, limits, missed_words
 from ringtrue.study.results import (
     CompareStage,
     CorrelateStage,
+    DampingStage,
+    Evidence,
     FinalStage,
     IdentifyStage,
+    LocaliseStage,
     ModelStage,
     PlanStage,
+    PredictStage,
     TuneStage,
+    UncertaintyStage,
     UpdateStage,
 )
 from ringtrue.study.run import StudyRun
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One thing that must hold."""
-
-    name: str
-    wanted: str
-    got: str
-    held: bool
-
-
 def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
-    """The pairs of a table as plain values."""
+    """The pairs of a table as plain values; `deviation_std` is the deviation in standard deviations of the test."""
+    sure = table_significance(table)
     return [
         {
             "test_mode": r.test,
@@ -46,8 +46,10 @@ def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
             "mac_percent": r.mac_percent,
             "used": r.used,
             "subspace": r.subspace,
+            "deviation_std": _number(z),
+            "within_scatter": not beyond if np.isfinite(z) else None,
         }
-        for r in table.rows()
+        for r, z, beyond in zip(table.rows(), sure.z.tolist(), sure.significant.tolist(), strict=True)
     ]
 
 
@@ -123,9 +125,71 @@ def summarise(run: StudyRun) -> dict[str, Any]:
         out |= {"initial": pairs(correlate.initial), "remodelled": pairs(correlate.remodelled)}
         out["rigid_body"] = {"before": pairs(correlate.rigid_initial), "after": []}
         out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
-    out |= _updated(r)
+    out |= _localised(r) | _updated(r) | _known(r) | _used(r)
+    out["evidence"] = _all_evidence(r)
+    out["acceptance"] = {
+        "limits": [{"what": c.name, "wanted": c.wanted, "got": c.got, "held": c.held} for c in limits(run.config, r)],
+        "missed": list(missed_words(run.config, r)),
+    }
     out["timings_s"] = dict(run.timings)
     return out
+
+
+BRIEF = ("auto_mac_worst", "worst_comac", "subspaces", "suspects", "notes")  # the rest is in study.h5
+
+
+def _all_evidence(r: Mapping[str, Any]) -> dict[str, Any]:
+    """What each correlation rests on, without the values of single channels and whole matrices."""
+    compare, correlate, final = r.get("compare"), r.get("correlate"), r.get("final")
+    found: dict[str, tuple[Evidence | None, CorrelationTable]] = {}
+    if compare is not None:
+        found["ambient_vs_hammer"] = compare.evidence, compare.table
+    if correlate is not None:
+        found["initial"] = correlate.evidence_initial, correlate.initial
+        found["remodelled"] = correlate.evidence, correlate.remodelled
+    if final is not None:
+        found["final"] = final.evidence, final.table
+    return {name: _evidence(e, table) for name, (e, table) in found.items() if e is not None}
+
+
+def _evidence(e: Evidence, table: CorrelationTable) -> dict[str, Any]:
+    full = complete_json(e.measures, table.pairing)
+    out = {k: full[k] for k in BRIEF}
+    out["orthogonality"] = [{"name": k["name"], "verdict": k["verdict"]} for k in full["orthogonality"]]
+    if e.frfs is not None:
+        sides = (("initial", e.frfs.initial), ("final", e.frfs.final))
+        out["frfs"] = {name: [asdict(x) for x in side.by_input()] for name, side in sides}
+    return out
+
+
+def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
+    """Where errors gather, and what is proposed."""
+    found: LocaliseStage | None = r.get("localise")
+    if found is None:
+        return {}
+    gathered = zip(found.regions, found.concentration.tolist(), strict=True)
+    proposed = [
+        {"name": m.name, "factor": m.factor, "std": m.std, "worth": m.worth, "not_told_from": [*m.alike, *m.rivals]}
+        for m in found.proposal.members
+    ]
+    return {"error_concentration": {n: _number(x) for n, x in gathered}, "proposed": proposed}
+
+
+def _known(r: Mapping[str, Any]) -> dict[str, Any]:
+    """Intervals of the parameters, and how many measured frequencies the bands hold."""
+    found: UncertaintyStage | None = r.get("uncertainty")
+    if found is None:
+        return {}
+    out, held = np.isfinite(found.predicted) & ~found.used, np.isfinite(found.held.predicted)
+    return {
+        "uncertainty": {
+            "level": found.level,
+            "discrepancy_percent": (100 * found.discrepancy).tolist(),
+            "intervals": dict(zip(found.parameters.names, found.interval.tolist(), strict=True)),
+            "left_out_inside": [int((found.inside & out).sum()), int(out.sum())],
+            "folds_inside": [int((found.held.inside(found.level) & held).sum()), int(held.sum())],
+        }
+    }
 
 
 def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
@@ -171,6 +235,33 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
+def _used(r: Mapping[str, Any]) -> dict[str, Any]:
+    """Damping by region and the run-up of the rotor."""
+    out: dict[str, Any] = {}
+    damping: DampingStage | None = r.get("damping")
+    if damping is not None and damping.regions is not None and damping.modes is not None:
+        d = damping.regions
+        values = zip(d.names, d.natures, d.targets, d.coefficients.tolist(), d.std.tolist(), strict=True)
+        out["damping"] = {
+            "regions": [dict(zip(("name", "nature", "targets", "value", "std"), v, strict=True)) for v in values],
+            "deviation_percent": [100 * x for x in damping.modes.spread(True)],
+            "deviation_left_out_percent": [_number(100 * x) for x in damping.modes.spread(False)],
+            "flags": list(damping.flags),
+        }
+    predicted: PredictStage | None = r.get("predict")
+    if predicted is not None:
+        u = predicted.run_up
+        out["prediction"] = {
+            "validated_hz": list(u.validated),
+            "level": u.peak.level,
+            "peaks": [
+                {"name": name, "unit": unit, "band": [float(b[i]) for b in (u.peak.low, u.peak.median, u.peak.high)]}
+                for i, (name, unit) in enumerate(zip(u.names, u.units, strict=True))
+            ],
+        }
+    return out
+
+
 def checks(r: Mapping[str, Any]) -> tuple[Check, ...]:
     """What must hold of a study with a test and an updated model."""
     out: list[Check] = []
@@ -189,7 +280,7 @@ def checks(r: Mapping[str, Any]) -> tuple[Check, ...]:
     final: FinalStage | None = r.get("final")
     if final is None:
         return tuple(out)
-    t, first = final.table, r["correlate"].initial
+    t = final.table
     n, spared = len(t), int((~t.used).sum())
     out += [
         Check("final: pairs", "≥ 18", str(n), n >= 18),
@@ -198,7 +289,7 @@ def checks(r: Mapping[str, Any]) -> tuple[Check, ...]:
         _limit("final: largest |Δf|", t.max_deviation(), 6.0, "%"),
         _floor("final: mean MAC", t.mean_mac(), 93.0, "%"),
         _unpaired_below(final),
-        *_improved(t, first),
+        *improvement(r),
     ]
     rigid = final.rigid
     out.append(Check("rigid-body modes paired one to one", "6", str(len(rigid)), len(rigid) == 6))
@@ -225,12 +316,3 @@ def _unpaired_below(final: FinalStage) -> Check:
     return Check(
         "final: confident test modes below the last pair without a partner", "≤ 4", str(len(sure)), len(sure) <= 4
     )
-
-
-def _improved(now: CorrelationTable, before: CorrelationTable) -> list[Check]:
-    out = []
-    for name, which in (("used", True), ("left-out", False)):
-        a = before.mean_deviation(before.used == which)
-        b = now.mean_deviation(now.used == which)
-        out.append(Check(f"{name} modes: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a)))
-    return out

@@ -33,6 +33,8 @@ class Workbench:
     out: Path
     store: Store
     results: dict[str, Any] = field(default_factory=dict)
+    delivered: Opened | None = None  # the deck that the final stage has written, while it is open
+    generated: ParameterSet | None = None  # candidates that the localisation has made from the deck
     _model: ReducedModel | None = None
 
     def get(self, stage: str) -> Any:
@@ -63,19 +65,30 @@ class Workbench:
         """Metres a model unit."""
         return LENGTH[self.deck.units]
 
+    @property
+    def parameters(self) -> ParameterSet:
+        """The candidates: those of the study, else those that the localisation has made for the updating."""
+        given = self.config.candidates()
+        if len(given) or not self.config.propose:
+            return given
+        if self.generated is None:
+            self.generated = self.get("localise").parameters
+        return self.generated
+
+    def _built(self, parameters: ParameterSet, progress: Progress) -> ReducedModel:
+        test, tolerance = self.get("identify").test, self.config.correlate.tolerance
+        return build(self.remodelled, parameters, test, tolerance, self.deck.fmax, progress)
+
     def _reduced(self, progress: Progress) -> ReducedModel:
         """All candidates and suspensions on the remodelled deck, seen at every channel of the sheet."""
         if self._model is None:
-            from_candidates = self.config.candidates().parameters + self.config.suspensions().parameters
-            self._model = build(
-                self.remodelled,
-                ParameterSet(from_candidates),
-                self.get("identify").test,
-                self.config.correlate.tolerance,
-                self.deck.fmax,
-                progress,
-            )
+            every = ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
+            self._model = self._built(every, progress)
         return self._model
+
+    def apart(self, parameters: ParameterSet, progress: Progress) -> AtChannels:
+        """A reduced model over other parameters at the channels of the elastic reference modes; it is not kept."""
+        return AtChannels(self._built(parameters, progress), self._rows(self.get("correlate").reference.channels))
 
     def _rows(self, channels: Sequence[str]) -> Int:
         at = {c: i for i, c in enumerate(self.get("identify").test.channels)}
@@ -85,7 +98,7 @@ class Workbench:
         """The reduced model over the candidates at the channels of the elastic reference modes."""
         model = self._reduced(progress)
         total = len(model.system.parameters)
-        held = model.with_parameters(range(len(self.config.candidate)), np.zeros(total))
+        held = model.with_parameters(range(len(self.parameters)), np.zeros(total))
         return AtChannels(held, self._rows(self.get("correlate").reference.channels))
 
     def suspended(self, channels: Sequence[str], progress: Progress) -> AtChannels:

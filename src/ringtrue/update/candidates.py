@@ -6,6 +6,7 @@ what no mode strains or moves cannot be found from modes, and is left out with t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
@@ -15,12 +16,12 @@ from typing import Literal
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Target
 from ringtrue.errors import InputError, UnsupportedError, did_you_mean
 from ringtrue.fem.assembly import System
-from ringtrue.fem.change import affected_cards, rows_of
+from ringtrue.fem.change import affected_cards, rows_of, within
 from ringtrue.fem.derivatives import PowerTerm, bilinear, system_derivatives, terms
 from ringtrue.fem.kinds import MATERIAL, PROPERTY
 from ringtrue.model.frames import positions
@@ -478,10 +479,8 @@ def effective(
     values : (m,) float64, (rad/s)²
     vectors : (f, m) float64, unit modal mass
     """
-    lam = np.maximum(np.abs(values), 1e-6 * np.abs(values).max(initial=1e-300))
-    dk, dm = bilinear(model, [c.parameter for c in candidates], system, vectors[None], vectors)
-    share = np.abs(dk[0]).T / lam + np.abs(dm[0]).T
-    most = share.max(axis=1, initial=0.0)
+    share = sum(np.abs(e) for e in effects(model, system, candidates, values, vectors))
+    most = np.asarray(share).max(axis=0, initial=0.0)
     keep = tuple(c for c, size in zip(candidates, most.tolist(), strict=True) if size > least)
     lost = tuple(
         Dropped(c.name, f"no mode has more than {size:.1e} of its energy in {c.what}")
@@ -489,6 +488,86 @@ def effective(
         if size <= least
     )
     return keep, lost
+
+
+def effects(
+    model: Model, system: System, candidates: Sequence[Candidate], values: Float, vectors: Float
+) -> tuple[Float, Float]:
+    """φᵀ(∂K/∂x)φ/λ and φᵀ(∂M/∂x)φ of each mode and candidate, (m, p) each; ∂ ln f/∂x is half their difference.
+
+    Parameters
+    ----------
+    values : (m,) float64, (rad/s)²
+    vectors : (f, m) float64, unit modal mass
+    """
+    lam = np.maximum(np.abs(values), 1e-6 * np.abs(values).max(initial=1e-300))
+    dk, dm = bilinear(model, [c.parameter for c in candidates], system, vectors[None], vectors)
+    return dk[0] / lam[:, None], dm[0]
+
+
+def screened(slopes: Float, most: int) -> Int:
+    """The candidates that are looked at closely, in the order of what each adds to those before.
+
+    Greedy on ln det(I + GᵀG), the information of the data over that of the prior: one that acts like others already
+    chosen adds little, however large its effect. Those without effect are left out.
+
+    Parameters
+    ----------
+    slopes : (n, p) float64
+        Weighted, in units of the prior: of the frequencies alone, which cost no solution.
+    """
+    g, out = np.asarray(slopes, dtype=np.float64), list[int]()
+    inverse = np.eye(g.shape[0])
+    for _ in range(min(most, g.shape[1])):
+        spread = inverse @ g
+        gain = np.einsum("np,np->p", g, spread)
+        gain[out] = -1.0
+        best = int(np.argmax(np.round(gain, 12)))
+        if gain[best] <= 0:
+            break
+        out.append(best)
+        inverse = inverse - np.outer(spread[:, best], spread[:, best]) / (1 + gain[best])
+    return np.array(out, dtype=np.int64)
+
+
+def of_parameter(model: Model, parameter: Parameter) -> Candidate:
+    """A parameter that was given as a candidate: its elements and, in words, what it changes."""
+    rows: Rows = {}
+    for t in parameter.targets:
+        for card, at in within(model, rows_of(model, t), t.elements).items():
+            rows[card] = np.union1d(rows.get(card, at), at)
+    parts = [np.array(s.elements, dtype=np.int64) for s in parameter.substructures]
+    elements = np.unique(np.concatenate([_ids(model, rows), *parts]))
+    fields = dict.fromkeys(f"{t.card} {t.id}" for t in parameter.targets)
+    named = [f"{c} {','.join(t.field for t in parameter.targets if f'{t.card} {t.id}' == c)}" for c in fields]
+    what = f"{', '.join(named)} of {_count(rows)}" if rows else f"matrices of {elements.size} elements"
+    card = parameter.targets[0].card if parameter.targets else ""
+    kinds: dict[str, Kind] = {**dict.fromkeys(_MATERIALS, "material"), **dict.fromkeys(_SPRINGS, "spring")}
+    kinds |= dict.fromkeys(_MASSES, "mass")
+    return Candidate(parameter, kinds.get(card, "property" if card else "region"), what, tuple(elements.tolist()))
+
+
+_MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"}
+_BOTH = re.compile(r"T\d*|A|AB|OD")
+
+
+def conflicts(model: Model, candidates: Sequence[Candidate]) -> Bool:
+    """Pairs (p, p) that a reduced model cannot move together: both scale the same field, or a product.
+
+    A material and a section of one element make a product where both touch its stiffness, or both its mass.
+    """
+    members = membership(model, candidates)
+    overlap = (members @ members.T).toarray() > 0
+    fields = [{t.field for t in c.parameter.targets} for c in candidates]
+    family = [{t.card.startswith("MAT") for t in c.parameter.targets} for c in candidates]
+    mass = [any(f in _MASS_ONLY or _BOTH.fullmatch(f) for f in fs) for fs in fields]
+    stiff = [any(f not in _MASS_ONLY for f in fs) or not fs for fs in fields]
+    out = np.zeros(overlap.shape, dtype=np.bool_)
+    for i, j in np.argwhere(np.triu(overlap, 1)).tolist():  # over candidates, not elements
+        product = (mass[i] and mass[j]) or (stiff[i] and stiff[j])
+        same = bool(fields[i]) and bool(fields[j]) and family[i] == family[j]
+        out[i, j] = out[j, i] = bool(fields[i] & fields[j]) if same else product
+    return out
 
 
 def reduced_candidates(

@@ -68,10 +68,10 @@ def predicted(g: Float, r: Float, x: Float, w: Float, low: Float, high: Float) -
     return float(2 * lsq_linear(a, b, (low, high), method="bvls").cost)
 
 
-def short_update(model: Candidates, target: Target, members: Sequence[int], x: Float) -> Choice:
+def short_update(model: Candidates, target: Target, members: Sequence[int], x: Float, turns: int = TURNS) -> Choice:
     """A short updating of some members from x."""
     at = list(members)
-    result = update(model.with_parameters(at, np.zeros(x.size)), target, iterations=TURNS, start=x[at])
+    result = update(model.with_parameters(at, np.zeros(x.size)), target, iterations=turns, start=x[at])
     out = np.zeros(x.size)
     out[at] = result.x
     return Choice(np.array(at, dtype=np.int64), out, result.history[-1].value)

@@ -138,7 +138,15 @@ class DampingFit:
         return complex_modes(values, self.viscous, self.structural)
 
 
-def fit_poles(values: Float, mechanisms: Sequence[Mechanism], damping: Float, std: Float, modes: Int) -> DampingFit:
+def fit_poles(
+    values: Float,
+    mechanisms: Sequence[Mechanism],
+    damping: Float,
+    std: Float,
+    modes: Int,
+    *,
+    base: tuple[Float, Float] | None = None,
+) -> DampingFit:
     """Coefficients from damping ratios of complex modes.
 
     Parameters
@@ -150,6 +158,8 @@ def fit_poles(values: Float, mechanisms: Sequence[Mechanism], damping: Float, st
         Test ratios −Re(s)/|s| and their standard deviations.
     modes : (t,) int64
         The mode of the basis that each belongs to.
+    base : (n, n), (n, n) float64, optional
+        ΦᵀDΦ and ΦᵀHΦ that are known and stay; none by default.
 
     Raises
     ------
@@ -164,19 +174,40 @@ def fit_poles(values: Float, mechanisms: Sequence[Mechanism], damping: Float, st
     w = np.sqrt(values[at])
     by = np.array([2 * w if m.kind == "viscous" else 2 * w**2 for m in mechanisms])
     first = np.array([np.diag(m.matrix)[at] for m in mechanisms]) / by  # ζ to first order: light damping
-    linear = _linear(first.T / sigma[:, None], zeta / sigma, mechanisms)
+    known = np.zeros(at.size) if base is None else np.diag(base[0])[at] / (2 * w) + np.diag(base[1])[at] / (2 * w**2)
+    linear = _linear(first.T / sigma[:, None], (zeta - known) / sigma, mechanisms)
 
     def residual(c: Float) -> tuple[Float, Float]:
-        got, slope = _ratios(values, mechanisms, c, at)
+        got, slope = _ratios(values, mechanisms, assembled(mechanisms, c, values.size, base), at)
         return (got - zeta) / sigma, slope / sigma[:, None]
 
-    return _refined(residual, linear, mechanisms, values.size, shift=0.0, least=1.0)
+    return _refined(residual, linear, mechanisms, values.size, shift=0.0, least=1.0, base=base)
 
 
-def _ratios(values: Float, mechanisms: Sequence[Mechanism], c: Float, at: Int) -> tuple[Float, Float]:
-    """ζ (t,) of the modes that descend from the real modes `at`, and ∂ζ/∂c (t, k)."""
-    d, h = assembled(mechanisms, c, values.size)
-    found = complex_modes(values, d, h)
+def mode_damping(values: Float, mechanisms: Sequence[Mechanism], fit: DampingFit, modes: Int) -> tuple[Float, Float]:
+    """Damping ratios of complex modes with identified damping, and their standard deviations from its covariance.
+
+    Parameters
+    ----------
+    values : (n,) float64, λ, (rad/s)²
+    mechanisms : sequence (k)
+        Those of the fit.
+    modes : (t,) int64
+        Modes of the basis.
+
+    Returns
+    -------
+    damping, std : (t,) float64
+    """
+    zeta, slope = _ratios(values, mechanisms, (fit.viscous, fit.structural), np.asarray(modes, dtype=np.int64))
+    return zeta, np.asarray(np.sqrt(np.einsum("tk,kl,tl->t", slope, fit.covariance, slope)))
+
+
+def _ratios(
+    values: Float, mechanisms: Sequence[Mechanism], damping: tuple[Float, Float], at: Int
+) -> tuple[Float, Float]:
+    """ζ (t,) of the modes that descend from the real modes `at`, and ∂ζ/∂c (t, k), with ΦᵀDΦ and ΦᵀHΦ."""
+    found = complex_modes(values, *damping)
     if found.poles.size < values.size:
         raise InputError("a mode is overdamped: lower the bounds of the mechanisms")
     size = np.abs(found.shapes) ** 2
@@ -310,9 +341,11 @@ def _response(
     return np.asarray(data.phi_out @ into + data.residual), np.stack(parts, axis=-1).astype(np.complex128)
 
 
-def assembled(mechanisms: Sequence[Mechanism], c: Float, n: int) -> tuple[Float, Float]:
-    """ΦᵀDΦ and ΦᵀHΦ, (n, n) each, of coefficients (k,)."""
-    d, h = np.zeros((n, n)), np.zeros((n, n))
+def assembled(
+    mechanisms: Sequence[Mechanism], c: Float, n: int, base: tuple[Float, Float] | None = None
+) -> tuple[Float, Float]:
+    """ΦᵀDΦ and ΦᵀHΦ, (n, n) each, of coefficients (k,), added to the known ones of `base`."""
+    d, h = (np.zeros((n, n)), np.zeros((n, n))) if base is None else (base[0].copy(), base[1].copy())
     for m, value in zip(mechanisms, c.tolist(), strict=True):
         (d if m.kind == "viscous" else h)[...] += value * m.matrix
     return d, h
@@ -347,6 +380,7 @@ def _refined(
     *,
     shift: float,
     least: float,
+    base: tuple[Float, Float] | None = None,
 ) -> DampingFit:
     """Bounded nonlinear least squares from the linear solution, with priors; the covariance at the end.
 
@@ -382,7 +416,8 @@ def _refined(
     alone = np.sqrt((s2 if s2 > 0 else 1.0) / np.maximum(np.diag(normal) + np.diag(own), FAINT)) * scale
     std = np.sqrt(np.diag(covariance))
     at = (c - low < EDGE * std + FAINT) | (high - c < EDGE * std + FAINT)
-    d, h = assembled(mechanisms, c[:k], n)
+    c = np.where(c - low < FAINT * (std + scale), low, c)  # the search stays inside: a bound that holds is met
+    d, h = assembled(mechanisms, c[:k], n, base)
     delta = c[k:] if c.size > k else np.zeros(n)
     return DampingFit(
         tuple(m.name for m in mechanisms),

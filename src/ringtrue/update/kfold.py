@@ -114,6 +114,7 @@ def k_fold(
     folds: Sequence[Sequence[int]],
     method: Method | None = None,
     *,
+    start: Float | None = None,
     progress: Progress | None = None,
 ) -> Held:
     """Update without each fold in turn and predict it.
@@ -123,6 +124,8 @@ def k_fold(
     configuration : Configuration
         Its target says which modes are used at all.
     folds : sequences of test modes
+    start : (q,) float64, optional
+        Unknowns at the start of every fold; else each starts where the one before has ended, the first at 0.
 
     Raises
     ------
@@ -134,14 +137,13 @@ def k_fold(
     if len({i for f in folds for i in f}) != sum(len(f) for f in folds):
         raise InputError("a mode is in two folds")
     predicted, mac, spread, of = np.full(m, np.nan), np.full(m, np.nan), np.full(m, np.nan), np.full(m, -1)
-    start: Float | None = None
-    good = True
+    begin, good = start, True
     for i, fold in enumerate(folds):
         of[list(fold)] = i
         used = target.used & ~np.isin(np.arange(m), fold)
         problem = Problem((replace(configuration, target=replace(target, used=used)),))
-        done = solve(problem, method, start=start)
-        good, start = good and done.outcome is Outcome.CONVERGED, done.y
+        done = solve(problem, method, start=begin)
+        good, begin = good and done.outcome is Outcome.CONVERGED, done.y if start is None else start
         predicted_fold(done.end, laplace(problem, done.end), list(fold), predicted, mac, spread)
         if progress is not None:
             progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
@@ -173,6 +175,7 @@ def with_discrepancy(
     folds: Sequence[Sequence[int]],
     method: Method | None = None,
     *,
+    start: Float | None = None,
     progress: Progress | None = None,
 ) -> tuple[Configuration, Held]:
     """The configuration with the weights that its left-out modes ask for, and the last predictions.
@@ -187,7 +190,7 @@ def with_discrepancy(
     now = configuration
     for i in range(ROUNDS):
         part = None if progress is None else (lambda f, t, i=i: progress((i + f) / ROUNDS, t))
-        held = k_fold(now, folds, method, progress=part)
+        held = k_fold(now, folds, method, start=start, progress=part)
         s = discrepancy(held.error, np.hypot(held.parameter_std, held.test_std))
         before = now.target.weights
         shape = max(float(np.nanmean(1 - held.mac)), LEAST)

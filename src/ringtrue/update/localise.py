@@ -8,6 +8,7 @@ Variation of MAC and frequency: what a single candidate explains by itself.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,25 +118,41 @@ def element_errors(
     test, fe = np.asarray(pairs, dtype=np.int64).reshape(-1, 2).T
     if not test.size:
         raise InputError("error indicators: no test mode is paired with one of the model")
-    lam = (2 * np.pi * frequencies[test]) ** 2
-    u = expand_hybrid(
-        system.stiffness, system.mass, observe, shapes[:, test], frequencies[test], modes, noise=noise
-    ).shapes
-    u = u / np.sqrt(np.einsum("fm,fm->m", u, system.mass @ u))
-    total = np.einsum("fm,fm->m", u, system.stiffness @ u)
-    r = system.stiffness @ u - (system.mass @ u) * lam
+    f = frequencies[test]
+    u = expand_hybrid(system.stiffness, system.mass, observe, shapes[:, test], f, modes, noise=noise).shapes
     static = StaticShapes(system.stiffness, observe)
-    w = static.solve(r)
+    found = expanded_errors(model, system, f, u, modes[:, fe], static.solve)
     static.close()
-    m = mesh(model)
-    of_test, of_error = (strain_energies(m, system, x) / total for x in (u, w))
-    own = strain_energies(m, system, modes[:, fe])
-    own = own / np.maximum(own.sum(axis=0), 1e-300)
+    return found
+
+
+def expanded_errors(
+    model: Model, system: System, frequencies: Float, shapes: Float, own: Float, solve: Callable[[Float], Float]
+) -> ElementErrors:
+    """All indicators of test shapes on all degrees of freedom, each averaged over the modes.
+
+    Parameters
+    ----------
+    frequencies : (m,) float64, Hz
+        Of the test.
+    shapes, own : (f, m) float64
+        Of the test, expanded, any scale; of the model's partners.
+    solve : callable, (f, m) -> (f, m)
+        x = A⁻¹b with A the stiffness, held where the structure is free.
+    """
+    m, count = mesh(model), frequencies.size
+    u = shapes / np.sqrt(np.einsum("fm,fm->m", shapes, system.mass @ shapes))
+    r = system.stiffness @ u - (system.mass @ u) * (2 * np.pi * frequencies) ** 2
+    energies = strain_energies(m, system, np.hstack([u, solve(r), own]))
+    of_test, of_error, mine = np.split(energies, [count, 2 * count], axis=1)
+    total = np.maximum(of_test.sum(axis=0), 1e-300)
+    of_test, of_error = of_test / total, of_error / total
+    mine = mine / np.maximum(mine.sum(axis=0), 1e-300)
     return ElementErrors(
-        np.concatenate([m.model[c].ids for c in affected_cards(m.model)]),
+        np.concatenate([model[c].ids for c in affected_cards(model)]),
         _share(_by_element(m, _nodal(m, system, r)).sum(axis=1)),
         _share(of_error.sum(axis=1)),
-        _share(np.abs(of_test - own).sum(axis=1)),
+        _share(np.abs(of_test - mine).sum(axis=1)),
         _share(of_test.sum(axis=1)),
         of_error.sum(axis=0),
     )

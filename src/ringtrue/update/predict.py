@@ -24,6 +24,7 @@ from ringtrue.update.dense import matrices_at
 
 Progress = Callable[[float, str], None]
 Axis = Literal["X", "Y", "Z"]
+Ratios = Callable[[Float, Float], Float]  # λ (m,), M-orthonormal y (r, m) -> ζ (m,)
 MASSLESS = 1e-14  # of the largest 1/λ
 PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
 
@@ -148,6 +149,57 @@ class Damping:
         """ζ at frequencies in Hz, interpolated."""
         return np.asarray(np.interp(frequencies, self.frequencies, self.ratios))
 
+    def drawn(self, rng: np.random.Generator | None) -> Ratios:
+        """ζ of modes at the best point, or as drawn."""
+        factor = 1.0 if rng is None else float(np.exp(self.std * rng.standard_normal()))
+        return lambda lam, y: factor * self.at(np.sqrt(lam) / (2 * np.pi))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionDamping:
+    """Loss factors and dashpots of regions in the basis of a model's small matrices.
+
+    Attributes
+    ----------
+    coefficients : (k,) float64
+    covariance : (k, k) float64
+    matrices : (k, r, r) float64
+        What a unit of each coefficient adds to the damping matrix (dashpots) or to the imaginary stiffness.
+    viscous : (k,) bool
+        True for dashpots.
+    base : (r, r), (r, r) float64
+        Known damping matrix and imaginary stiffness beside them.
+    """
+
+    coefficients: Float
+    covariance: Float
+    matrices: Float
+    viscous: Bool
+    base: tuple[Float, Float]
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, coefficients=f, covariance=f, matrices=f, viscous=np.bool_)
+        k, r = self.coefficients.size, self.base[0].shape[0]
+        if self.matrices.shape != (k, r, r) or self.covariance.shape != (k, k) or self.viscous.shape != (k,):
+            raise InputError(f"damping of {k} regions: matrices {self.matrices.shape} for {r} vectors")
+
+    def drawn(self, rng: np.random.Generator | None) -> Ratios:
+        """ζ of modes at the best point, or with coefficients as drawn; none is below 0."""
+        c = self.coefficients
+        if rng is not None:
+            size, turn = linalg.eigh(self.covariance)
+            c = np.maximum(c + turn @ (np.sqrt(np.maximum(size, 0.0)) * rng.standard_normal(c.size)), 0.0)
+        d = self.base[0] + np.tensordot(c * self.viscous, self.matrices, axes=1)
+        h = self.base[1] + np.tensordot(c * ~self.viscous, self.matrices, axes=1)
+
+        def ratios(lam: Float, y: Float) -> Float:
+            w = np.sqrt(np.maximum(lam, MASSLESS * float(lam.max(initial=1.0))))
+            viscous, structural = (np.einsum("rm,rm->m", y, a @ y) for a in (d, h))
+            return np.asarray(viscous / (2 * w) + structural / (2 * w**2))
+
+        return ratios
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
@@ -216,10 +268,9 @@ def harmonic(
     loads: Float,
     amplitude: Complex,
     rows: Rows,
-    damping: Damping,
+    ratios: Ratios,
     *,
     scatter: Float | None = None,
-    ratio: float = 1.0,
 ) -> Complex:
     """Responses (l, n) to harmonic loads, by superposition of all modes of the model's small matrices.
 
@@ -233,18 +284,16 @@ def harmonic(
         Unit loads in the basis.
     amplitude : (l, j) complex128
     rows : Rows
-    damping : Damping
+    ratios : callable
+        Damping ratios of the modes.
     scatter : (r,) float64, optional
         Relative error of each frequency.
-    ratio : float
-        Factor on all damping ratios.
     """
     small = matrices_at(model, x)
     lam, y = _all_modes(small.stiffness, small.mass)
     lam = lam * (1.0 if scatter is None else (1 + scatter) ** 2)
     w, wk = 2 * np.pi * np.asarray(freqs)[:, None], np.sqrt(lam)
-    zeta = ratio * damping.at(wk / (2 * np.pi))
-    below = lam - w**2 + 2j * zeta * wk * w
+    below = lam - w**2 + 2j * ratios(lam, y) * wk * w
     q = (amplitude @ (y.T @ loads).T) / below
     return np.asarray(q @ (rows.at(_every(model, x)) @ y).T)
 
@@ -335,7 +384,7 @@ def run_up(
     loads: Float,
     unbalance: Unbalance,
     outputs: Sequence[Output],
-    damping: Damping,
+    damping: Damping | RegionDamping,
     rng: np.random.Generator,
     *,
     discrepancy: float = 0.0,
@@ -354,7 +403,7 @@ def run_up(
     loads : (r, 2) float64
         Unit forces across the rotor's axis (`plane`) in the basis of the model.
     outputs : sequence (n) of Output
-    damping : Damping
+    damping : Damping or RegionDamping
     rng : Generator
         For discrepancy and damping.
     discrepancy : float
@@ -368,14 +417,14 @@ def run_up(
     every, _ = _sizes(outputs)
     whole = _joined(outputs)
 
-    def one(x: Float, scatter: Float | None, ratio: float) -> Float:
-        h = harmonic(model, x, freqs, loads, amplitude, whole, damping, scatter=scatter, ratio=ratio)
+    def one(x: Float, scatter: Float | None, ratios: Ratios) -> Float:
+        h = harmonic(model, x, freqs, loads, amplitude, whole, ratios, scatter=scatter)
         return np.array([o.amplitude(h[:, a:b]) for o, (a, b) in zip(outputs, every, strict=True)])
 
     found = []
     for i, x in enumerate(draws):  # an eigensolution each
         scatter: Float = np.asarray(discrepancy * rng.standard_normal(r))
-        found.append(one(x, scatter, float(np.exp(damping.std * rng.standard_normal()))))
+        found.append(one(x, scatter, damping.drawn(rng)))
         if progress is not None:
             progress((i + 1) / len(draws), "run-up")
     drawn = np.array(found)
@@ -383,7 +432,7 @@ def run_up(
         freqs,
         tuple(o.name for o in outputs),
         tuple(o.unit for o in outputs),
-        one(best, None, 1.0),
+        one(best, None, damping.drawn(None)),
         bands(drawn, level),
         bands(drawn.max(axis=2), level),
         bands(np.asarray(freqs)[drawn.argmax(axis=2)], level),

@@ -84,8 +84,9 @@ def run_demo(
     }
     timings = {**planned.timings, **run.timings}
     run = replace(run, timings=timings)
-    report = deliver(run, extra)
-    return DemoResult(run, report, _lines(run, twin, campaign, best), (*checks(run.results), _floor(best)))
+    held = (*checks(run.results), _floor(best))
+    report = deliver(run, extra, checks=held)
+    return DemoResult(run, report, _lines(run, twin, campaign, best), held)
 
 
 def _floor(best: float) -> Check:

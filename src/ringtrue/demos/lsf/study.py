@@ -26,6 +26,14 @@ _STIFFNESS = "K1,K2,K3,K4,K5,K6"
 _TRANSLATION = "K1,K2,K3"
 
 
+# spring groups whose forces are predicted
+_SPRINGS = {
+    "bearing mounts": ("bearing mounts",),
+    "anchors": ("anchors front", "anchors middle", "anchors rear"),
+    "air springs": ("air springs",),
+}
+
+
 def candidates() -> list[tuple[str, list[str]]]:
     """Name and targets of each candidate region."""
     alone = [r for r in S.CONCRETE | S.STEEL if r not in ("haunches", "shaft", *FRAME)]
@@ -113,6 +121,12 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         "hammer_fmin = 8.0",
         "hammer_fmax = 44.0",
         "",
+        "# What the delivered model must reach; the run ends with status 1 if it does not",
+        "[correlate]",
+        "accept_pairs = 18",
+        "accept_mean_percent = 2.0",
+        "accept_mean_mac = 93.0",
+        "",
         "[remodel]",
         'file = "deck/frame.bdf"',
         f'cards = "{BRACES}"',
@@ -128,5 +142,16 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         ("air springs, across", "K2"),
     ):
         lines += ["[[suspension]]", f'name = "{name}"', f'targets = ["PBUSH {S.BUSHES["air springs"]} {field}"]']
+    at = {tuple(x): n for x, n in zip(b.mesh.xyz, b.mesh.ids, strict=True)}
+    lines += [
+        "",
+        "# What the validated model is for: running the rotor up",
+        "[predict]",
+        f"rotor = {at[(S.ROTOR, S.AXIS_Y, S.SHAFT_Z)]}",
+        "mass = 2500.0",
+        'axis = "X"',
+        "[predict.springs]",
+        *(f'"{name}" = {_toml_list([S.BUSHES[r] for r in group])}' for name, group in _SPRINGS.items()),
+    ]
     (folder / STUDY).write_text("\n".join(lines) + "\n")
     return folder / STUDY

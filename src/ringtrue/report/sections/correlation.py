@@ -5,34 +5,59 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from ringtrue.correlate.pairing import CorrelationRow, CorrelationTable
+from ringtrue.correlate.significance import Significance, table_significance
 from ringtrue.plots import correlation as plots
-from ringtrue.report.parts import Block, Cell, Diff, Plot, Section, Table, Text, fixed, sentence, signs
+from ringtrue.report.parts import Block, Cell, Diff, Heading, Plot, Section, Table, Text, fixed, sentence, signs
+from ringtrue.report.sections import evidence
 from ringtrue.report.stages import Stages
 
+FOLDED = "Orthogonality, channels and close modes"
 FEW = 8  # modes above the other set's band that are still listed one by one
 
 
-def pairs(table: CorrelationTable, data: Stages, caption: str, updating: bool) -> Table:
-    """The table of pairs, with acceptance per mode and flags; without `updating` the significance, not the use."""
+def pairs(
+    table: CorrelationTable, data: Stages, caption: str, updating: bool, judged: Significance | None = None
+) -> Table:
+    """The table of pairs, with acceptance, significance and flags; with `updating` whether the updating used them.
+
+    `judged` is the significance of the deviations where both sets are uncertain; else that of the test decides.
+    """
     a, b = table.names
-    heads = ["#", f"{a} #", f"{b} #", f"f {a}, Hz", f"f {b}, Hz", "Δf, %", "Δf, Hz", "MAC, %", "|Acceptance"]
-    heads += ["|Updating", "|"] if updating else ["Δf/σ", "|"]
-    rows = [_row(i + 1, r, data, updating) for i, r in enumerate(table.rows())]
+    sure = judged or table_significance(table)
+    heads = ["#", f"{a} #", f"{b} #", f"f {a}, Hz", f"f {b}, Hz", "Δf, %", "Δf, Hz", "MAC, %", "Δf/σ", "|Acceptance"]
+    heads += ["|Updating", "|"] if updating else ["|"]
+    scatter = zip(sure.z.tolist(), sure.significant.tolist(), strict=True)
+    rows = [_row(i + 1, r, data, updating, s) for i, (r, s) in enumerate(zip(table.rows(), scatter, strict=True))]
     mean = [fixed(table.mean_deviation(), 2), "", fixed(table.mean_mac(), 1)]
-    foot = ["Mean, of |Δf|", *mean, "", "", ""]
-    return Table(heads, rows, f"{caption} Accepted: {data.acceptance.words()}.", foot if rows else (), lead=5)
+    foot = ["Mean, of |Δf|", *mean, *[""] * (len(heads) - 8)]
+    text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(sure)}"
+    return Table(heads, rows, text, foot if rows else (), lead=5)
 
 
-def _row(number: int, r: CorrelationRow, data: Stages, updating: bool) -> list[str | Cell]:
+def _scatter(sure: Significance) -> str:
+    known = np.isfinite(sure.z)
+    if not known.any():
+        return ""
+    inside = int((known & ~sure.significant).sum())
+    return (
+        f" Δf/σ: in standard deviations of the measurement; {inside} of {int(known.sum())} are within its scatter "
+        f"(false discovery rate {100 * sure.rate:g} %)."
+    )
+
+
+def _row(number: int, r: CorrelationRow, data: Stages, updating: bool, scatter: tuple[float, bool]) -> list[str | Cell]:
     ok = data.acceptance.holds(r.deviation_percent, r.deviation_hz, r.mac_percent)
     row: list[str | Cell] = [str(number), str(r.test), str(r.fe), fixed(r.test_hz, 3), fixed(r.fe_hz, 3)]
     row += [fixed(r.deviation_percent, 2, sign=True), fixed(r.deviation_hz, 3, sign=True), fixed(r.mac_percent, 1)]
+    z, beyond = scatter
+    told = fixed(z, 1) if z < 99.95 else fixed(z, 0)
+    row.append(Cell(told, "good", "within the scatter") if np.isfinite(z) and not beyond else told)
     row.append(Cell("accepted", "good") if ok else Cell("outside", "bad"))
     if updating:
         row.append("used" if r.used else Cell("left out", "chip"))
-    else:
-        row.append(fixed(r.significance, 1))
     return [*row, Cell("subspace", "chip", "MAC of the subspace of close modes") if r.subspace else ""]
 
 
@@ -56,10 +81,12 @@ def unpaired(table: CorrelationTable) -> list[Block]:
     return out
 
 
-def blocks(table: CorrelationTable, data: Stages, caption: str, updating: bool) -> list[Block]:
+def blocks(
+    table: CorrelationTable, data: Stages, caption: str, updating: bool, judged: Significance | None = None
+) -> list[Block]:
     """Pairs, MAC matrix, unpaired."""
     a, b = table.names
-    out: list[Block] = [pairs(table, data, caption, updating)]
+    out: list[Block] = [pairs(table, data, caption, updating, judged)]
     if table.mac.size:
         text = f"MAC between {a} (rows) and {b} (columns) modes; numbers from 10 %, pairs outlined."
         out.append(Plot(plots.table_matrix(table), text))
@@ -70,8 +97,10 @@ def tests(data: Stages) -> Section | None:
     """Ambient against hammer."""
     if data.compare is None:
         return None
-    caption = "The two tests at their common channels; σ: standard deviation of the frequency."
-    return Section("tests", "Ambient against hammer", blocks(data.compare.table, data, caption, updating=False))
+    table, e = data.compare.table, data.compare.evidence
+    caption = "The two tests at their common channels."
+    body = blocks(table, data, caption, updating=False, judged=e.measures.significance if e else None)
+    return Section("tests", "Ambient against hammer", [*body, *evidence.brief(e, table, "Channels and close modes")])
 
 
 def initial(data: Stages) -> Section | None:
@@ -80,7 +109,7 @@ def initial(data: Stages) -> Section | None:
     if c is None:
         return None
     body = blocks(c.initial, data, "The model as delivered against the test.", updating=True)
-    return Section("initial", "Initial correlation", body)
+    return Section("initial", "Initial correlation", [*body, *evidence.brief(c.evidence_initial, c.initial, FOLDED)])
 
 
 def remodelled(data: Stages) -> Section | None:
@@ -91,7 +120,7 @@ def remodelled(data: Stages) -> Section | None:
     body: list[Block] = [Text(sentence(c.remodelling))] if c.remodelling else []
     body += [Diff(c.diff, "The remodelling as a change of the deck.")] if c.diff else []
     body += blocks(c.remodelled, data, "The remodelled deck against the test.", updating=True)
-    return Section("remodelled", "Remodelling", body)
+    return Section("remodelled", "Remodelling", [*body, *evidence.brief(c.evidence, c.remodelled, FOLDED)])
 
 
 def final(data: Stages) -> Section | None:
@@ -103,8 +132,9 @@ def final(data: Stages) -> Section | None:
     body += blocks(f.table, data, "The final model against the test.", updating=True)
     if len(f.rigid):
         body.append(pairs(f.rigid, data, "Rigid-body modes of the final model.", updating=False))
-    body += changes(f.files, f.changes)
-    return Section("final", "Final correlation", body)
+    body += evidence.whole(f.evidence, f.table)
+    deck = changes(f.files, f.changes)
+    return Section("final", "Final correlation", [*body, Heading("Changes of the deck"), *deck] if deck else body)
 
 
 def changes(files: Sequence[str], lines: Sequence[str]) -> list[Block]:

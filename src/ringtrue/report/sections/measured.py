@@ -11,14 +11,23 @@ from ringtrue.study.results import RecordSummary
 
 
 def signals(data: Stages) -> Section | None:
-    """Time previews and spectra of every record."""
+    """Time previews and spectra of every record; of a roving test those of the first setup."""
     if data.identify is None or not data.identify.records:
         return None
     groups: dict[str, list[RecordSummary]] = {}
     for r in data.identify.records:
         groups.setdefault(r.test, []).append(r)
-    tabs = [(name, [_record(r) for r in records]) for name, records in groups.items()]
-    return Section("signals", "Signals", list(tabs[0][1]) if len(tabs) == 1 else [Tabs(tabs)])
+    tabs = [(name, _test(records)) for name, records in groups.items()]
+    return Section("signals", "Signals", tabs[0][1] if len(tabs) == 1 else [Tabs(tabs)])
+
+
+def _test(records: list[RecordSummary]) -> list[Block]:
+    out = [_record(r) for r in records if r.preview_channels]
+    setups = list(dict.fromkeys(r.setup for r in records))
+    if len(setups) > 1:
+        told = f"Setup {setups[0]} of {', '.join(setups[:-1])} and {setups[-1]}; all of them are in the list of tests."
+        return [Text(told, "note"), *out]
+    return out
 
 
 def _record(r: RecordSummary) -> Block:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ringtrue.plan.rehearsal import Rehearsal
+from ringtrue.plan.rehearsal import Rehearsal, missed_words
 from ringtrue.plots import correlation, identification
 from ringtrue.report.parts import (
     Block,
@@ -12,6 +12,8 @@ from ringtrue.report.parts import (
     Columns,
     Fact,
     Facts,
+    Fold,
+    Items,
     Plot,
     Section,
     Table,
@@ -47,20 +49,38 @@ def section(data: Stages) -> Section | None:
     names = [str(i + 1) for i in plan.target_modes.tolist()]
     auto = correlation.matrix(plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False)
     left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]
-    right: list[Block] = []
-    if data.model is not None and plan.expected_modes.size:
-        modes = data.model.modes.take(plan.expected_modes)
-        fig = identification.precision(modes, plan.expected_std_frequency, plan.expected_std_damping)
-        fig.update_layout(height=430)
-        right.append(Plot(fig, "Standard deviations to expect from the planned length of the ambient record."))
-    blocks.append(Columns([left, right])) if right else blocks.extend(left)
+    right = _precision(data, plan)
+    blocks += [Columns([left, right])] if right else left
     if plan.suspension:
         blocks.append(Text(_hung(plan)))
-    if plan.loaded.size or plan.rehearsal is not None or data.identify is None:
-        blocks += [_targets(plan), _points(plan)]
-    if data.identify is not None and len(data.identify.ambient):
-        blocks.append(_verified(plan, data.identify))
+    if plan.rehearsal is not None:
+        blocks += _foreseen(plan, plan.rehearsal)
+    lists: list[Block] = [*([_targets(plan)] if plan.target_frequencies.size else []), _points(plan)]
+    if data.identify is None:
+        return Section("plan", "Test plan", [*blocks, *lists])
+    if plan.loaded.size or plan.rehearsal is not None:
+        blocks.append(lists.pop(0))
+    if len(data.identify.ambient):
+        lists.append(_verified(plan, data.identify))
+    blocks.append(Fold("Measuring points, target modes and the precision found", lists))
     return Section("plan", "Test plan", blocks)
+
+
+def _precision(data: Stages, plan: PlanStage) -> list[Block]:
+    """Standard deviations of the ambient modes: planned and found, else those to expect."""
+    if data.identify is not None and len(data.identify.ambient):
+        fig = identification.verified(precision(plan, data.identify))
+        text = (
+            "The plan verified: standard deviations planned for one ambient record (lines) and found of the merged "
+            "ambient modes (marks)."
+        )
+        return [Plot(fig, text)]
+    if data.model is None or not plan.expected_modes.size:
+        return []
+    modes = data.model.modes.take(plan.expected_modes)
+    fig = identification.precision(modes, plan.expected_std_frequency, plan.expected_std_damping)
+    fig.update_layout(height=430)
+    return [Plot(fig, "Standard deviations to expect from the planned length of the ambient record.")]
 
 
 def _hung(plan: PlanStage) -> str:
@@ -71,6 +91,17 @@ def _hung(plan: PlanStage) -> str:
         f"{number(100 * math.sqrt(plan.suspension_motion), 2)} % of its largest vertical motion; the centre of gravity "
         f"hangs {steady}."
     )
+
+
+def _foreseen(plan: PlanStage, r: Rehearsal) -> list[Block]:
+    """What the virtual test says in a sentence, and the modes that it misses."""
+    names = [str(k + 1) for k in plan.target_modes.tolist()]
+    missed = missed_words(r, names, SURE)
+    told = (
+        f"Virtual test of the plan: {len(names) - len(missed)} of {len(names)} target modes were found in at least "
+        f"{100 * SURE:.0f} % of {r.trials} tests."
+    )
+    return [Text(told), *([Items(missed, "Modes that the test may miss")] if missed else [])]
 
 
 def _targets(plan: PlanStage) -> Table:

@@ -4,7 +4,20 @@ from __future__ import annotations
 
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.plots import correlation as plots
-from ringtrue.report.parts import Block, Checks, Columns, Fact, Facts, Heading, Plot, Section, Table, fixed, number
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Checks,
+    Columns,
+    Fact,
+    Facts,
+    Heading,
+    Plot,
+    Section,
+    Table,
+    fixed,
+    number,
+)
 from ringtrue.report.sections import shapes
 from ringtrue.report.stages import Stages
 
@@ -53,7 +66,7 @@ def _deviations(data: Stages) -> Plot:
         stages = [("initial", data.correlate.initial), ("remodelled", data.correlate.remodelled)]
     if data.final is not None:
         stages.append(("final", data.final.table))
-    caption = "Frequency deviation of the model from the test, mode by mode."
+    caption = "Frequency deviation of the model from the test and MAC of the pairs, mode by mode."
     if data.final is not None:
         caption += " Hollow marks: modes left out of the updating, chosen before it."
     return Plot(plots.deviations(stages), caption)
@@ -64,10 +77,35 @@ def _outcome(data: Stages) -> list[Block]:
     assert final is not None
     before = data.correlate.initial if data.correlate is not None else None
     left: list[Block] = [Heading("What must hold"), Checks(data.checks)] if data.checks else []
+    left += _evidence(data)
     blocks: list[Block] = [_facts(final.table, before)]
     blocks += _beside(left, shapes.first(data))
     blocks += [_deviations(data), _stages_table(data)]
     return blocks
+
+
+def _evidence(data: Stages) -> list[Block]:
+    """What the final correlation rests on, in a few lines."""
+    final = data.final
+    if final is None or final.evidence is None:
+        return []
+    e, table = final.evidence.measures, final.table
+    missed = len(data.acceptance.missed(table))
+    good, bad = Cell("passed", "good"), Cell("failed", "bad")
+    rows: list[tuple[str, str, str | Cell]] = [
+        (f"Pairs with {data.acceptance.words()}", f"{len(table) - missed} of {len(table)}", bad if missed else good)
+    ]
+    for c in [c for c in e.checks if c.kind == "cross"][:1]:
+        v = c.verdict
+        told = f"pairs ≥ {100 * v.least_diagonal:.0f} %, others ≤ {100 * v.largest_off_diagonal:.0f} %"
+        rows.append((f"Cross-orthogonality, {c.mass} mass, gate {v.gate.name}", told, good if v.passed else bad))
+    names = ", ".join(dict.fromkeys(s.channel for s in e.suspects))
+    rows.append(("Channels that look faulty", names or "none", Cell("look", "warn") if names else good))
+    if (frfs := final.evidence.frfs) is not None:
+        before, after = (100 * float(c.shape.mean()) for c in (frfs.initial, frfs.final))
+        rows.append(("Shape correlation of the FRFs, mean of the lines", f"{before:.0f} → {after:.0f} %", ""))
+    caption = "The evidence of the final correlation, in short."
+    return [Heading("What it rests on"), Table(("|Evidence", "|Found", "|"), rows, caption)]
 
 
 def _beside(left: list[Block], right: Block | None) -> list[Block]:

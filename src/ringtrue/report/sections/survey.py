@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from ringtrue.report.parts import Block, Heading, Section, Table, Text, fixed, number, plain
+from collections import Counter
+
+from ringtrue.report.parts import Block, Fold, Heading, Section, Table, Text, fixed, number, plain
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import ModelStage, RecordSummary
 
@@ -13,7 +15,7 @@ def section(data: Stages) -> Section | None:
     if data.model is not None:
         blocks.append(_system(data.model))
     if data.identify is not None and data.identify.records:
-        blocks += [Heading("Tests"), _tests(data.identify.records)]
+        blocks += [Heading("Tests"), *_tests(data.identify.records)]
     return Section("survey", "System and tests", blocks) if blocks else None
 
 
@@ -39,18 +41,32 @@ def _span(model: ModelStage) -> str:
     return f"{f.size}, {number(float(f[0]), 3)} to {number(float(f[-1]), 4)}" if f.size else "0"
 
 
-def _tests(records: tuple[RecordSummary, ...]) -> Table:
-    heads = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min", "|Notes")
-    rows = [
-        (
-            r.test,
-            r.name,
-            r.excitation,
-            str(r.channels),
-            plain(r.rate),
-            fixed(r.duration / 60, 1),
-            "; ".join(r.notes),
-        )
-        for r in records
-    ]
-    return Table(heads, rows, "The records of the tests.")
+HEADS = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min", "|Notes")
+
+
+def _tests(records: tuple[RecordSummary, ...]) -> list[Block]:
+    """All records; those of a roving test by setup, and one by one in a fold."""
+    setups: dict[tuple[str, str], list[RecordSummary]] = {}
+    for r in records:
+        setups.setdefault((r.test, r.setup or r.name), []).append(r)
+    rows = [_setup(mine) if len(mine) > 1 else _record(mine[0]) for mine in setups.values()]
+    out: list[Block] = [Table(HEADS, rows, "The records of the tests.")]
+    roving = [_record(r) for mine in setups.values() if len(mine) > 1 for r in mine]
+    if roving:
+        out.append(Fold(f"The {len(roving)} records of the setups", [Table(HEADS, roving, "Records one by one.")]))
+    return out
+
+
+def _record(r: RecordSummary) -> tuple[str, ...]:
+    return (*_first(r, r.name), fixed(r.duration / 60, 1), "; ".join(r.notes))
+
+
+def _setup(mine: list[RecordSummary]) -> tuple[str, ...]:
+    first, notes = mine[0], Counter(n for r in mine for n in r.notes)
+    length = fixed(sum(r.duration for r in mine) / 60, 1)
+    told = "; ".join(n if k == 1 else f"{n} ({k} records)" for n, k in notes.items())
+    return (*_first(first, f"setup {first.setup}: {len(mine)} records"), length, told)
+
+
+def _first(r: RecordSummary, name: str) -> tuple[str, ...]:
+    return r.test, name.replace("-", "\u2011"), r.excitation, str(r.channels), plain(r.rate)

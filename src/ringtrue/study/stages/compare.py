@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.modes import ModeSet
+from ringtrue.correlate.complete import complete
 from ringtrue.correlate.pairing import correlation_table, pair_modes
+from ringtrue.shapes.mac import auto_mac
 from ringtrue.study.opened import Progress
 from ringtrue.study.reference import elastic_edge, measured_channels, settings
-from ringtrue.study.results import CompareStage, IdentifyStage
+from ringtrue.study.results import CompareStage, Evidence, IdentifyStage
 from ringtrue.study.workbench import Workbench
 
 
 def run(desk: Workbench, progress: Progress) -> CompareStage | None:
     """Pair the elastic modes of the two tests on their common channels; None if one is missing or none is common."""
     found: IdentifyStage = desk.get("identify")
-    if found.hammer is None or not len(found.ambient):
+    if found.hammer is None or found.hammer_uncertainty is None or not len(found.ambient):
         return None
     edge = elastic_edge(found.ambient.frequencies, desk.config)
     ambient, std = _elastic(found, edge)
@@ -25,8 +27,12 @@ def run(desk: Workbench, progress: Progress) -> CompareStage | None:
         return None
     a, b = ambient.rows(common), found.hammer.rows(common)
     names = ("ambient", "hammer")
-    pairing = pair_modes(a, b, settings(desk.config), names=names)
-    return CompareStage(correlation_table(a, b, pairing, std_hz=std, names=names))
+    gates = settings(desk.config)
+    pairing = pair_modes(a, b, gates, names=names)
+    measures = complete(a, b, pairing, std_a=std, std_b=found.hammer_uncertainty.frequency, settings=gates)
+    return CompareStage(
+        correlation_table(a, b, pairing, std_hz=std, names=names), Evidence(measures, auto_mac(a.shapes))
+    )
 
 
 def _elastic(found: IdentifyStage, edge: float) -> tuple[ModeSet, np.ndarray[tuple[int], np.dtype[np.float64]]]:

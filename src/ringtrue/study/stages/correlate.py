@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from ringtrue.core.modes import ModeSet
+from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.io.nastran.edit import unified_diff
+from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.opened import Opened, Progress
-from ringtrue.study.reference import elastic_table, left_out, reference_modes, rigid_table
-from ringtrue.study.results import CorrelateStage
+from ringtrue.study.reference import Reference, elastic_table, left_out, reference_modes, rigid_table
+from ringtrue.study.results import CorrelateStage, Evidence
 from ringtrue.study.workbench import Workbench
 
 
@@ -16,6 +18,14 @@ def seen(desk: Workbench, opened: Opened) -> ModeSet:
     """The modes of a model at all channels of the sheet."""
     modes = opened.modes(desk.deck.fmax).modes
     return opened.seen(modes, desk.get("identify").test, desk.config.correlate.tolerance)
+
+
+def judged(desk: Workbench, opened: Opened, reference: Reference, fe: ModeSet, table: CorrelationTable) -> Evidence:
+    """What the elastic correlation of a model rests on, with the mass of its deck at the channels."""
+    config = desk.config.correlate
+    observation = opened.observation(desk.get("identify").test, config.tolerance)
+    mass = channel_mass(opened, observation, reference.elastic.channels, config, desk.deck.fmax)
+    return evidence(reference, fe, table.pairing, desk.config, mass)
 
 
 def run(desk: Workbench, progress: Progress) -> CorrelateStage:
@@ -26,6 +36,10 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
     initial = seen(desk, desk.initial)
     progress(0.3, "remodelled deck")
     remodelled = seen(desk, desk.remodelled)
+    tables = [elastic_table(reference, fe, config, out) for fe in (initial, remodelled)]
+    progress(0.6, "mass at the channels")
+    told = judged(desk, desk.remodelled, reference, remodelled, tables[1])
+    first = evidence(reference, initial, tables[0].pairing, config) if config.remodel else told
     files = desk.initial.model.files, desk.remodelled.model.files
     return CorrelateStage(
         reference.elastic,
@@ -33,11 +47,13 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         reference.rigid,
         reference.rigid_std,
         out,
-        elastic_table(reference, initial, config, out),
-        elastic_table(reference, remodelled, config, out),
+        tables[0],
+        tables[1],
         rigid_table(reference, initial, config),
         config.remodel.reason if config.remodel else "",
         unified_diff([Path(f) for f in files[0]], [Path(f) for f in files[1]]),
         initial,
         remodelled,
+        first,
+        told,
     )

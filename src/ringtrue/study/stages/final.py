@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,26 +12,25 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.pairing import Pairing
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
-from ringtrue.fem.response import frf
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import FieldChange, field_changes
 from ringtrue.model.model import Model
+from ringtrue.study.evidence import followed, frf_evidence, on_sheet, synthesised
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.reference import Reference, elastic_table, reference_modes, rigid_table
 from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage
 from ringtrue.study.scene import scene_modes
-from ringtrue.study.stages.correlate import seen
+from ringtrue.study.stages.correlate import judged, seen
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.workbench import Workbench
 
 SHOWN = 4  # FRFs shown before and after
-MASS = {"SI": 1.0, "mm-t-s": 1e3}
 
 
 def deliver(desk: Workbench) -> tuple[Opened, tuple[str, ...], list[str]]:
     """Write the updated deck into `out/updated` and read it back."""
-    parameters = ParameterSet(desk.config.candidates().parameters + desk.config.suspensions().parameters)
+    parameters = ParameterSet(desk.parameters.parameters + desk.config.suspensions().parameters)
     tuned = desk.get("tune").factors if desk.config.suspension else {}
     springs = [tuned[p.name] for p in desk.config.suspensions().parameters]
     factors = np.concatenate([chosen_factors(desk), np.array(springs)])
@@ -38,11 +38,13 @@ def deliver(desk: Workbench) -> tuple[Opened, tuple[str, ...], list[str]]:
     model = desk.remodelled.model
     changes = field_changes(model, parameters.take(moved), factors[moved])
     written = edit_fields(model, changes, desk.out / "updated")
-    said = [_said(model, c) for c in changes]
-    return Opened(read_deck(written[0]), desk.length), tuple(str(p) for p in written), said
+    told = [said(model, c) for c in changes]
+    desk.delivered = Opened(read_deck(written[0]), desk.length)
+    return desk.delivered, tuple(str(p) for p in written), told
 
 
-def _said(model: Model, change: FieldChange) -> str:
+def said(model: Model, change: FieldChange) -> str:
+    """A changed field in words: file:line card id field old -> new."""
     table = model[change.card]
     row = int(table.find(np.array([change.id]))[0])
     place = f"{Path(model.files[int(table.file[row])]).name}:{int(table.line[row])}"
@@ -66,17 +68,6 @@ def damping_of(modes: ModeSet, elastic: Pairing, rigid: Pairing, reference: Refe
     return zeta, tuple(source)
 
 
-def responses(
-    fe: ModeSet, zeta: Float, frfs: FrfSet, pairs: list[tuple[int, int]], freqs: Float, mass: float
-) -> Complex:
-    """Accelerances (f, k) of a model at (output, input) pairs of a measured set."""
-    at = {c: i for i, c in enumerate(fe.channels)}
-    out = [at[frfs.outputs[i].id] for i, _ in pairs]
-    into = [at[frfs.inputs[j].id] for _, j in pairs]
-    h = frf(freqs, fe.frequencies, zeta, fe.shapes[out], fe.shapes[into], frfs.kind) / mass
-    return np.asarray(np.stack([h[:, k, k] for k in range(len(pairs))], axis=1), dtype=np.complex128)
-
-
 def run(desk: Workbench, progress: Progress) -> FinalStage:
     """Deliver and judge."""
     found: IdentifyStage = desk.get("identify")
@@ -89,7 +80,13 @@ def run(desk: Workbench, progress: Progress) -> FinalStage:
     table = elastic_table(reference, fe, desk.config, before.left_out)
     rigid = rigid_table(reference, fe, desk.config)
     zeta, source = damping_of(fe, table.pairing, rigid.pairing, reference)
-    shown = _responses(desk, found.frfs, before.fe_initial, fe, zeta)
+    progress(0.5, "what the correlation rests on")
+    told = judged(desk, opened, reference, fe, table)
+    upto = int(table.pairing.b.max(initial=-1)) + 1
+    told = replace(told, tracks=followed(fe, before.fe_remodelled, before.fe_initial, upto))
+    progress(0.8, "frequency responses")
+    frfs = _frfs(desk, reference, before, opened, fe, zeta)
+    told = replace(told, frfs=frf_evidence(found, *frfs, desk.config)) if frfs else told
     return FinalStage(
         files,
         tuple(changes),
@@ -99,31 +96,38 @@ def run(desk: Workbench, progress: Progress) -> FinalStage:
         fe,
         zeta,
         source,
-        *shown,
+        *_shown(frfs),
+        told,
     )
 
 
-def _responses(
-    desk: Workbench, frfs: FrfSet | None, initial: ModeSet, final: ModeSet, zeta: Float
+def _frfs(
+    desk: Workbench, reference: Reference, before: CorrelateStage, opened: Opened, fe: ModeSet, zeta: Float
+) -> tuple[FrfSet, FrfSet, FrfSet] | None:
+    """Measured FRFs, those of the initial and of the final model; None without measured ones."""
+    found: IdentifyStage = desk.get("identify")
+    low = min(1.0, 0.5 * float(reference.elastic.frequencies[0]))
+    measured = on_sheet(found, low, desk.deck.fmax)
+    if measured is None:
+        return None
+    first, _ = damping_of(before.fe_initial, before.initial.pairing, before.rigid_initial.pairing, reference)
+    models = ((desk.initial, before.fe_initial, first), (opened, fe, zeta))
+    made = [
+        synthesised(o, o.observation(found.test, desk.config.correlate.tolerance), m, z, measured, desk.deck.units)
+        for o, m, z in models
+    ]
+    return measured, made[0], made[1]
+
+
+def _shown(
+    frfs: tuple[FrfSet, FrfSet, FrfSet] | None,
 ) -> tuple[Float, tuple[str, ...], Complex, Complex, Complex]:
+    """Lines, names and the FRFs (line, k) at driving points, of test, initial and final model."""
     if frfs is None:
         none = np.zeros((0, 0), dtype=np.complex128)
         return np.zeros(0), (), none, none, none
-    keep = (frfs.freqs > 1.0) & (frfs.freqs < desk.deck.fmax)
-    seen = set(final.channels)
-    rest = [(0, j) for j, c in enumerate(frfs.inputs) if c.id in seen]  # a hammer point without a sensor on the sheet
-    pairs = [(i, j) for i, j in frfs.driving_points() if frfs.inputs[j].id in seen][:SHOWN] or rest[:1]
-    if not pairs:
-        return _responses(desk, None, initial, final, zeta)
-    mass = MASS[desk.deck.units]
-    freqs = frfs.freqs[keep]
-    mean = np.full(len(initial), float(np.median(zeta)))
-    measured = np.stack([frfs.data[keep, i, j] for i, j in pairs], axis=1)
-    names = tuple(f"{frfs.outputs[i].id} / {frfs.inputs[j].id}" for i, j in pairs)
-    return (
-        freqs,
-        names,
-        measured,
-        responses(initial, mean, frfs, pairs, freqs, mass),
-        responses(final, zeta, frfs, pairs, freqs, mass),
-    )
+    test = frfs[0]
+    at = test.driving_points()[:SHOWN] or [(0, 0)]  # a hammer point without a sensor
+    names = tuple(f"{test.outputs[i].id} / {test.inputs[j].id}" for i, j in at)
+    one, two, three = (np.stack([x.data[:, i, j] for i, j in at], axis=1) for x in frfs)
+    return test.freqs, names, one, two, three

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
@@ -18,11 +19,13 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
-from ringtrue.identify.merge import merge_modes
+from ringtrue.identify.merge import Contribution, merge_modes
 from ringtrue.identify.peaks import cmif
+from ringtrue.io.choices import read_choice
 from ringtrue.io.records import RecordChannel, read_record, record_info
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
+from ringtrue.plan.wireframe import neighbours
 from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
@@ -32,6 +35,7 @@ from ringtrue.study.opened import Progress
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
 from ringtrue.study.workbench import Workbench
 
+HAMMER = "hammer"  # what a choice by hand calls the hammer test
 SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 
 
@@ -105,7 +109,7 @@ def files(desk: Workbench) -> list[Path]:
     """All inputs of the stage."""
     test = section(desk)
     records, _ = read_log(desk.base / test.log)
-    paper = [desk.base / f for f in (test.sheet, test.log, test.lines) if f]
+    paper = [desk.base / f for f in (test.sheet, test.log, test.lines, desk.config.identify.choice) if f]
     return [*paper, *(r.path for r in records)]
 
 
@@ -124,10 +128,12 @@ def corrected(history: TimeHistory, sensors: dict[str, Any]) -> tuple[TimeHistor
     return fixed, low, f"{corner:g} Hz corner corrected from {low:.2f} Hz on"
 
 
-def summary(record: Logged, history: TimeHistory, notes: Sequence[str]) -> RecordSummary:
-    """What the report shows of a record: channels of one unit, thinned so that no peak is lost."""
+def summary(record: Logged, history: TimeHistory, notes: Sequence[str], *, draw: bool = True) -> RecordSummary:
+    """What the report shows of a record: channels of one unit, thinned so that no peak is lost; none unless `draw`."""
     unit = history.channels[0].unit
-    at = [i for i, c in enumerate(history.channels) if c.unit == unit][:SHOWN]
+    at = [i for i, c in enumerate(history.channels) if c.unit == unit][: SHOWN if draw else 0]
+    if not at:
+        return _listed(record, history, notes)
     shown = tuple(history.channels[i] for i in at)
     show = np.asarray(history.data[at], dtype=np.float64)
     psd = csd(TimeHistory(show, history.rate, shown), Welch(0.05))
@@ -149,7 +155,20 @@ def summary(record: Logged, history: TimeHistory, notes: Sequence[str]) -> Recor
         power[:, ::thin],
         tuple(notes),
         unit,
+        _setup(record),
     )
+
+
+def _listed(record: Logged, history: TimeHistory, notes: Sequence[str]) -> RecordSummary:
+    """A record that the report lists and does not draw."""
+    line, curves = np.zeros(0), np.zeros((0, 0))
+    what = (record.name, record.test, record.excitation, record.path.name)
+    size = (len(history.channels), history.rate, history.duration)
+    return RecordSummary(*what, *size, line, curves, (), line, curves, tuple(notes), setup=_setup(record))
+
+
+def _setup(record: Logged) -> str:
+    return str(record.details.get("setup", ""))
 
 
 def _peaks(data: Float, step: int) -> Float:
@@ -159,8 +178,32 @@ def _peaks(data: Float, step: int) -> Float:
     return np.asarray(np.take_along_axis(runs, best[:, :, None], axis=2)[:, :, 0])
 
 
+def _by_hand(desk: Workbench, records: Sequence[Logged]) -> Choice:
+    """The choice of the study; one that changes nothing if there is none."""
+    if (name := desk.config.identify.choice) is None:
+        return Choice()
+    choice = read_choice(desk.base / name)
+    known = [HAMMER, *(r.name for r in records if r.kind == "ambient")]
+    for record in choice.records:
+        if record not in known:
+            raise ConfigError(f"{choice.source}: no record {record!r}{did_you_mean(record, known)}")
+    return choice
+
+
+def _reason(parts: Sequence[Contribution], found: Sequence[IdentifiedRecord]) -> str:
+    """Why a merged mode is believed, and where it was chosen by hand."""
+    reasons = {r.record: r.reasons for r in found}
+    mine = [(c.record, reasons[c.record][c.mode].split(";")[0]) for c in parts]
+    return "; ".join([*(c.why for c in parts), *(f"{r}: {why}" for r, why in mine if "by hand" in why)])
+
+
 def ambient(
-    desk: Workbench, records: Sequence[Logged], sensors: dict[str, Any], sheet: TestModel, progress: Progress
+    desk: Workbench,
+    records: Sequence[Logged],
+    sensors: dict[str, Any],
+    sheet: TestModel,
+    choice: Choice,
+    progress: Progress,
 ) -> tuple[list[IdentifiedRecord], list[RecordSummary]]:
     """Modes of each ambient record."""
     settings = desk.config.identify
@@ -172,7 +215,8 @@ def ambient(
         history, low, note = corrected(raw, sensors)
         fmin = max(low, settings.ambient_fmin or 0.0) or None
         with about(record.path):
-            result = identify_ambient(history, AmbientSettings(fmin=fmin, fmax=settings.ambient_fmax))
+            band = AmbientSettings(fmin=fmin, fmax=settings.ambient_fmax)
+            result = identify_ambient(history, band, choice=choice.of(record.name))
         notes = [n for n in (note, *result.notes) if n]
         found.append(IdentifiedRecord(record.name, result.modes, result.uncertainty, result.reasons, result.diagrams))
         shown.append(summary(record, history, notes))
@@ -180,7 +224,7 @@ def ambient(
 
 
 def hammer(
-    records: Sequence[Logged], settings: IdentifySection, progress: Progress
+    records: Sequence[Logged], settings: IdentifySection, choice: Choice, progress: Progress
 ) -> tuple[HammerResult, FrfSet, list[RecordSummary], tuple[str, ...]]:
     """FRFs of all setups and the modes in them."""
     histories = [replace(read_record(r.path), source=r.name) for r in records]
@@ -194,17 +238,25 @@ def hammer(
     shown = []
     for record, history in zip(records, histories, strict=True):
         mine = [h for h in hits if h.source == record.name]
-        if record.details["setup"] == records[0].details["setup"]:
-            shown.append(summary(record, history, [f"{sum(h.accepted for h in mine)} of {len(mine)} hits kept"]))
+        first = record.details["setup"] == records[0].details["setup"]  # the others look alike
+        kept = f"{sum(h.accepted for h in mine)} of {len(mine)} hits kept"
+        shown.append(summary(record, history, [kept], draw=first))
     rejected = tuple(
         f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: {', '.join(h.reasons)}" for h in hits if not h.accepted
     )
     result = identify_hammer(
         frfs,
         HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax),
+        choice=choice.of(HAMMER),
         progress=lambda f, t: progress(0.4 + 0.6 * f, t),
     )
+    shown[0] = replace(shown[0], notes=(*shown[0].notes, *result.notes))
     return result, frfs, shown, rejected
+
+
+def _lines(test: TestModel) -> Int:
+    """Lines to draw where the crew gave none."""
+    return test.points[neighbours(test.xyz, test.groups)]
 
 
 def _floored(found: IdentifiedRecord, duration: float) -> Uncertainty:
@@ -222,12 +274,14 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     """Identify everything that the log lists."""
     test = section(desk)
     sheet = read_sensor_sheet(desk.base / test.sheet, desk.base / test.lines if test.lines else None)
+    model = sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
     records, sensors = read_log(desk.base / test.log)
     quiet = [r for r in records if r.kind == "ambient"]
     hits = [r for r in records if r.kind == "hammer"]
     for r in hits:
         _check_sheet(r.path, record_info(r.path).channels, sheet.model)
-    found, shown = ambient(desk, quiet, sensors, sheet.model, lambda f, t: progress(0.5 * f, t))
+    choice = _by_hand(desk, records)
+    found, shown = ambient(desk, quiet, sensors, sheet.model, choice, lambda f, t: progress(0.5 * f, t))
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
     nothing = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
@@ -235,15 +289,16 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     result = frfs = None
     rejected: tuple[str, ...] = ()
     if hits:
-        result, frfs, more, rejected = hammer(hits, desk.config.identify, lambda f, t: progress(0.5 + 0.5 * f, t))
+        settings = desk.config.identify
+        result, frfs, more, rejected = hammer(hits, settings, choice, lambda f, t: progress(0.5 + 0.5 * f, t))
         shown += more
     return IdentifyStage(
-        sheet.model,
+        model,
         tuple(shown),
         tuple(found),
         merged.modes if merged else nothing,
         merged.uncertainty if merged else none,
-        tuple("; ".join(c.why for c in p) for p in merged.provenance) if merged else (),
+        tuple(_reason(p, found) for p in merged.provenance) if merged else (),
         frfs,
         cmif(frfs.data) if frfs else np.zeros((0, 0)),
         rejected,

@@ -20,7 +20,7 @@ from ringtrue.plan.resolution import resolution
 from ringtrue.plan.selection import auto_mac_points, make_redundant, qr_points, worst_loss
 from ringtrue.plan.suspension import loaded_frequencies, suspension_points
 from ringtrue.plan.targets import Targets, choose_targets, effective_mass, in_band, telling_modes
-from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
+from ringtrue.plan.wireframe import mesh_edges, neighbours, shown, wireframe
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.config import PlanSection
 from ringtrue.study.opened import Progress
@@ -279,12 +279,7 @@ def _ambient(plan: PlanSection, shapes: Float, xyz: Float, region: tuple[str, ..
 
 
 def _test_model(nodes: Int, xyz: Float, labels: tuple[str, ...], groups: list[str]) -> TestModel:
-    """Points with lines to their two nearest neighbours of the same region, for drawing."""
-    gap = np.linalg.norm(xyz[:, None] - xyz[None], axis=-1)
-    gap[np.array(groups)[:, None] != np.array(groups)[None]] = np.inf
-    np.fill_diagonal(gap, np.inf)
-    near = np.argsort(gap, axis=1, kind="stable")[:, :2]
-    pairs = [sorted((i, j)) for i, row in enumerate(near.tolist()) for j in row if np.isfinite(gap[i, j])]
-    lines = nodes[np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)]
+    """Triaxial points with lines to their neighbours of the same region, for drawing."""
     axes = np.tile(np.eye(3), (nodes.size, 1))
+    lines = nodes[neighbours(xyz, groups)]
     return TestModel(nodes, xyz, labels, np.repeat(nodes, 3), axes, lines, tuple(groups))

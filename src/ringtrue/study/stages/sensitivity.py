@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Float, Int
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
 from ringtrue.study.opened import Progress
 from ringtrue.study.reference import settings, used_mask
-from ringtrue.study.results import CorrelateStage, SensitivityStage
+from ringtrue.study.results import CorrelateStage, LocaliseStage, SensitivityStage
 from ringtrue.study.workbench import Workbench
 from ringtrue.update import choose
 from ringtrue.update.objective import Target, Weights, match
+
+RULES = choose.RULES | {
+    "proposal": "the ranked proposal of the localisation: from all candidates at once the least useful are left out, "
+    "the rest exchanged while J falls; as many as AICc supports"
+}
 
 
 def target(desk: Workbench) -> Target:
@@ -34,6 +39,12 @@ def mac_slope(psi: Float, point: Linearisation, fe: int) -> Float:
     return np.asarray(2 * cross * (a @ d) / size - 2 * cross**2 * (phi @ d) / size**2)
 
 
+def proposed(desk: Workbench) -> tuple[str, ...]:
+    """Names of the proposed parameters, or of the one that explains most by itself where no change pays."""
+    found: LocaliseStage = desk.get("localise")
+    return tuple(m.name for m in found.proposal.members) or found.proposal.orders["single gain"][:1]
+
+
 def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     """Linearise at the remodelled deck and choose sets by three rules."""
     aim = target(desk)
@@ -47,17 +58,21 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     count = min(desk.config.update.choose, len(names))
     weighted = choose.weighted_sensitivities(model, aim)
     progress(0.6, "choosing parameters")
-    members = {
-        "best subset": choose.best_subset(model, aim, count, lambda f, t: progress(0.6 + 0.4 * f, t)).members,
-        "orthogonal sensitivities": choose.orthogonal(weighted, count),
-        "largest sensitivities": choose.largest(weighted, count),
-    }
+    members: dict[str, Int] = {}
+    if desk.config.propose:
+        members["proposal"] = np.array([names.index(n) for n in proposed(desk)])
+    if len(desk.config.candidates()):  # those made from the deck may scale the same field: the proposal knows
+        members |= {
+            "best subset": choose.best_subset(model, aim, count, lambda f, t: progress(0.6 + 0.4 * f, t)).members,
+            "orthogonal sensitivities": choose.orthogonal(weighted, count),
+            "largest sensitivities": choose.largest(weighted, count),
+        }
     return SensitivityStage(
         names,
         0.5 * point.d_lambda[fe] / lam[:, None],
         d_mac.reshape(-1, len(names)),
         fe,
         {rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
-        {rule: choose.RULES[rule] for rule in members},
+        {rule: RULES[rule] for rule in members},
         choose.alike(weighted, names),
     )

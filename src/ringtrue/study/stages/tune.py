@@ -48,8 +48,8 @@ def suspended(desk: Workbench, progress: Progress) -> AtChannels:
     """The model over the suspension alone, the elastic parameters held at their updated values."""
     found: CorrelateStage = desk.get("correlate")
     count = len(desk.config.suspensions())
-    base = np.concatenate([desk.config.candidates().vector(chosen_factors(desk)), np.zeros(count)])
-    first = len(desk.config.candidates())
+    base = np.concatenate([desk.parameters.vector(chosen_factors(desk)), np.zeros(count)])
+    first = len(desk.parameters)
     model = desk.suspended(found.rigid.channels, progress)
     return model.with_parameters(range(first, first + count), base)
 

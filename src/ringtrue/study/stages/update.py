@@ -8,8 +8,10 @@ from ringtrue.core.arrays import Float
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
 from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
+from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.workbench import Workbench
+from ringtrue.update.candidates import elements_of, of_parameter
 from ringtrue.update.choose import criterion
 from ringtrue.update.gauss_newton import State, UpdateResult, update
 from ringtrue.update.objective import Residual, Target
@@ -31,7 +33,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         results.append(_one(desk, aim, name, members, progress))
     chosen = int(np.argmin([r.criterion for r in results]))
     best = results[chosen]
-    parameters = desk.config.candidates().take([sets.names.index(n) for n in best.parameters])
+    parameters = desk.parameters.take([sets.names.index(n) for n in best.parameters])
     before = dict(zip(best.parameters, _values(desk, best, np.ones(len(parameters))), strict=True))
     after = dict(zip(best.parameters, _values(desk, best, best.factor), strict=True))
     return UpdateStage(
@@ -47,7 +49,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
 
 def _values(desk: Workbench, best: SetResult, factor: Float) -> list[float]:
     """The first target's value of each parameter at the factors."""
-    candidates = {p.name: p for p in desk.config.candidates().parameters}
+    candidates = {p.name: p for p in desk.parameters.parameters}
     out = []
     for name, a in zip(best.parameters, factor.tolist(), strict=True):
         t = candidates[name].targets[0]
@@ -57,12 +59,13 @@ def _values(desk: Workbench, best: SetResult, factor: Float) -> list[float]:
 
 
 def regions(desk: Workbench, name: str) -> tuple[int, ...]:
-    """Groups of the scene that a parameter changes: those whose property or material it targets."""
-    scene = desk.get("model").scene
-    parameter = next(p for p in desk.config.candidates().parameters if p.name == name)
-    ids = {t.id for t in parameter.targets}
-    named = desk.deck.regions
-    return tuple(i for i, g in enumerate(scene.groups) if ids & set(named.get(g, [])) or g == name)
+    """Groups of the scene that a parameter changes: those of the elements that use what it targets."""
+    model = desk.remodelled.model
+    parameter = desk.parameters.take([desk.parameters.names.index(name)]).parameters[0]
+    mine = np.isin(elements_of(model), of_parameter(model, parameter).elements)
+    labels = element_regions(model, desk.deck.regions)
+    touched = {labels[i] for i in np.flatnonzero(mine).tolist()}
+    return tuple(i for i, g in enumerate(desk.get("model").scene.groups) if g in touched or g == name)
 
 
 def _one(desk: Workbench, aim: Target, name: str, members: tuple[str, ...], progress: Progress) -> SetResult:
@@ -116,7 +119,7 @@ def _deviation(r: Residual, used: bool) -> float:
 def _summary(
     desk: Workbench, aim: Target, name: str, members: tuple[str, ...], final: UpdateResult, states: list[State]
 ) -> SetResult:
-    candidates = desk.config.candidates()
+    candidates = desk.parameters
     parameters = candidates.take([candidates.names.index(m) for m in members])
     r = final.residual
     low, high = parameters.bounds()
@@ -146,7 +149,7 @@ def _summary(
 
 def chosen_factors(desk: Workbench) -> Float:
     """Factors of all candidates after the updating, (P,); 1 for those not chosen."""
-    names = desk.config.candidates().names
+    names = desk.parameters.names
     out = np.ones(len(names))
     if not names:
         return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -11,6 +11,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.eigen.damped import project
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.fem.assembly import System
 from ringtrue.fem.change import changed
@@ -18,44 +19,61 @@ from ringtrue.fem.elements.bush import build as bush
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
 from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.reduce.response import response_basis
+from ringtrue.study.config import PredictSection
 from ringtrue.study.opened import Opened, Progress
-from ringtrue.study.parametric import AtChannels, build
-from ringtrue.study.results import CorrelateStage, FinalStage, UpdateStage
+from ringtrue.study.parametric import AtChannels
+from ringtrue.study.results import (
+    CorrelateStage,
+    DampedRegions,
+    DampingStage,
+    FinalStage,
+    PredictStage,
+    UpdateStage,
+)
+from ringtrue.study.stages.damping import regions
+from ringtrue.study.stages.final import deliver
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.tune import suspended
 from ringtrue.study.stages.tune import target as rigid_target
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.workbench import Workbench
+from ringtrue.update.damping_regions import matrices_of
 from ringtrue.update.kfold import discrepancy
 from ringtrue.update.plausible import plausibility
 from ringtrue.update.posterior import Posterior, laplace
-from ringtrue.update.predict import Damping, Output, Rows, RunUp, Unbalance, plane, run_up, validated_band
+from ringtrue.update.predict import Damping, Output, RegionDamping, Rows, Unbalance, plane, run_up, validated_band
 from ringtrue.update.several import Configuration, Problem
 
 UNIT = {"SI": "m", "mm-t-s": "mm"}
-ABOVE = 1.3  # modes up to here over the highest speed
+LOWEST = 0.005  # of the highest speed: the first line
+WATCHED = 40  # speeds at which the residual is watched
 SPREAD = 0.3  # of ln ζ: what is known of damping beyond the tested modes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """A run-up and what it rests on.
+def run(desk: Workbench, progress: Progress) -> PredictStage:
+    """The run-up that [predict] of the study asks for.
 
-    Attributes
-    ----------
-    run_up : RunUp
-    posterior : Posterior
-        Of the elastic and suspension parameters.
-    discrepancy : float
-        Relative, of a frequency, from the modes left out of the updating (all pairs where none was).
-    flags : tuple of str
-        Parameters that are not plausible.
+    Raises
+    ------
+    ConfigError
+        If the study has no [predict], or its node or springs are not in the deck.
     """
-
-    run_up: RunUp
-    posterior: Posterior
-    discrepancy: float
-    flags: tuple[str, ...]
+    asked = desk.config.predict
+    if asked is None:
+        raise ConfigError("a run-up needs [predict] with the rotor's node and mass")
+    return predict(
+        desk,
+        asked.rotor,
+        asked.axis,
+        Unbalance(asked.mass, asked.grade, asked.service),
+        asked.springs,
+        np.random.default_rng([desk.config.study.seed, 9]),
+        freqs=np.linspace(LOWEST * asked.fmax, asked.fmax, asked.lines),
+        draws=asked.draws,
+        level=asked.level,
+        progress=progress,
+    )
 
 
 def predict(
@@ -70,7 +88,7 @@ def predict(
     draws: int = 100,
     level: float = 0.9,
     progress: Progress,
-) -> Prediction:
+) -> PredictStage:
     """The run-up of a rotor of a study whose final stage is done.
 
     Parameters
@@ -97,39 +115,60 @@ def predict(
     if "final" not in desk.store.stages():
         raise ConfigError("the study has no updated model yet: `ringtrue run` it to its final stage first")
     posterior, error = _posterior(desk, lambda f, t: progress(0.3 * f, t))
-    model = _model(desk, posterior.parameters, float(ABOVE * freqs[-1]), lambda f, t: progress(0.3 + 0.4 * f, t))
-    opened = desk.remodelled
+    opened, final = desk.remodelled, desk.get("final")
     across = plane(axis)
     motion = _translations(opened.analysis.system, rotor)
-    model = model.augmented(opened.analysis.pencil.at(model.shift).solve(motion[list(across)].toarray().T))
+    loads = motion[list(across)].toarray().T
+    model, residual = _model(desk, posterior.parameters, loads, freqs, lambda f, t: progress(0.3 + 0.3 * f, t))
     v = model.basis.vectors
     outputs = [Output(f"rotor, node {rotor}", UNIT[desk.deck.units], Rows(np.asarray(motion @ v)), 3)]
     for name, ids in springs.items():
         outputs += _forces(opened, posterior.parameters, name, ids, v)
-    final: FinalStage = desk.get("final")
+    progress(0.6, "damping")
+    damping, words = _damping(desk, v)
     result = run_up(
         model,
         posterior.sample(draws, rng),
         posterior.x,
         freqs,
-        np.asarray(motion[list(across)] @ v).T,
+        np.asarray(v.T @ loads),
         unbalance,
         outputs,
-        _damping(final),
+        damping,
         rng,
         discrepancy=error,
         level=level,
         validated=_validated(desk, final),
-        progress=lambda f, t: progress(0.7 + 0.3 * f, t),
+        progress=lambda f, t: progress(0.65 + 0.35 * f, t),
     )
     flags = plausibility(posterior.parameters, posterior.x, posterior.ratio)
-    return Prediction(result, posterior, error, tuple(f.text for f in flags))
+    told = tuple(f.text for f in flags)
+    return PredictStage(rotor, axis, unbalance, result, posterior, error, words, residual, told)
 
 
-def _damping(final: FinalStage) -> Damping:
+def _damping(desk: Workbench, v: Float) -> tuple[Damping | RegionDamping, str]:
+    """Of the regions, where the study has found them; else the ratios of the test over frequency. And in words."""
+    found: DampingStage | None = desk.get("damping") if "damping" in (*desk.results, *desk.store.stages()) else None
+    if found is not None and found.regions is not None:
+        return _by_region(desk, found.regions, v), "loss factors and dashpots by region"
+    final: FinalStage = desk.get("final")
     f, at = np.unique(final.observed.frequencies, return_index=True)
     keep = f > 0
-    return Damping(f[keep], np.maximum(final.damping[at][keep], 0.0), SPREAD)
+    words = "damping ratios of the test, interpolated between its modes and constant beyond"
+    return Damping(f[keep], np.maximum(final.damping[at][keep], 0.0), SPREAD), words
+
+
+def _by_region(desk: Workbench, found: DampedRegions, v: Float) -> RegionDamping:
+    opened = desk.delivered or deliver(desk)[0]
+    mine = {r.name: r for r in regions(desk, opened)}
+    if lost := [n for n in found.names if n not in mine]:
+        raise ConfigError(f"damping region {lost[0]!r} is not in the study any more: `ringtrue run` it again")
+    kept = [mine[n] for n in found.names]
+    system = opened.analysis.system
+    total = project(v, system.viscous, system.structural)
+    matrices, base = matrices_of(opened.model, kept, np.asarray(system.transform @ v), total)
+    viscous = np.array([r.kind == "viscous" for r in kept])
+    return RegionDamping(found.coefficients, found.covariance, np.array(matrices), viscous, base)
 
 
 def _validated(desk: Workbench, final: FinalStage) -> tuple[float, float]:
@@ -185,14 +224,31 @@ def _together(parts: Sequence[Posterior]) -> Posterior:
     return Posterior(names, y, covariance, np.eye(y.size), np.concatenate([p.prior_std for p in parts]))
 
 
-def _model(desk: Workbench, parameters: ParameterSet, fmax: float, progress: Progress) -> ReducedModel:
-    """The remodelled deck reduced to its modes up to `fmax`, enriched at the updated point; all modes of the basis."""
-    found = desk.get("identify")
-    model = build(desk.remodelled, parameters, found.test, desk.config.correlate.tolerance, fmax, progress)
-    known = dict(zip(desk.config.candidates().names, chosen_factors(desk).tolist(), strict=True))
+def _model(
+    desk: Workbench, parameters: ParameterSet, loads: Float, freqs: Float, progress: Progress
+) -> tuple[ReducedModel, float]:
+    """The remodelled deck over some of its parameters, on a basis for the response to the loads at the updated point.
+
+    And the largest residual of that response, relative to the load. The basis is that of one point: for the changes
+    that the posterior leaves it is exact to second order.
+    """
+    model = desk.candidates(lambda f, t: progress(0.3 * f, t)).model
+    every = model.system.parameters
+    known = dict(zip(desk.parameters.names, chosen_factors(desk).tolist(), strict=True))
     known |= desk.get("tune").factors if desk.config.suspension else {}
-    better, _ = model.enrich(parameters.vector(np.array([known[n] for n in parameters.names])))
-    return better
+    factors = np.array([known[n] for n in every.names])
+    start = model.with_parameters(range(len(every)), np.zeros(len(every))).vectors(every.vector(factors))[1]
+    final: FinalStage = desk.get("final")
+    found = response_basis(
+        *model.system.at(factors),
+        loads,
+        np.linspace(freqs[0], freqs[-1], min(freqs.size, WATCHED)),
+        start,
+        loss=2 * float(np.median(final.damping)),
+        progress=lambda f, t: progress(0.3 + 0.7 * f, t),
+    )
+    at = [every.names.index(n) for n in parameters.names]
+    return model.on(found.vectors).with_parameters(at, np.zeros(len(every))), float(found.residual.max())
 
 
 def _translations(system: System, node: int) -> sparse.csr_array:
@@ -223,6 +279,21 @@ def _forces(opened: Opened, parameters: ParameterSet, name: str, ids: Sequence[i
         for k, a in enumerate("XYZ")
     ]
     return [Output(f"{name}, largest in one of {at.size}", "N", each, 3), *axes]
+
+
+def check(model: Model, asked: PredictSection) -> None:
+    """Whether the rotor and the springs of a study are in its deck.
+
+    Raises
+    ------
+    ConfigError
+        If one is not.
+    """
+    plane(asked.axis)
+    if model["GRID"].find(np.array([asked.rotor]))[0] < 0:
+        raise ConfigError(f"rotor node {asked.rotor}: there is no such node in the deck")
+    for name, ids in asked.springs.items():
+        _bushes(model, name, ids)
 
 
 def _bushes(model: Model, name: str, ids: Sequence[int]) -> Int:

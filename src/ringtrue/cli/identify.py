@@ -1,0 +1,273 @@
+"""`oma` and `ema`: modes from ambient records and from FRFs, with a choice by hand stored and replayed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from ringtrue.cli.show import json_target, out, progress, rows, write_json
+from ringtrue.core.choice import Choice
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.errors import ConfigError, DataError, about, did_you_mean
+from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient
+from ringtrue.identify.choice import as_choice
+from ringtrue.identify.hammer import HammerModes, identify_hammer
+from ringtrue.identify.poles import StableDiagram
+from ringtrue.io.atomic import atomic_write
+from ringtrue.io.choices import read_choice, write_choice
+from ringtrue.io.frfs import read_frfs
+from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.records import read_record
+from ringtrue.plots.picker import picker_page
+from ringtrue.signal.faults import find_faults
+from ringtrue.signal.harmonics import without_machines
+from ringtrue.signal.preprocess import harmonics
+
+
+def file_target(option: str, *endings: str) -> object:
+    """A check of a file to write: its folder is there and its ending allowed, before any work is done."""
+
+    def check(value: Path | None) -> Path | None:
+        if value is not None and not value.parent.is_dir():
+            raise ConfigError(f"{option} {value}: no folder {value.parent}")
+        if value is not None and value.suffix.lower() not in endings:
+            raise ConfigError(f"{option} {value}: format {value.suffix!r}{did_you_mean(value.suffix, endings)}")
+        return value
+
+    return check
+
+
+class Removal(StrEnum):
+    """How lines of machines are taken out."""
+
+    LINES = "lines"
+    CEPSTRUM = "cepstrum"
+
+
+Json = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
+]
+Fmin = Annotated[float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")]
+Fmax = Annotated[float | None, typer.Option("--fmax", metavar="HZ", help="Highest frequency of interest.")]
+Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file has none.")]
+LeaveOut = Annotated[
+    list[str] | None, typer.Option("--leave-out", metavar="CHANNEL", help="Do not use this channel; may be repeated.")
+]
+ChoiceFile = Annotated[
+    Path | None, typer.Option("--choice", metavar="FILE", help="Apply a choice by hand (.toml, .json).")
+]
+WriteChoice = Annotated[
+    Path | None,
+    typer.Option(
+        "--write-choice",
+        metavar="FILE",
+        help="Write the modes as a choice to be edited (.toml, .json).",
+        callback=file_target("--write-choice", ".toml", ".json"),
+    ),
+]
+Diagram = Annotated[
+    Path | None,
+    typer.Option(
+        "--diagram",
+        metavar="FILE",
+        help="Write the stabilisation diagrams as a page to pick poles on (.html).",
+        callback=file_target("--diagram", ".html"),
+    ),
+]
+
+
+def print_modes(title: str, modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str]) -> None:
+    """A table of modes with standard deviations, confidence and reasons."""
+    body: list[tuple[object, ...]] = []
+    for i in range(len(modes)):
+        sf, sz = (std.frequency[i], std.damping[i]) if std is not None else (float("nan"), float("nan"))
+        f, z = modes.frequencies[i], modes.damping[i]
+        note = reasons[i] if i < len(reasons) else ""
+        body.append(
+            (i + 1, f"{f:.5g}", f"{sf:.1e}", f"{100 * z:.3f}", f"{100 * sz:.3f}", f"{modes.confidence[i]:.2f}", note)
+        )
+    rows(title, ("#", "f [Hz]", "± [Hz]", "damping [%]", "± [%]", "confidence", "why"), body)
+
+
+def check_band(fmin: float | None, fmax: float | None) -> None:
+    """Refuse a band that is empty."""
+    low, high = 0.0 if fmin is None else fmin, float("inf") if fmax is None else fmax
+    if not 0 <= low < high:
+        raise ConfigError(f"--fmin {fmin} --fmax {fmax}: must be 0 <= fmin < fmax")
+
+
+def record_without(path: Path, rate: float | None, lost: Sequence[str]) -> TimeHistory:
+    """A record without some channels; those that are left are checked."""
+    if not lost:
+        return read_record(path, rate)
+    every = read_record(path, rate, check=False).channels
+    return read_record(path, rate, channels=_kept(path, every, lost))
+
+
+def _kept(path: Path, channels: Sequence[Channel], lost: Sequence[str]) -> list[str]:
+    ids = [c.id for c in channels]
+    for name in lost:
+        if name not in ids:
+            raise ConfigError(f"--leave-out {name}: {path} has no such channel{did_you_mean(name, ids)}")
+    if not (keep := [c for c in ids if c not in set(lost)]):
+        raise DataError(f"{path}: --leave-out leaves no channel")
+    return keep
+
+
+def fault_notes(history: TimeHistory) -> tuple[str, ...]:
+    """Drop-outs and spikes, a line for each channel and kind."""
+    found = [f for f in find_faults(history) if f.kind in ("drop-out", "spike")]
+    count = Counter((f.id, f.kind) for f in found)
+    first = {(f.id, f.kind): f for f in reversed(found)}
+    return tuple(
+        f"channel {c}: {n} {kind}{'s' if n > 1 else ''}, the first at {first[c, kind].time:.4g} s: {first[c, kind].why}"
+        for (c, kind), n in count.items()
+    )
+
+
+def _tell(notes: Sequence[str]) -> None:
+    for note in notes:
+        out.print(note, markup=False, highlight=False, soft_wrap=True)
+
+
+def _write_pages(
+    record: Path,
+    found: tuple[ModeSet, Sequence[str], Sequence[StableDiagram]],
+    choice_to: Path | None,
+    diagram_to: Path | None,
+) -> None:
+    modes, reasons, diagrams = found
+    if choice_to:
+        write_choice(choice_to, as_choice(modes, reasons, record=record.stem))
+    if diagram_to:
+        with atomic_write(diagram_to) as part:
+            part.write_text(picker_page(str(record), diagrams, modes), encoding="utf-8")
+
+
+def _choice(path: Path | None, record: Path) -> Choice | None:
+    if path is None:
+        return None
+    choice = read_choice(path)
+    if (part := choice.of(record.stem)) is None:
+        told = f"; it has {', '.join(choice.records)}" if choice.records else ": it is empty"
+        raise ConfigError(f"{path}: no entry for the record {record.stem!r}{told}")
+    return part
+
+
+def oma(
+    record: Annotated[Path, typer.Argument(help=".h5, .npy (sample, channel), .csv, .mat or .uff")],
+    rate: Rate = None,
+    fmin: Fmin = None,
+    fmax: Fmax = None,
+    leave_out: LeaveOut = None,
+    remove_harmonics: Annotated[
+        Removal | None,
+        typer.Option("--remove-harmonics", help="Take the lines of machines out first: each by itself, or families."),
+    ] = None,
+    choice: ChoiceFile = None,
+    choice_to: WriteChoice = None,
+    diagram: Diagram = None,
+    json: Json = None,
+) -> int:
+    """Modes from an ambient record: automatic covariance-driven SSI with standard deviations.
+
+    Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
+    """
+    check_band(fmin, fmax)
+    by_hand = _choice(choice, record)
+    history = record_without(record, rate, leave_out or [])
+    settings = AmbientSettings(fmin=fmin, fmax=fmax)
+    with progress("ambient modes") as show, about(record):
+        history, removed = _removed(history, remove_harmonics)
+        found = identify_ambient(history, settings, choice=by_hand, progress=show)
+    _write_pages(record, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
+    if json:
+        write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
+    if json != "-":
+        print_modes(f"{record}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
+        _tell((*fault_notes(history), *removed, *_machines(found), *found.notes))
+    return 0 if len(found.modes) else 1
+
+
+def _removed(history: TimeHistory, how: Removal | None) -> tuple[TimeHistory, tuple[str, ...]]:
+    lines = harmonics(history) if how else ()
+    return without_machines(history, [h.frequency for h in lines], how.value) if how and lines else (history, ())
+
+
+def _machines(found: AmbientResult) -> list[str]:
+    """The lines of machines that no pole stood on; the others are among the notes."""
+    told = " ".join(found.notes)
+    return [f"line at {h.frequency:.4g} Hz: {h.why}" for h in found.harmonics if h.why not in told]
+
+
+def ema(
+    frf: Annotated[Path, typer.Argument(help=".h5, .npz with freq (f) and H1 (reference, response, f), or .uff")],
+    fmin: Fmin = None,
+    fmax: Fmax = None,
+    window_decay: Annotated[
+        float | None,
+        typer.Option(metavar="1/S", help="Decay rate of the exponential window; taken out of the damping."),
+    ] = None,
+    leave_out: LeaveOut = None,
+    choice: ChoiceFile = None,
+    choice_to: WriteChoice = None,
+    diagram: Diagram = None,
+    json: Json = None,
+) -> int:
+    """Modes from FRFs: automatic poly-reference LSCF with residues and standard deviations.
+
+    Example: ringtrue ema frf.npz --fmin 100 --fmax 5000 --choice beam.toml
+    """
+    check_band(fmin, fmax)
+    by_hand = _choice(choice, frf)
+    frfs = _frfs_without(read_frfs(frf), frf, leave_out or [])
+    if window_decay is not None:
+        if not 0 <= window_decay < float("inf"):
+            raise ConfigError(f"--window-decay {window_decay}: must be 0 or more, 1/s")
+        frfs = replace(frfs, window_decay=window_decay)
+    with progress("modes from FRFs") as show, about(frf):
+        found = identify_hammer(frfs, HammerModes(fmin=fmin, fmax=fmax), choice=by_hand, progress=show)
+    _write_pages(frf, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
+    if json:
+        write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
+    if json != "-":
+        print_modes(f"{frf}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
+        _tell(found.notes)
+        if not len(found.modes):
+            _tell(("no mode is believed in this band", *found.rejected[-5:]))
+    return 0 if len(found.modes) else 1
+
+
+def _frfs_without(frfs: FrfSet, path: Path, lost: Sequence[str]) -> FrfSet:
+    """The FRFs without some responses and references."""
+    if not lost:
+        return frfs
+    every = list({c.id: c for c in (*frfs.outputs, *frfs.inputs)}.values())
+    keep = set(_kept(path, every, lost))
+    o, i = (np.array([k for k, c in enumerate(x) if c.id in keep], dtype=int) for x in (frfs.outputs, frfs.inputs))
+    if not o.size or not i.size:
+        raise DataError(f"{path}: --leave-out leaves {o.size} responses and {i.size} references")
+    at = np.ix_(np.arange(frfs.freqs.size), o, i)
+    return replace(
+        frfs,
+        data=frfs.data[at],
+        coherence=frfs.coherence[at],
+        averages=frfs.averages[i],
+        outputs=tuple(frfs.outputs[k] for k in o),
+        inputs=tuple(frfs.inputs[k] for k in i),
+    )
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    for command in (oma, ema):
+        app.command()(command)

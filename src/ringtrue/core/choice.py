@@ -1,0 +1,106 @@
+"""A choice of modes by hand: what is picked on a stabilisation diagram, what is rejected, what is one mode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ringtrue.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Pick:
+    """A mode to take.
+
+    Attributes
+    ----------
+    frequency : float, Hz
+    order : int
+        Model order whose pole is meant; 0: the automatic mode or the group of poles there.
+    record : str
+        Name of the record; empty: every one.
+    note : str
+    """
+
+    frequency: float
+    order: int = 0
+    record: str = ""
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        _positive("pick", self.frequency)
+        if self.order < 0:
+            raise ConfigError(f"pick at {self.frequency:g} Hz: order {self.order} must be 1 or more, or left out")
+
+
+@dataclass(frozen=True, slots=True)
+class Reject:
+    """An automatic mode to leave out, and why."""
+
+    frequency: float
+    reason: str
+    record: str = ""
+
+    def __post_init__(self) -> None:
+        _positive("reject", self.frequency)
+        if not self.reason.strip():
+            raise ConfigError(f"reject at {self.frequency:g} Hz: needs a reason")
+
+
+@dataclass(frozen=True, slots=True)
+class Merge:
+    """Modes that are one."""
+
+    frequencies: tuple[float, ...]
+    reason: str = ""
+    record: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frequencies", tuple(self.frequencies))
+        for f in self.frequencies:
+            _positive("merge", f)
+        if len(self.frequencies) < 2:
+            raise ConfigError(f"merge of {list(self.frequencies)} Hz: needs two frequencies or more")
+
+
+def _positive(what: str, f: float) -> None:
+    if not 0 < f < float("inf"):
+        raise ConfigError(f"{what}: frequency {f} Hz must be positive")
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What a person decided on the modes of one record or several.
+
+    Attributes
+    ----------
+    picks : tuple of Pick
+    rejects : tuple of Reject
+    merges : tuple of Merge
+    automatic : bool
+        The automatic modes stay, but for those rejected or merged; otherwise only what is picked is reported.
+    source : str
+        Where the choice is stored.
+    """
+
+    picks: tuple[Pick, ...] = ()
+    rejects: tuple[Reject, ...] = ()
+    merges: tuple[Merge, ...] = ()
+    automatic: bool = True
+    source: str = ""
+
+    def of(self, record: str) -> Choice | None:
+        """The part that concerns a record; None if none does: its automatic result then stands."""
+        mine = (record, "")
+        part = replace(
+            self,
+            picks=tuple(p for p in self.picks if p.record in mine),
+            rejects=tuple(r for r in self.rejects if r.record in mine),
+            merges=tuple(m for m in self.merges if m.record in mine),
+        )
+        return part if part.picks or part.rejects or part.merges else None
+
+    @property
+    def records(self) -> tuple[str, ...]:
+        """The records that are named."""
+        every: tuple[Pick | Reject | Merge, ...] = (*self.picks, *self.rejects, *self.merges)
+        return tuple(dict.fromkeys(x.record for x in every if x.record))

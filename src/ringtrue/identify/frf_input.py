@@ -1,0 +1,155 @@
+"""FRFs before and after identification: what cannot be identified is refused, what looks wrong is said."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.signals import FrfSet
+from ringtrue.errors import DataError
+from ringtrue.identify.lsfd import POWER
+from ringtrue.signal.frf_checks import check_driving_points
+
+_SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite
+_ODD = 100.0  # times the level of the typical response
+_COHERENT = 0.5
+_CURED = 0.3  # of the misfit of the residues may be left when one fault is undone
+_MISFIT = 1e-3  # share of the residues that no single shape explains, and that calls for a reason
+_MOST_TRIALS = 400_000
+
+
+def refuse_bad_frfs(frfs: FrfSet) -> None:
+    """Refuse FRFs without a signal, with lines set to zero, or without phase.
+
+    Raises
+    ------
+    DataError
+        If it is so; the message names the channels and lines.
+    """
+    h = frfs.data[frfs.freqs > 0]
+    f = frfs.freqs[frfs.freqs > 0]
+    where = frfs.source or "FRF"
+    if h.shape[0] < 3:
+        raise DataError(f"{where}: {h.shape[0]} lines above 0 Hz; there must be some")
+    size = np.abs(h)
+    if not _SMALL < size.max() < _LARGE:
+        raise DataError(f"{where}: the largest value is {size.max():.2g}; no unit makes that")
+    flat = np.ptp(h.real, axis=0) + np.ptp(h.imag, axis=0) == 0
+    for name, channels, axis in (("response", frfs.outputs, 1), ("reference", frfs.inputs, 0)):
+        if (dead := flat.all(axis=axis)).any():
+            ids = " ".join(c.id for c, d in zip(channels, dead, strict=True) if d)
+            raise DataError(f"{where}: {name} {ids} is the same at all lines: a dead channel; leave it out")
+    if (h.imag == 0).all():
+        raise DataError(f"{where}: all values are real: amplitudes without phase cannot be identified")
+    _refuse_gaps(size == 0, f, where)
+
+
+def _refuse_gaps(zero: Bool, freqs: Float, where: str) -> None:
+    """Refuse lines at which a reference has no value at any response."""
+    lost = np.asarray(np.any(zero.all(axis=1), axis=1))
+    if lost.any():
+        first, last = freqs[np.flatnonzero(lost)[[0, -1]]]
+        raise DataError(
+            f"{where}: FRF with gaps: {int(lost.sum())} lines between {first:g} and {last:g} Hz are zero; cut it there"
+        )
+
+
+def frf_notes(frfs: FrfSet) -> tuple[str, ...]:
+    """What looks wrong before identification: odd levels, low coherence, turned driving points."""
+    out = []
+    level = np.sqrt((np.abs(frfs.data) ** 2).mean(axis=(0, 2)))
+    kinds = np.array([c.quantity for c in frfs.outputs])
+    for k, c in enumerate(frfs.outputs):
+        same = level[kinds == c.quantity]
+        ratio = float(level[k] / max(np.median(same), 1e-300))
+        if same.size > 2 and not 1 / _ODD < ratio < _ODD:
+            out.append(f"response {c.id}: {ratio:.1e} of the typical level: unit or sensitivity?")
+    if np.isfinite(frfs.coherence).any():
+        typical = float(np.nanmedian(frfs.coherence))
+        if typical < _COHERENT:
+            out.append(f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise")
+    turned = [p.id for p in check_driving_points(frfs) if p.verdict == "flipped"]
+    if turned:
+        out.append(f"driving point {' '.join(turned)}: sensor or hammer is the other way round")
+    return tuple(out)
+
+
+def residues(frfs: FrfSet, poles: Complex) -> Complex:
+    """Residues (m, out, in) of each FRF by itself, with a lower and an upper residual: no shape is asked for.
+
+    Parameters
+    ----------
+    frfs : FrfSet
+    poles : (m,) complex128, rad/s
+        Without the exponential window.
+    """
+    s = 2j * np.pi * frfs.freqs + frfs.window_decay
+    near = (np.abs(s[:, None] - poles) < 12 * np.abs(poles.real)).any(axis=1) & (frfs.freqs > 0)
+    s, h = s[near], frfs.data[near]
+    kind = (s / np.abs(s[-1])) ** POWER[frfs.kind]
+    one, two = kind[:, None] / (s[:, None] - poles), kind[:, None] / (s[:, None] - poles.conj())
+    rest = kind[:, None] * np.stack([np.ones(s.size), (np.abs(s[0]) / s) ** 2], axis=1)
+    a = np.concatenate([one + two, 1j * (one - two), rest], axis=1)
+    scale = np.linalg.norm(a, axis=0)
+    rhs = h.reshape(s.size, -1)
+    x = np.linalg.lstsq(np.concatenate([a.real, a.imag]) / scale, np.concatenate([rhs.real, rhs.imag]), rcond=1e-10)[0]
+    x /= scale[:, None]
+    m = poles.size
+    return np.asarray((x[:m] + 1j * x[m : 2 * m]).reshape(m, *h.shape[1:]))
+
+
+def misfit(r: Complex) -> Float:
+    """(...,) share of the squared residues `r` (..., out, in) that no single shape explains: rank one in each mode."""
+    gram = r.conj().swapaxes(-1, -2) @ r
+    values = np.linalg.eigvalsh(gram)
+    return np.asarray(1 - values[..., -1] / np.maximum(values.sum(axis=-1), 1e-300))
+
+
+def odd_channel(frfs: FrfSet, poles: Complex) -> str:
+    """A response that one reference sees turned or exchanged with another, told from the rank of the residues.
+
+    In a linear structure the residues of each mode are a shape times the participations, H_oi ~ ψ_o l_i. A channel
+    turned or swapped while one reference was measured breaks that in all modes; undoing it must mend all of them.
+    Empty if the residues fit, nothing single mends them, or there is one reference or mode only.
+    """
+    poles = _distinct(poles)
+    n_out, n_in = frfs.data.shape[1:]
+    if n_in < 2 or n_out < 3 or poles.size < 2 or n_in * n_out**2 * poles.size > _MOST_TRIALS:
+        return ""
+    r = residues(frfs, poles)
+    r /= np.maximum(np.linalg.norm(r, axis=(1, 2), keepdims=True), 1e-300)
+    now = float(misfit(r).mean())
+    if now < _MISFIT:
+        return ""
+    ids = [c.id for c in frfs.inputs]
+    under = ids if n_in > 2 else [" or ".join(ids)] * 2  # of two references none is the odd one
+    best, told = now, ""
+    for i in range(n_in):  # a handful of references
+        turned = np.broadcast_to(r, (n_out, *r.shape)).copy()
+        turned[np.arange(n_out), :, np.arange(n_out), i] *= -1
+        value = misfit(turned).mean(axis=1)
+        if value.min() < best:
+            best, o = float(value.min()), int(value.argmin())
+            told = f"response {frfs.outputs[o].id} looks turned under reference {under[i]}"
+        for o in range(n_out - 1):
+            other = np.arange(o + 1, n_out)
+            swapped = np.broadcast_to(r, (other.size, *r.shape)).copy()
+            swapped[:, :, o, i] = r[:, other, i].T
+            swapped[np.arange(other.size), :, other, i] = r[:, o, i]
+            value = misfit(swapped).mean(axis=1)
+            if value.min() < best:
+                best, p = float(value.min()), int(other[value.argmin()])
+                pair = f"{frfs.outputs[o].id} and {frfs.outputs[p].id}"
+                told = f"responses {pair} look swapped under reference {under[i]}"
+    if best > _CURED * now:
+        return ""
+    return f"{told}: undone, {100 * best:.2g} % instead of {100 * now:.2g} % of the residues fit no single shape"
+
+
+def _distinct(poles: Complex) -> Complex:
+    """One pole for those within half a bandwidth of each other: a fault splits modes in two."""
+    out: list[complex] = []
+    for p in poles[np.argsort(poles.imag)].tolist():
+        if not out or abs(p - out[-1]) > abs(p.real):
+            out.append(p)
+    return np.array(out, dtype=np.complex128)

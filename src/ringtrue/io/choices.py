@@ -1,0 +1,137 @@
+"""Choices of modes by hand as .toml or .json, to be edited and replayed."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, asdict, fields
+from pathlib import Path
+from typing import Any
+
+from ringtrue.core.choice import Choice, Merge, Pick, Reject
+from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import existing
+
+_KINDS = {"pick": Pick, "reject": Reject, "merge": Merge}
+_HEAD = """\
+# A choice of modes. automatic = false: only what is picked here is reported; delete a [[pick]] to leave its mode out.
+# automatic = true: the automatic modes stay, and the entries change them.
+# [[pick]]   frequency (Hz), order (model order of the pole, if it is no automatic mode), record, note
+# [[reject]] frequency (Hz), reason, record
+# [[merge]]  frequencies (Hz) that are one mode, reason, record
+"""
+
+
+def read_choice(path: str | Path) -> Choice:
+    """Read a choice.
+
+    Raises
+    ------
+    DataError
+        If there is no such file.
+    ConfigError
+        If it is no TOML or JSON, or an entry has a key or value that is not allowed.
+    """
+    path = existing(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        table = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, ValueError) as exc:
+        raise ConfigError(f"{path}: not {'JSON' if path.suffix.lower() == '.json' else 'TOML'}: {exc}") from exc
+    if not isinstance(table, dict):
+        raise ConfigError(f"{path}: not a choice; it must have `pick`, `reject` or `merge`")
+    return _choice(table, str(path))
+
+
+def _choice(table: Mapping[str, Any], source: str) -> Choice:
+    for key in table:
+        if key not in (allowed := ("automatic", *_KINDS)):
+            raise ConfigError(f"{source}: unknown key {key!r}{did_you_mean(key, allowed)}")
+    automatic = table.get("automatic", True)
+    if not isinstance(automatic, bool):
+        raise ConfigError(f"{source}: automatic is {automatic!r}; it must be true or false")
+    parts: dict[str, tuple[Any, ...]] = {}
+    for name in _KINDS:
+        rows = table.get(name, [])
+        if not isinstance(rows, list) or not all(isinstance(r, dict) for r in rows):
+            raise ConfigError(f"{source}: {name} must be a list of tables")
+        parts[name] = tuple(_entry(name, row, f"{source}: {name} {i + 1}") for i, row in enumerate(rows))
+    return Choice(parts["pick"], parts["reject"], parts["merge"], automatic, source)
+
+
+def _entry(name: str, row: Mapping[str, Any], where: str) -> Any:
+    kind = _KINDS[name]
+    known = {f.name: f for f in fields(kind)}
+    for key in row:
+        if key not in known:
+            raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}")
+    if lost := [k for k, f in known.items() if f.default is MISSING and k not in row]:
+        raise ConfigError(f"{where}: {' and '.join(lost)} missing")
+    try:
+        return kind(**{k: _value(k, v, where) for k, v in row.items()})
+    except ConfigError as exc:
+        raise exc if where in str(exc) else ConfigError(f"{where}: {exc}") from exc
+
+
+def _value(key: str, value: Any, where: str) -> Any:
+    wanted, ok = _WANTED.get(key, ("a text", _text))
+    if not ok(value):
+        raise ConfigError(f"{where}: {key} is {value!r}; it must be {wanted}")
+    return value
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+_WANTED: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "frequency": ("a number, Hz", _number),
+    "frequencies": ("a list of numbers, Hz", lambda v: isinstance(v, list) and all(map(_number, v))),
+    "order": ("a whole number", lambda v: _number(v) and isinstance(v, int)),
+}
+
+
+def write_choice(path: str | Path, choice: Choice) -> None:
+    """Write a choice as `.toml` or `.json`, by the ending of the path.
+
+    Raises
+    ------
+    ConfigError
+        If the ending is another one.
+    """
+    path = Path(path)
+    table = {
+        "automatic": choice.automatic,
+        "pick": [_row(p) for p in choice.picks],
+        "reject": [_row(r) for r in choice.rejects],
+        "merge": [_row(m) for m in choice.merges],
+    }
+    if path.suffix.lower() == ".json":
+        text = json.dumps(table, indent=1, ensure_ascii=False) + "\n"
+    elif path.suffix.lower() == ".toml":
+        text = _HEAD + f"automatic = {str(choice.automatic).lower()}\n" + "".join(_tables(table))
+    else:
+        raise ConfigError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.toml', '.json'])}")
+    with atomic_write(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def _row(entry: Pick | Reject | Merge) -> dict[str, Any]:
+    """The entry without what is empty."""
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(entry).items() if v}
+
+
+def _tables(table: Mapping[str, Any]) -> list[str]:
+    out = []
+    for name in _KINDS:
+        for row in table[name]:
+            # JSON texts, numbers and lists of numbers are TOML too
+            body = "".join(f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in row.items())
+            out.append(f"\n[[{name}]]\n{body}")
+    return out

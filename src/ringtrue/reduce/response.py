@@ -1,0 +1,201 @@
+"""A basis for the response to given loads up to a frequency: Krylov vectors at the lines where the residual is largest.
+
+A mode that the loads do not excite costs nothing, so it is far smaller than all modes of the band. Sources: Grimme
+(1997) rational Krylov; Beattie and Gugercin (2005) on second-order systems; the greedy choice of the lines is that of
+reduced basis methods (Veroy et al. 2003).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, sparse
+
+from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.eigen.factor import Factor, Pencil
+from ringtrue.errors import InputError, SingularModel
+
+Progress = Callable[[float, str], None]
+NEW = 1e-10  # squared share of a vector outside the basis that is kept
+PUSH = 1e-6  # of λ: off a mode that a line stands on exactly
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseBasis:
+    """Vectors and what is left.
+
+    Attributes
+    ----------
+    vectors : (f, r) float64
+        Mass-orthonormal.
+    residual : (l,) float64
+        Norm of the residual over that of the load at each line, each DOF in the scale of its own stiffness.
+    lines : tuple of float, Hz
+        Where the dynamic stiffness was factorised, in order.
+    """
+
+    vectors: Float
+    residual: Float
+    lines: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, vectors=np.float64, residual=np.float64)
+
+
+def response_basis(
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    loads: Float,
+    freqs: Float,
+    start: Float,
+    *,
+    loss: float,
+    tolerance: float = 0.02,
+    steps: int = 20,
+    most: int = 600,
+    progress: Progress | None = None,
+) -> ResponseBasis:
+    """Vectors that hold the steady response to harmonic loads at all lines.
+
+    Parameters
+    ----------
+    stiffness, mass : (f, f) csr_array float64
+    loads : (f, j) float64
+    freqs : (l,) float64, Hz
+        Lines where the residual is watched; above 0, as close as the resonances are wide or somewhat wider.
+    start : (f, r) float64
+        Vectors to begin with: modes of the lower part of the band.
+    loss : float
+        Structural loss factor of the response that the residual belongs to.
+    tolerance : float
+        Of the residual.
+    steps : int
+        Krylov steps at a line.
+    most : int
+        Vectors from which on no more lines are taken, converged or not.
+
+    Raises
+    ------
+    InputError
+        If there is no load, no line above 0 Hz, or no damping.
+    """
+    f, w2 = np.asarray(freqs, dtype=np.float64), (2 * np.pi * np.asarray(freqs)) ** 2
+    if not f.size or f.min() <= 0 or not np.any(loads) or not loss > 0:
+        raise InputError(f"response basis: {f.size} lines above 0 Hz, a load and a loss factor {loss} > 0 are needed")
+    pencil = Pencil(stiffness, mass)
+    at = _Lines(stiffness, mass, loads, w2, loss)
+    span = _Span.of(stiffness, mass, start).grown(pencil.at(-float(w2[0])), loads, 1)
+    every = np.arange(f.size)
+    residual, lines, done = at.residual(span, every), list[float](), 0.0
+    while residual.max() > tolerance and span.size < most:
+        worst = int(np.argmax(residual))
+        more = span.grown(_factor(pencil, float(w2[worst])), loads, steps)
+        if more.size == span.size:
+            break  # round-off: there is nothing left to add
+        span = more
+        lines.append(float(f[worst]))
+        left = np.flatnonzero(residual > tolerance)
+        residual[left] = at.residual(span, left)
+        if residual.max() <= tolerance:
+            residual = at.residual(span, every)
+        if progress is not None:
+            done = max(done, float(np.mean(residual <= tolerance)))
+            progress(done, f"response at {lines[-1]:.4g} Hz")
+    pencil.close()
+    return ResponseBasis(span.vectors, residual, tuple(lines))
+
+
+def _factor(pencil: Pencil, value: float) -> Factor:
+    """The factorisation at a line, or beside it if a mode stands there."""
+    try:
+        return pencil.at(value)
+    except SingularModel:
+        return pencil.at(value * (1 + PUSH))
+
+
+def _orthonormal(mass: sparse.csr_array, x: Float) -> Float:
+    """Mass-orthonormal vectors of the same span; what depends on the others is dropped."""
+    x = x / np.sqrt(np.einsum("ij,ij->j", x, mass @ x))
+    for _ in range(2):  # what was kept may have been small
+        s, u = linalg.eigh(x.T @ (mass @ x))
+        keep = s > NEW
+        x = x @ (u[:, keep] / np.sqrt(s[keep]))
+    return np.asarray(x)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Span:
+    """Mass-orthonormal vectors (f, r) and VᵀKV (r, r)."""
+
+    k: sparse.csr_array
+    m: sparse.csr_array
+    vectors: Float
+    stiffness: Float
+
+    @classmethod
+    def of(cls, k: sparse.csr_array, m: sparse.csr_array, x: Float) -> _Span:
+        v = _orthonormal(m, x)
+        return cls(k, m, v, v.T @ (k @ v))
+
+    @property
+    def size(self) -> int:
+        return int(self.vectors.shape[1])
+
+    def outside(self, x: Float) -> Float:
+        """The part of x (f, n) that is mass-orthogonal to the vectors."""
+        return np.asarray(x - self.vectors @ (self.vectors.T @ (self.m @ x)))
+
+    def grown(self, factor: Factor, loads: Float, steps: int) -> _Span:
+        """With the vectors of some Krylov steps from the loads."""
+        x = self.outside(_krylov(factor, self.m, loads, steps, self.outside))
+        size = np.einsum("ij,ij->j", x, self.m @ x)
+        x = x[:, size > NEW]
+        if not x.shape[1]:
+            return self
+        x = _orthonormal(self.m, self.outside(_orthonormal(self.m, x)))
+        side, corner = self.vectors.T @ (self.k @ x), x.T @ (self.k @ x)
+        stiffness = np.block([[self.stiffness, side], [side.T, (corner + corner.T) / 2]])
+        return _Span(self.k, self.m, np.hstack([self.vectors, x]), stiffness)
+
+
+def _krylov(factor: Factor, mass: sparse.csr_array, loads: Float, steps: int, first: Callable[[Float], Float]) -> Float:
+    """Mass-orthonormal vectors of a block Krylov space, (f, steps · j); `first` is applied to its first block."""
+    x = _orthonormal(mass, first(factor.solve(loads).reshape(loads.shape)))
+    blocks = [x]
+    for _ in range(steps - 1):  # each needs the one before
+        x = factor.solve(mass @ x).reshape(x.shape)
+        known = np.hstack(blocks)
+        for _ in range(2):
+            x = x / np.sqrt(np.einsum("ij,ij->j", x, mass @ x))
+            x = x - known @ (known.T @ (mass @ x))
+        if np.einsum("ij,ij->j", x, mass @ x).max() < NEW:
+            break
+        x = _orthonormal(mass, x)
+        blocks.append(x)
+    return np.hstack(blocks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lines:
+    """Where the residual is watched."""
+
+    stiffness: sparse.csr_array
+    mass: sparse.csr_array
+    loads: Float
+    w2: Float
+    loss: float
+
+    def residual(self, span: _Span, at: Int) -> Float:
+        """The largest over the loads at some lines, (l,)."""
+        v, w2, lossy = span.vectors, self.w2[at], 1 + 1j * self.loss
+        lam, y = linalg.eigh(span.stiffness)
+        q = (y.T @ (v.T @ self.loads))[:, None] / (lam[:, None, None] * lossy - w2[:, None])  # (r, l, j)
+        q = y @ q.reshape(lam.size, -1)
+        x = v @ q.real + 1j * (v @ q.imag)  # the vectors stay real
+        shape = (v.shape[0], w2.size, -1)
+        left = (self.stiffness @ x * lossy).reshape(shape) - w2[:, None] * (self.mass @ x).reshape(shape)
+        scale = 1 / (self.stiffness.diagonal() + self.w2[-1] * self.mass.diagonal())
+        wrong = np.einsum("f,flj->lj", scale, np.abs(left - self.loads[:, None]) ** 2)
+        return np.asarray(np.sqrt((wrong / (scale @ self.loads**2)).max(axis=1)))

@@ -1,0 +1,155 @@
+"""What a correlation rests on: orthogonality, channels, close modes, and whether deviations are beyond the scatter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ringtrue.correlate.complete import Check, CompleteCorrelation, Subspace
+from ringtrue.correlate.faults import Suspect
+from ringtrue.correlate.gates import Failure
+from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.plots import correlation as plots
+from ringtrue.report.parts import Block, Cell, Columns, Fold, Heading, Plot, Table, Text, fixed, sentence
+from ringtrue.study.results import Evidence
+
+WHOSE = {"model": "the model's own modes", "self": "test modes", "cross": "test against model"}
+MOST = 6  # entries beyond the gate that are named
+TURNED = math.radians(30)  # angle from which two spaces of close modes are called different
+
+
+def brief(e: Evidence | None, table: CorrelationTable, title: str) -> list[Block]:
+    """Suspected channels in the open, all else folded away."""
+    if e is None:
+        return []
+    inner = [*orthogonality(e, table), *channels(e.measures), *close(e.measures, table), *_notes(e.measures)]
+    return [suspects(e.measures, table), *([Fold(title, inner)] if inner else [])]
+
+
+def whole(e: Evidence | None, table: CorrelationTable) -> list[Block]:
+    """Everything in the open but the long tables."""
+    if e is None:
+        return []
+    parts = orthogonality(e, table)
+    out: list[Block] = [Heading("Orthogonality"), *parts] if parts else []
+    out += [Heading("Channels"), suspects(e.measures, table), *channels(e.measures)]
+    if near := close(e.measures, table):
+        out += [Heading("Close modes"), *near]
+    if e.tracks is not None:
+        caption = (
+            "The modes of the final model followed back to the initial one by their shapes at the channels, beside the "
+            "test. Grey: no partner; dotted: the shapes have less than 60 % MAC, the mode may be another one."
+        )
+        out += [Heading("Modes followed"), Plot(plots.followed(e.tracks, table), caption)]
+    return out + _notes(e.measures)
+
+
+def orthogonality(e: Evidence, table: CorrelationTable) -> list[Block]:
+    """The verdicts, and the matrices of the best mass at hand."""
+    checks = e.measures.checks
+    if not checks:
+        return []
+    gate = checks[0].verdict.gate
+    caption = (
+        f"Orthogonality at the channels with the gate {gate.name}: at least {100 * gate.diagonal:g} % of a pair, at "
+        f"most {100 * gate.off_diagonal:g} % between different modes. Close modes are turned as they were paired."
+    )
+    if any(c.kind == "model" for c in checks):
+        caption += " A mass that does not keep the model's own modes apart is not fit to judge the test by."
+    heads = ("|Mass", "|Of", "Least pair, %", "Largest other, %", "|Verdict", "|Beyond the gate")
+    out: list[Block] = [Table(heads, [_check(c) for c in checks], caption)]
+    auto = plots.matrix(
+        e.auto_mac,
+        names := plots.labels(table.all_test_hz),
+        names,
+        f"{table.names[0]} mode, Hz",
+        f"{table.names[0]} mode, Hz",
+        440,
+        diagonal=False,
+    )
+    left: list[Block] = [Plot(auto, f"Auto-MAC of the {table.names[0]} shapes; numbers from 10 %.")]
+    shown = next(c for c in checks if c.kind == "cross")
+    what = f"{shown.name[:1].upper()}{shown.name[1:]}; outlined: beyond the gate."
+    return [*out, Columns([left, [Plot(plots.orthogonality(shown, table, 440), what)]])]
+
+
+def _check(c: Check) -> list[str | Cell]:
+    v = c.verdict
+    verdict = Cell("passed", "good") if v.passed else Cell("failed", "bad")
+    least, most = 100 * v.least_diagonal, 100 * v.largest_off_diagonal
+    shown = fixed(least, 1) if c.kind == "cross" else "–"
+    return [c.mass, WHOSE[c.kind], shown, fixed(most, 1), verdict, _beyond(c.kind, v.failures)]
+
+
+def _beyond(kind: str, failures: Sequence[Failure]) -> str:
+    """The entries beyond the gate, the worst first; those of a symmetric matrix once."""
+    once = [f for f in failures if kind == "cross" or f.a < f.b]
+    sides = {"model": ("FE", "FE"), "self": ("", ""), "cross": ("", "FE ")}[kind]
+    gap = {"model": " ", "self": "", "cross": ""}[kind]
+    told = [f"{sides[0]}{gap}{f.a + 1} – {sides[1]}{gap}{f.b + 1}: {100 * f.value:.0f} %" for f in once[:MOST]]
+    return ", ".join(told) + (f" and {len(once) - MOST} more" if len(once) > MOST else "")
+
+
+def suspects(c: CompleteCorrelation, table: CorrelationTable) -> Table | Text:
+    """Channels that contradict the other set: named, never mended."""
+    if not c.suspects:
+        judged = len(table) >= 3
+        told = "no channel looks reversed, swapped, mis-scaled or dead" if judged else "channels are not judged"
+        return Text(f"Against the {table.names[1]} modes {told}." if judged else f"With fewer than 3 pairs {told}.")
+    caption = "Channels to look at; nothing was mended. A region that is wrong in the model may look like a fault."
+    heads = ("|Channel", "|Looks", "|What is seen", "MAC now, %", "MAC if mended, %")
+    return Table(heads, [_suspect(s) for s in c.suspects], caption)
+
+
+def _suspect(s: Suspect) -> list[str | Cell]:
+    told = sentence(s.message.split("; ")[0])
+    return [s.channel, Cell(s.fault, "warn"), told, fixed(100 * s.mac_now, 1), fixed(100 * s.mac_mended, 1)]
+
+
+def channels(c: CompleteCorrelation) -> list[Block]:
+    """The worst channels, and all of them in a fold."""
+    if not c.scale.size:
+        return []
+    caption = (
+        "The channels with the lowest CoMAC; those with the highest eCoMAC, which sees signs and what moves; the "
+        "mean MAC of the pairs if the channels that spoil it most were left out one by one. Nothing was left out."
+    )
+    order = c.comac.argsort(kind="stable").tolist()
+    rows = [
+        (
+            c.channels[i],
+            fixed(100 * float(c.comac[i]), 1),
+            fixed(100 * float(c.ecomac[i]), 2),
+            fixed(100 * float(c.contribution[i]), 2),
+        )
+        for i in order
+    ]
+    heads = ("|Channel", "CoMAC, %", "eCoMAC, %", "Contribution to the MAC, %")
+    text = "All channels, the worst first. The contributions add up to the mean MAC; a negative one works against it."
+    every = Fold(f"All {len(rows)} channels", [Table(heads, rows, text, scroll=True)])
+    return [Plot(plots.channels(c), caption), every]
+
+
+def close(c: CompleteCorrelation, table: CorrelationTable) -> list[Block]:
+    """Groups of close modes compared as spaces."""
+    if not c.subspaces:
+        return []
+    a, b = table.names
+    heads = (f"|{a} modes", f"|f {a}, Hz", f"|{b} modes", f"|f {b}, Hz", "|Principal angles, °")
+    caption = (
+        "Close modes compared as spaces: principal angles, 0° where one set can be turned into the other; a large one "
+        "means that a shape of one set is missing in the other."
+    )
+    return [Table(heads, [_close(s, table) for s in c.subspaces], caption)]
+
+
+def _close(s: Subspace, table: CorrelationTable) -> list[str | Cell]:
+    sides: list[str | Cell] = []
+    for modes, f in ((s.a, table.all_test_hz), (s.b, table.all_fe_hz)):
+        sides += [", ".join(str(i + 1) for i in modes), ", ".join(fixed(float(f[i]), 2) for i in modes)]
+    told = ", ".join(fixed(math.degrees(x), 1) for x in s.angles)
+    return [*sides, Cell(told, "warn" if max(s.angles) > TURNED else "")]
+
+
+def _notes(c: CompleteCorrelation) -> list[Block]:
+    return [Text(sentence(n), "note") for n in c.notes]

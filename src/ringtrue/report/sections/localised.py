@@ -1,0 +1,152 @@
+"""Where the model is wrong, and which parameters the data ask for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.plots import localising as plots
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Columns,
+    Fold,
+    Heading,
+    Items,
+    Plot,
+    Scene3D,
+    Section,
+    Table,
+    Text,
+    fixed,
+    number,
+    sentence,
+)
+from ringtrue.report.stages import Stages
+from ringtrue.study.results import LocaliseStage
+from ringtrue.update.proposal import Proposed
+
+LEAD = (
+    "The test shapes, expanded to the whole model, do not fulfil its equation of motion. Where the error gathers "
+    "beyond its share of strain energy (above 1), stiffness or mass is likely wrong there, or nearby."
+)
+FEW = 14  # candidates that are not folded away
+
+
+def section(data: Stages) -> Section | None:
+    """Indicators by region, the proposal with its reasons, and what is known of each candidate."""
+    s = data.localise
+    if s is None:
+        return None
+    bars = Plot(plots.regions(s), "Concentration of error by region; dotted: an error that is spread evenly.")
+    blocks: list[Block] = [Text(LEAD, "lead"), bars]
+    if data.model is not None:
+        view = Scene3D(
+            plots.view(data.model.scene, s), "The same on the model: amber to red is more than its share.", 430
+        )
+        blocks = [blocks[0], Columns([[bars], [view]])]
+    blocks += [Fold("All indicators by region", [_regions(s)]), Heading("Proposal"), *_proposal(s)]
+    return Section("localisation", "Where the model is wrong", blocks)
+
+
+def _regions(s: LocaliseStage) -> Table:
+    heads = ("|Region", "Strain energy, %", "Constitutive error, %", "×", "Force residual, %", "Energy change, %", "×")
+    value = s.concentration
+    rows = []
+    for i in np.argsort(-np.nan_to_num(value), kind="stable").tolist():
+        change = s.energy[i] / s.strain[i] if np.isfinite(value[i]) else np.nan
+        told = Cell(fixed(float(value[i]), 2), "warn") if value[i] > 1 else fixed(float(value[i]), 2)
+        shares = [fixed(100 * float(v[i]), 1) for v in (s.strain, s.constitutive, s.force, s.energy)]
+        rows.append([s.regions[i], shares[0], shares[1], told, shares[2], shares[3], fixed(float(change), 2)])
+    text = (
+        f"Shares of the regions in the expanded shapes of {s.modes.size} used modes; ×: over their share of strain "
+        "energy. Error in constitutive relation (Ladevèze and Reynier 1989), force residual (shared by all that meet "
+        "at a node), change of modal strain energy."
+    )
+    return Table(heads, rows, text, scroll=True)
+
+
+def _proposal(s: LocaliseStage) -> list[Block]:
+    p = s.proposal
+    origin = f"{len(s.what)} candidates are given." if not s.made else _made(s)
+    if not p.members:
+        told = "No change of a candidate explains the test better than the model as it is."
+        return [Text(f"{origin} {told}"), _candidates(s)]
+    gain = (
+        f"With {_count(len(p.members))} of them mean |Δf| of the used modes falls from {fixed(100 * p.before, 2)} to "
+        f"{fixed(100 * p.after, 2)} %, mean MAC rises from {fixed(100 * float(p.mac[0]), 1)} to "
+        f"{fixed(100 * float(p.mac[1]), 1)} %."
+    )
+    heads = ("#", "|Parameter", "|Changes", "Factor", "σ, %", "Worth, AICc", "|Not told from it")
+    rows = [_row(s, i, m) for i, m in enumerate(p.members, start=1)]
+    caption = (
+        "Proposed parameters, ranked by their worth: the rise of AICc if one is left out and the others are updated "
+        "again. Not told from it: same effect on the data, or as good in its place."
+    )
+    reasons = [f"{m.name}: {sentence(m.because.removeprefix(f'{s.what[m.index]}; '))}" for m in p.members]
+    price = (
+        "AICc of the best set of each size, with the price of the search (twice the logarithm of the number of sets)."
+    )
+    blocks: list[Block] = [Text(f"{origin} {gain}"), Table(heads, rows, caption), Items(reasons, "Why")]
+    orders = [(rule, ", ".join(names[: len(p.members)])) for rule, names in p.orders.items()]
+    others = Table(("|Rule", "|First candidates"), orders, "As many candidates by simpler rules, one a cluster.")
+    blocks.append(Columns([[Plot(plots.sizes(s), price)], [others]]))
+    return [*blocks, _candidates(s)]
+
+
+def _made(s: LocaliseStage) -> str:
+    text = (
+        f"{s.made} candidates are made from the deck; {len(s.what)} that can move the measured frequencies most, each "
+    )
+    text += "in a way of its own, are looked at closely."
+    return text + (f" {_count(len(s.dropped)).capitalize()} change no mode." if s.dropped else "")
+
+
+def _count(n: int) -> str:
+    words = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
+    return words[n] if n < len(words) else str(n)
+
+
+def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
+    low, high = (float(x[0]) for x in s.parameters.take([m.index]).bounds())
+    x = float(s.parameters.take([m.index]).vector(np.array([m.factor]))[0])
+    factor = fixed(m.factor, 3)
+    shown = Cell(factor, "warn", "at its bound") if min(x - low, high - x) < 1e-6 else factor
+    lost = ", ".join((*m.alike, *m.rivals)) or "–"
+    what = Cell(s.what[m.index], "muted", s.elements[m.index])
+    return [str(rank), m.name, what, shown, number(100 * m.std, 2), fixed(m.worth, 1), lost]
+
+
+def _candidates(s: LocaliseStage) -> Block:
+    p = s.proposal
+    verdict: dict[str, str | Cell] = {}
+    for m in p.members:
+        verdict |= dict.fromkeys(m.alike, f"same effect as {m.name}")
+        verdict |= {n: f"as good in place of {m.name}" for n in m.rivals if n not in verdict}
+    verdict |= {m.name: Cell("proposed", "good") for m in p.members}
+    verdict |= {n: Cell("no effect on the data", "muted") for n in p.insensitive}
+    heads = ("|Candidate", "|Changes", "|Region", "Effect", "Explains alone, %", "Known alone", "Known, all free", "|")
+    rows = []
+    for i in np.argsort(-s.effect, kind="stable").tolist():
+        name = s.parameters.names[i]
+        known = [fixed(float(s.alone[i]), 2), fixed(float(s.together[i]), 2)]
+        explains = fixed(100 * max(float(s.explains[i]), 0.0), 0)
+        rows.append(
+            [
+                name,
+                Cell(s.what[i], "muted"),
+                s.elements[i],
+                number(float(s.effect[i]), 3),
+                explains,
+                *known,
+                verdict.get(name, ""),
+            ]
+        )
+    text = (
+        "All candidates. Effect: of one prior standard deviation, in standard deviations of the residuals. Explains "
+        "alone: share of the squared frequency errors. Known: posterior over prior standard deviation at the proposed "
+        "point, the others known or all free; 1 means that the data say nothing."
+    )
+    blocks: list[Block] = [Table(heads, rows, text, scroll=len(rows) > FEW)]
+    if s.screened:
+        blocks.append(Text(f"Not looked at closely: {', '.join(s.screened)}.", "note"))
+    return Fold(f"All {len(rows)} candidates", blocks)

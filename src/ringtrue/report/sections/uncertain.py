@@ -1,0 +1,147 @@
+"""How well the parameters are known, and whether bands hold what was measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool
+from ringtrue.plots import uncertainty as plots
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Columns,
+    Fact,
+    Facts,
+    Fold,
+    Heading,
+    Items,
+    Plot,
+    Section,
+    Table,
+    Text,
+    fixed,
+    number,
+    sentence,
+)
+from ringtrue.report.stages import Stages
+from ringtrue.study.results import UncertaintyStage
+
+
+def section(data: Stages) -> Section | None:
+    """Posterior of the parameters, bands of the frequencies, the modes left out in turn."""
+    s = data.uncertainty
+    if s is None:
+        return None
+    percent = f"{100 * s.level:g} %"
+    blocks: list[Block] = [_facts(s), Text(_lead(s), "lead"), Heading("Predicted frequencies")]
+    caption = (
+        f"Deviation of the delivered model from the test, with the {percent} band of the prediction: the parameters, "
+        "the model and the test. A band that reaches the zero line holds the measured frequency."
+    )
+    blocks += [Plot(plots.bands(s), caption), Fold("The bands mode by mode", [_modes(s)])]
+    blocks += [Heading("Modes left out in turn"), _folds(s), Heading("Parameters")]
+    told = Plot(plots.parameters(s), f"The parameters before and after the test, {percent} intervals.")
+    trade = Plot(plots.correlation(s), "Correlation of the parameters: near ±1 two of them trade for each other.")
+    blocks.append(Columns([[told], [trade]]) if len(s.parameters) > 1 else told)
+    blocks.append(_parameters(s))
+    if s.flags:
+        blocks.append(Items([sentence(f) for f in s.flags], "To be looked at by an engineer"))
+    return Section("uncertainty", "Uncertainty and left-out modes", blocks)
+
+
+def _share(inside: Bool, which: Bool) -> str:
+    return f"{int((inside & which).sum())} of {int(which.sum())}"
+
+
+def _facts(s: UncertaintyStage) -> Facts:
+    there, percent = np.isfinite(s.predicted), f"{100 * s.level:g} %"
+    facts = [Fact("Model discrepancy, frequency", fixed(100 * float(s.discrepancy[0]), 2), "%")]
+    if (there & ~s.used).any():
+        facts.append(Fact(f"Left-out modes in their {percent} bands", _share(s.inside, there & ~s.used)))
+    held = np.isfinite(s.held.predicted)
+    facts.append(Fact("Used modes, left out in turn, in theirs", _share(s.held.inside(s.level), held)))
+    facts.append(Fact("Parameters that the test has told", f"{int(s.moved.sum())} of {s.moved.size}"))
+    return Facts(facts)
+
+
+def _lead(s: UncertaintyStage) -> str:
+    f, m = (100 * float(x) for x in s.discrepancy)
+    assumed = [100 * float(x) for x in s.assumed]
+    times = f / max(100 * float(np.median(s.parts[:, 1])), 1e-9)
+    exact = f"; the test is about {float(f'{times:.1g}'):.0f} times more exact" if times > 2 else ""
+    return (
+        "What no parameter can explain is the discrepancy of the model. Estimated from modes left out in turn it is "
+        f"{fixed(f, 2)} % of a frequency and {fixed(m, 1)} % of MAC (the updating assumed {number(assumed[0], 2)} and "
+        f"{number(assumed[1], 2)} %){exact}. It is part of every interval and band below."
+    )
+
+
+def _modes(s: UncertaintyStage) -> Table:
+    heads = (
+        "#",
+        "f test, Hz",
+        "f FE, Hz",
+        "Δf, %",
+        "Band, ± %",
+        "Parameters, %",
+        "Test, %",
+        "Model, %",
+        "|Updating",
+        "|",
+    )
+    rows: list[list[str | Cell]] = []
+    for i in np.flatnonzero(np.isfinite(s.predicted)).tolist():
+        f, g = float(s.test[i]), float(s.predicted[i])
+        reach = 100 * float(s.band[i, 1] - g) / f
+        row: list[str | Cell] = [str(i + 1), fixed(f, 3), fixed(g, 3), fixed(100 * (g / f - 1), 2, sign=True)]
+        row += [fixed(reach, 2), *(number(100 * float(x), 2) for x in s.parts[i])]
+        row.append("used" if s.used[i] else Cell("left out", "chip"))
+        rows.append([*row, Cell("inside", "good") if s.inside[i] else Cell("outside", "bad")])
+    text = "Predicted frequencies and their bands; standard deviations from the parameters, the test and the model."
+    return Table(heads, rows, text, scroll=len(rows) > 16)
+
+
+def _folds(s: UncertaintyStage) -> Table:
+    h, rows = s.held, []
+    inside, band = h.inside(s.level), h.band(s.level)
+    for k in range(int(h.fold.max(initial=-1)) + 1):
+        for j, i in enumerate(np.flatnonzero(h.fold == k).tolist()):
+            row: list[str | Cell] = [str(k + 1) if j == 0 else "", str(i + 1), fixed(float(h.test[i]), 3)]
+            if not np.isfinite(h.predicted[i]):
+                rows.append([*row, "–", "–", "–", "–", Cell("no partner", "warn")])
+                continue
+            reach = 100 * float(band[i, 1] - h.predicted[i]) / float(h.test[i])
+            row += [fixed(float(h.predicted[i]), 3), fixed(100 * float(h.error[i]), 2, sign=True), fixed(reach, 2)]
+            verdict = Cell("inside", "good") if inside[i] else Cell("outside", "bad")
+            rows.append([*row, fixed(100 * float(h.mac[i]), 1), verdict])
+    heads = ("Fold", "Test #", "f test, Hz", "Predicted, Hz", "Δf, %", "Band, ± %", "MAC, %", "|")
+    seen = int(np.isfinite(h.predicted).sum())
+    text = (
+        f"The model is updated again without the modes of each fold, which it then predicts: {seen} modes, mean |Δf| "
+        f"{fixed(100 * float(np.nanmean(np.abs(h.error))), 2)} %; {fixed(100 * h.coverage(s.level), 0)} % are in their "
+        f"{100 * s.level:g} % bands. The discrepancy of a fold's band comes from the other folds."
+    )
+    return Table(heads, rows, text if h.converged else text + " Not every updating converged.", scroll=len(rows) > 12)
+
+
+def _parameters(s: UncertaintyStage) -> Table:
+    sampled = len(s.sampled) > 0
+    heads = ["|Parameter", "Factor", f"{100 * s.level:g} % after the test", "before it", "σ after / before"]
+    heads += ["sampled"] if sampled else []
+    rows: list[list[str | Cell]] = []
+    for i, name in enumerate(s.parameters.names):
+        row: list[str | Cell] = [name, fixed(float(s.factor[i]), 3), _span(s.interval[i]), _span(s.prior[i])]
+        row += [fixed(float(s.ratio[i]), 2), *([_span(s.sampled[i])] if sampled else [])]
+        rows.append([*row, "" if s.moved[i] else Cell("the test says little", "warn")])
+    text = "Intervals of the factors, around the delivered values, with the discrepancy of the model as the error."
+    if sampled:
+        text += (
+            f" Sampled by {len(s.draws)} stored draws of an ensemble (Goodman and Weare 2010): as good as "
+            f"{number(s.independent, 2)} independent ones, {fixed(100 * s.acceptance, 0)} % of the moves accepted"
+            f"{'' if s.converged else '; too short to rest on'}."
+        )
+    return Table([*heads, "|"], rows, text)
+
+
+def _span(low_high: np.ndarray) -> str:
+    return f"{number(float(low_high[0]), 3)} to {number(float(low_high[1]), 3)}"

@@ -1,0 +1,175 @@
+"""The user's own limits: which pairs miss them, and whether the model that the study delivers is accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ringtrue.correlate.pairing import CorrelationRow, CorrelationTable
+from ringtrue.study.config import CorrelateSection, StudyConfig
+from ringtrue.study.results import CorrelateStage, Evidence, FinalStage, UpdateStage
+
+PER_PAIR = {"accept_percent", "accept_hz", "accept_mac"}
+ORTHOGONALITY = {"accept_orthogonality", "accept_off_diagonal"}
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that must hold."""
+
+    name: str
+    wanted: str
+    got: str
+    held: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptance:
+    """When a mode is accepted; a limit of None is not asked for.
+
+    Attributes
+    ----------
+    percent : float or None
+        Largest |frequency deviation|, %.
+    hz : float or None
+        Largest |frequency deviation|, Hz; with `percent` given too, one of the two is enough.
+    mac : float or None
+        Smallest MAC, %.
+    """
+
+    percent: float | None = 5.0
+    hz: float | None = None
+    mac: float | None = 80.0
+
+    @classmethod
+    def of(cls, config: CorrelateSection) -> Acceptance:
+        """As the study asks for it."""
+        return cls(config.accept_percent, config.accept_hz, config.accept_mac)
+
+    def holds(self, deviation_percent: float, deviation_hz: float, mac_percent: float) -> bool:
+        """Whether a pair is accepted."""
+        limits = [
+            abs(value) <= limit
+            for value, limit in ((deviation_percent, self.percent), (deviation_hz, self.hz))
+            if limit is not None
+        ]
+        return (any(limits) if limits else True) and (self.mac is None or mac_percent >= self.mac)
+
+    def missed(self, table: CorrelationTable) -> tuple[CorrelationRow, ...]:
+        """The pairs of a table that are not accepted."""
+        return tuple(r for r in table.rows() if not self.holds(r.deviation_percent, r.deviation_hz, r.mac_percent))
+
+    def words(self) -> str:
+        """The rule in words."""
+        limit = " or ".join(
+            f"|Δf| ≤ {value:.4g} {unit}" for value, unit in ((self.percent, "%"), (self.hz, "Hz")) if value is not None
+        )
+        mac = f"MAC ≥ {self.mac:.4g} %" if self.mac is not None else ""
+        return " and ".join(x for x in (limit, mac) if x) or "every pair"
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """The model that a study delivers, as far as it was run: its tables and what they rest on."""
+
+    name: str
+    tables: tuple[tuple[str, CorrelationTable], ...]
+    evidence: Evidence | None
+
+
+def judged(config: StudyConfig, results: Mapping[str, Any]) -> Judged | None:
+    """The delivered deck, its rigid-body modes too where they were tuned; without anything to update the deck itself.
+
+    None where the study was not run so far.
+    """
+    final: FinalStage | None = results.get("final")
+    if final is not None:
+        rigid = (("rigid-body ", final.rigid),) if config.suspension else ()
+        return Judged("final model", (("", final.table), *rigid), final.evidence)
+    correlate: CorrelateStage | None = results.get("correlate")
+    if correlate is None or config.candidate or config.suspension or config.propose:
+        return None
+    return Judged("model", (("", correlate.remodelled),), correlate.evidence)
+
+
+def missed_words(config: StudyConfig, results: Mapping[str, Any]) -> tuple[str, ...]:
+    """A sentence for each pair outside of limits that the study states; none where it states none."""
+    model = judged(config, results)
+    if model is None or not PER_PAIR & config.correlate.model_fields_set:
+        return ()
+    rule = Acceptance.of(config.correlate)
+    return tuple(
+        f"{kind}test mode {r.test} ({r.test_hz:.4g} Hz) and FE mode {r.fe} ({r.fe_hz:.4g} Hz): "
+        f"Δf {r.deviation_percent:+.2f} % ({r.deviation_hz:+.3g} Hz), MAC {r.mac_percent:.1f} %"
+        for kind, table in model.tables
+        for r in rule.missed(table)
+    )
+
+
+def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]:
+    """Whether the delivered model keeps the limits that the study states; empty where it states none."""
+    model, c = judged(config, results), config.correlate
+    if model is None:
+        return ()
+    out, table = [], model.tables[0][1]
+    if PER_PAIR & c.model_fields_set:
+        rule = Acceptance.of(c)
+        count = sum(len(t) for _, t in model.tables)
+        good = count - sum(len(rule.missed(t)) for _, t in model.tables)
+        name = f"{model.name}: pairs with {rule.words()}"
+        out.append(Check(name, f"all {count}", str(good), good == count > 0))
+    if c.accept_pairs is not None:
+        n = len(table)
+        out.append(Check(f"{model.name}: pairs", f"≥ {c.accept_pairs}", str(n), n >= c.accept_pairs))
+    if c.accept_mean_percent is not None:
+        mean, most = table.mean_deviation(), c.accept_mean_percent
+        out.append(Check(f"{model.name}: mean |Δf|", f"≤ {most:g} %", f"{mean:.2f} %", bool(mean <= most)))
+    if c.accept_mean_mac is not None:
+        mac, least = table.mean_mac(), c.accept_mean_mac
+        out.append(Check(f"{model.name}: mean MAC", f"≥ {least:g} %", f"{mac:.2f} %", bool(mac >= least)))
+    if ORTHOGONALITY & c.model_fields_set:
+        out.append(_orthogonal(model, c))
+    return tuple(out)
+
+
+def _orthogonal(model: Judged, c: CorrelateSection) -> Check:
+    """The cross-orthogonality over the best mass at hand."""
+    wanted = f"pairs ≥ {c.accept_orthogonality:g} %, others ≤ {c.accept_off_diagonal:g} %"
+    checks = model.evidence.measures.checks if model.evidence else ()
+    cross = next((k for k in checks if k.kind == "cross"), None)
+    name = f"{model.name}: cross-orthogonality"
+    if cross is None:
+        return Check(name, wanted, "not known", False)
+    v = cross.verdict
+    got = f"≥ {100 * v.least_diagonal:.1f} %, ≤ {100 * v.largest_off_diagonal:.1f} %"
+    return Check(f"{name}, {cross.mass} mass", wanted, got, v.passed)
+
+
+def convergence(results: Mapping[str, Any]) -> tuple[Check, ...]:
+    """Whether the chosen updating converged; empty without one."""
+    update: UpdateStage | None = results.get("update")
+    if update is None:
+        return ()
+    outcome = update.sets[update.chosen].outcome
+    return (Check("updating", "converged", outcome.split(":")[0], outcome.startswith("converged")),)
+
+
+def improvement(results: Mapping[str, Any]) -> tuple[Check, ...]:
+    """Whether the final model is nearer to the test than the initial one, in modes used and left out."""
+    final: FinalStage | None = results.get("final")
+    before: CorrelateStage | None = results.get("correlate")
+    if final is None or before is None:
+        return ()
+    out = []
+    for name, which in (("used", True), ("left-out", False)):
+        tables = before.initial, final.table
+        if all((t.used == which).any() for t in tables):
+            a, b = (t.mean_deviation(t.used == which) for t in tables)
+            out.append(Check(f"{name} modes: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a)))
+    return tuple(out)
+
+
+def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]:
+    """What must hold of any study, and what this one states."""
+    return (*convergence(results), *limits(config, results), *improvement(results))

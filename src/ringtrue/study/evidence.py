@@ -1,0 +1,188 @@
+"""What a correlation rests on: orthogonality over the deck's mass, channels, close modes, modes followed, FRFs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.observation import Observation
+from ringtrue.core.pairing import Pairing
+from ringtrue.core.signals import FrfSet
+from ringtrue.correlate.complete import complete
+from ringtrue.correlate.frf import compare_frfs, fdac
+from ringtrue.correlate.gates import Gate
+from ringtrue.correlate.track import Tracks, track
+from ringtrue.errors import InputError, NumericalError
+from ringtrue.fem.response import frf
+from ringtrue.reduce.tam import tam
+from ringtrue.shapes.mac import auto_mac
+from ringtrue.study.config import CorrelateSection, StudyConfig
+from ringtrue.study.opened import Opened
+from ringtrue.study.reference import Reference, settings
+from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage
+
+LARGEST = 100_000_000  # entries of the transform of a test-analysis model that are built without being asked for
+LINES = 90  # of the FDAC: what can be told apart in a drawing
+MASS = {"SI": 1.0, "mm-t-s": 1e3}  # kg a unit of mass of the deck
+
+
+def gate(config: CorrelateSection) -> Gate:
+    """The limits of the cross-orthogonality."""
+    own, off = config.accept_orthogonality, config.accept_off_diagonal
+    return Gate(own / 100, off / 100, f"{own:g} % / {off:g} %")
+
+
+def at_channels(opened: Opened, observation: Observation, channels: tuple[str, ...]) -> sparse.csr_array:
+    """Readings of the channels by the free DOFs of a model, (channel, f)."""
+    here = {c: i for i, c in enumerate(observation.channels)}
+    rows = observation.matrix[[here[c] for c in channels]]
+    return sparse.csr_array(rows @ opened.analysis.system.transform)
+
+
+def channel_mass(
+    opened: Opened, observation: Observation, channels: tuple[str, ...], config: CorrelateSection, fmax: float
+) -> tuple[Float | None, str]:
+    """The deck's mass at the channels, and why there is none."""
+    system = opened.analysis.system
+    size = system.stiffness.shape[0]
+    if config.tam == "serep":
+        return None, ""
+    if size * len(channels) > LARGEST:
+        return None, f"no {config.tam} mass: {size} DOFs and {len(channels)} channels take too much memory"
+    observe = at_channels(opened, observation, channels)
+    modes = system.local @ opened.modes(fmax).modes.shapes if config.tam == "hybrid" else None
+    try:
+        return tam(system.stiffness, system.mass, observe, config.tam, modes=modes).mass, ""
+    except (InputError, NumericalError) as e:  # channels that read the same, or too few of them
+        return None, f"no {config.tam} mass: {e}"
+
+
+def evidence(
+    reference: Reference,
+    fe: ModeSet,
+    pairing: Pairing,
+    config: StudyConfig,
+    mass: tuple[Float | None, str] = (None, ""),
+) -> Evidence:
+    """All measures of the elastic test modes against a model.
+
+    Parameters
+    ----------
+    reference : Reference
+    fe : ModeSet
+        At the channels of the sheet, mass-normalised.
+    pairing : Pairing
+        Of `reference.elastic` with all of `fe`.
+    config : StudyConfig
+    mass : ((channel, channel) float64 or None, str)
+        Of `channel_mass`, at the channels of the reference.
+    """
+    test, c = reference.elastic, config.correlate
+    measures = complete(
+        test,
+        fe,
+        pairing,
+        mass=mass[0],
+        mass_name=c.tam if c.tam == "hybrid" else {"irs": "IRS", "guyan": "Guyan"}.get(c.tam, c.tam),
+        gate=gate(c),
+        std_a=reference.elastic_std.frequency,
+        settings=settings(config),
+    )
+    if mass[1]:
+        measures = replace(measures, notes=(*measures.notes, mass[1]))
+    return Evidence(measures, auto_mac(test.shapes))
+
+
+def followed(final: ModeSet, remodelled: ModeSet, initial: ModeSet, count: int) -> Tracks | None:
+    """The lowest `count` modes of the final model found again, by shape at the channels, in what it came from."""
+    sets = (final, remodelled, initial)
+    count = min(count, *(len(s) for s in sets))
+    if not count:
+        return None
+    return track([s.frequencies for s in sets], [s.shapes for s in sets], count=count)
+
+
+def synthesised(
+    opened: Opened, observation: Observation, fe: ModeSet, zeta: Float, measured: FrfSet, units: str
+) -> FrfSet:
+    """FRFs of a model where and as those of the test are: its modes with the damping `zeta`, and the modes above.
+
+    The flexibility of the modes that were not computed is exact near 0 Hz.
+
+    Parameters
+    ----------
+    opened : Opened
+    observation : Observation
+    fe : ModeSet
+        Modes of the model at all channels, mass-normalised.
+    zeta : (m,) float64
+    measured : FrfSet
+        Of `on_sheet`.
+    units : {"SI", "mm-t-s"}
+        Of the deck.
+    """
+    outputs, inputs = (tuple(c.id for c in side) for side in (measured.outputs, measured.inputs))
+    at = {c: i for i, c in enumerate(fe.channels)}
+    out, into = (fe.shapes[[at[c] for c in side]] for side in (outputs, inputs))
+    w = 2 * np.pi * fe.frequencies
+    lam = w * np.abs(w)
+    shift = -float(np.median(np.abs(lam)))  # K − shift·M is definite, whatever holds the structure
+    load = at_channels(opened, observation, inputs).T.toarray()
+    flexible = at_channels(opened, observation, outputs) @ opened.analysis.pencil.at(shift).solve(load)
+    rest = flexible.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
+    # an exponential window on the responses of the test damps them: s = iω + σ
+    zeta = zeta + measured.window_decay / np.maximum(np.abs(w), 2 * np.pi * measured.freqs[0])
+    h: Complex = frf(measured.freqs, fe.frequencies, zeta, out, into, measured.kind, residual=rest) / MASS[units]
+    return replace(measured, data=h, coherence=np.full(h.shape, np.nan))
+
+
+def on_sheet(found: IdentifyStage, low: float, high: float) -> FrfSet | None:
+    """The measured FRFs between two frequencies, Hz, at the outputs and inputs on the sheet; None where none is."""
+    frfs, known = found.frfs, set(found.test.channels)
+    if frfs is None:
+        return None
+    out, into = (np.flatnonzero([c.id in known for c in side]) for side in (frfs.outputs, frfs.inputs))
+    line = np.flatnonzero((frfs.freqs > low) & (frfs.freqs < high))
+    if not (line.size and out.size and into.size):
+        return None
+    at = np.ix_(line, out, into)
+    return replace(
+        frfs,
+        data=frfs.data[at],
+        freqs=frfs.freqs[line],
+        outputs=tuple(frfs.outputs[i] for i in out.tolist()),
+        inputs=tuple(frfs.inputs[i] for i in into.tolist()),
+        coherence=frfs.coherence[at],
+        averages=frfs.averages[into],
+    )
+
+
+def _between(frfs: FrfSet, low: float, high: float) -> FrfSet:
+    line = np.flatnonzero((frfs.freqs >= low) & (frfs.freqs <= high))
+    return replace(frfs, data=frfs.data[line], freqs=frfs.freqs[line], coherence=frfs.coherence[line])
+
+
+def frf_evidence(
+    found: IdentifyStage, measured: FrfSet, initial: FrfSet, final: FrfSet, config: StudyConfig
+) -> FrfEvidence | None:
+    """The FRFs in the band of the identified modes, by channel, by line, and line against line; None for few lines."""
+    if found.hammer is None or not len(found.hammer):
+        return None
+    f = found.hammer.frequencies
+    low, high = config.identify.hammer_fmin or 0.9 * f.min(), config.identify.hammer_fmax or 1.1 * f.max()
+    test, before, after = (_between(x, float(low), float(high)) for x in (measured, initial, final))
+    if test.freqs.size < 2:
+        return None
+    thin = slice(None, None, -(-test.freqs.size // LINES))
+    rows = [x.data[thin].reshape(x.data[thin].shape[0], -1) for x in (test, before, after)]
+    return FrfEvidence(
+        compare_frfs(test, before),
+        compare_frfs(test, after),
+        test.freqs[thin],
+        fdac(rows[0], rows[1]),
+        fdac(rows[0], rows[2]),
+    )

@@ -1,0 +1,235 @@
+"""Where the remodelled deck is wrong: error indicators by region, and a ranked proposal of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.errors import DataError, UnsupportedError
+from ringtrue.fem.assembly import System
+from ringtrue.fem.change import affected_cards
+from ringtrue.fem.derivatives import terms
+from ringtrue.model.model import Model
+from ringtrue.reduce.condense import condensed
+from ringtrue.reduce.expand import expand_reduced
+from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.study.opened import Progress
+from ringtrue.study.parametric import AtChannels
+from ringtrue.study.results import CorrelateStage, LocaliseStage
+from ringtrue.study.stages.sensitivity import target
+from ringtrue.study.workbench import Workbench
+from ringtrue.update.candidates import (
+    LEAST,
+    Candidate,
+    CandidateSettings,
+    conflicts,
+    effects,
+    generate,
+    membership,
+    of_parameter,
+    parameters,
+    screened,
+)
+from ringtrue.update.identifiable import identifiability
+from ringtrue.update.localise import NOISE, ElementErrors, expanded_errors, variation
+from ringtrue.update.objective import Target, match, residual
+from ringtrue.update.proposal import Proposal, propose
+
+SMALL = 160  # vectors of the model that the proposal searches with
+DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
+NO_PAIR = (
+    "no mode of the model is paired with one that the updating may see: nothing can be localised; look at the deck, "
+    "the sensor sheet and correlate.mac_gate"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pool:
+    """The candidates that are looked at closely, and what became of the others."""
+
+    candidates: tuple[Candidate, ...]
+    made: int = 0
+    dropped: tuple[str, ...] = ()
+    screened: tuple[str, ...] = ()
+
+
+def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
+    """Indicators and proposal; None where there is neither a candidate nor a paired mode.
+
+    Raises
+    ------
+    DataError
+        If the updating needs the proposal, and no mode is paired.
+    """
+    found: CorrelateStage = desk.get("correlate")
+    paired = bool(found.remodelled.used.any())
+    pool = _pool(desk, found) if paired else _Pool(())
+    if not pool.candidates:
+        if desk.config.propose:
+            raise DataError(NO_PAIR if not paired else "no candidate of the deck changes a mode: give [[candidate]]")
+        return None
+    aim, model = target(desk), _model(desk, pool, lambda f, t: progress(0.6 * f, t))
+    start = model.linearise(np.zeros(len(model.parameters)))
+    pairs, _, _ = match(aim, start)
+    pairs = pairs[aim.used[pairs[:, 0]]]
+    progress(0.6, "error indicators")
+    errors = _errors(desk, model, aim, pairs)
+    member = membership(desk.remodelled.model, pool.candidates)
+    proposal = _proposal(desk, model, aim, pool, errors.concentration(member), lambda f, t: progress(0.7 + 0.3 * f, t))
+    return _result(desk, model, aim, pool, pairs, errors, proposal)
+
+
+def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
+    """The candidates of the study, or those made from the deck that can move the measured frequencies most."""
+    model, given, asked = desk.remodelled.model, desk.config.candidates(), desk.config.localise
+    if len(given):
+        return _Pool(tuple(of_parameter(model, p) for p in given.parameters))
+    if not asked.pool:
+        return _Pool(())
+    every = generate(model, CandidateSettings(tuple(asked.kinds), desk.deck.units))
+    springs = tuple(of_parameter(model, p) for p in desk.config.suspensions().parameters)
+    taken = conflicts(model, (*every, *springs))[: len(every), len(every) :]
+    every = tuple(every[i] for i in np.flatnonzero(~np.any(taken, axis=1)).tolist())
+    system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.deck.fmax).modes
+    lam = (2 * np.pi * modes.frequencies) ** 2
+    strain, kinetic = effects(model, system, every, lam, np.asarray(system.local @ modes.shapes))
+    some = np.flatnonzero((np.abs(strain) + np.abs(kinetic)).max(axis=0) > LEAST)
+    table, aim = found.remodelled, target(desk)
+    test, fe = table.pairing.a[table.used], table.pairing.b[table.used]
+    sigma = np.hypot(aim.weights.frequency, aim.std[test])
+    slopes = 0.5 * (strain - kinetic)[fe] / sigma[:, None] * parameters(every).std()
+    first = [i for i in some[screened(slopes[:, some], 2 * asked.pool)].tolist() if _exact(model, every[i], system)]
+    close = np.sort(np.array(first, dtype=np.int64)[screened(slopes[:, first], asked.pool)])
+    return _Pool(
+        tuple(every[i] for i in close.tolist()),
+        len(every),
+        tuple(every[i].name for i in np.setdiff1d(np.arange(len(every)), some).tolist()),
+        tuple(every[i].name for i in np.setdiff1d(some, close).tolist()),
+    )
+
+
+def _exact(model: Model, candidate: Candidate, system: System) -> bool:
+    """Whether K and M are polynomials of the factor, as an updating on a reduced model needs them."""
+    if candidate.kind != "property":
+        return True
+    try:
+        return bool(terms(model, candidate.parameter, system))
+    except UnsupportedError:
+        return False
+
+
+def _model(desk: Workbench, pool: _Pool, progress: Progress) -> AtChannels:
+    """The reduced model over the candidates: that of the updating where it has the same."""
+    if len(desk.config.candidates()):
+        return desk.candidates(progress)
+    if desk.config.propose:
+        desk.generated = parameters(pool.candidates)
+        return desk.candidates(progress)
+    return desk.apart(parameters(pool.candidates), progress)
+
+
+def _errors(desk: Workbench, model: AtChannels, aim: Target, pairs: Int) -> ElementErrors:
+    """Indicators by element; the test shapes are expanded in the reduced basis."""
+    test, fe = pairs.T
+    reduced: ReducedModel = model.model
+    _, own = reduced.coordinates(np.zeros(len(reduced.active)))
+    b = reduced.basis
+    f, shapes = aim.frequencies[test], aim.shapes[:, test]
+    energy = b.stiffness - reduced.shift * b.mass
+    q = expand_reduced(b.stiffness, b.mass, energy, b.observe[model.rows], shapes, f, noise=NOISE).shapes
+    full = b.vectors @ np.hstack([q, own[:, fe]])
+    solve = reduced.pencil.at(reduced.shift).solve
+    opened = desk.remodelled
+    return expanded_errors(opened.model, opened.analysis.system, f, full[:, : f.size], full[:, f.size :], solve)
+
+
+def _proposal(
+    desk: Workbench, model: AtChannels, aim: Target, pool: _Pool, errors: Mapping[str, Float], progress: Progress
+) -> Proposal:
+    asked, apart = desk.config.localise, conflicts(desk.remodelled.model, pool.candidates)
+    rng = np.random.default_rng([desk.config.study.seed, 5])
+    size = max(SMALL, 2 * model.model.count)
+    search = replace(model, model=condensed(model.model, _points(model.parameters, apart, rng), size))
+    return propose(
+        search,
+        aim,
+        most=asked.most,
+        alike=asked.alike,
+        apart=apart,
+        errors=errors,
+        words=[c.what for c in pool.candidates],
+        progress=progress,
+    )
+
+
+def _points(p: ParameterSet, apart: Bool, rng: np.random.Generator) -> list[Float]:
+    """The nominal model, each candidate by itself, and draws of the prior without two that must stay apart."""
+    (low, high), std = p.bounds(), p.std()
+    points = [np.zeros(len(p)), *np.diag(std), *np.diag(-std)]
+    for x in std * rng.standard_normal((DRAWS, len(p))):
+        taken = np.zeros(len(p), dtype=np.bool_)
+        for i in rng.permutation(len(p)).tolist():  # over candidates
+            taken[i] = not (apart[i] & taken).any()
+        points.append(np.where(taken, x, 0.0))
+    return [np.clip(x, low, high) for x in points]
+
+
+def _result(
+    desk: Workbench,
+    model: AtChannels,
+    aim: Target,
+    pool: _Pool,
+    pairs: Int,
+    errors: ElementErrors,
+    proposal: Proposal,
+) -> LocaliseStage:
+    p = model.parameters
+    low, high = p.bounds()
+    start = residual(aim, model.linearise(np.zeros(len(p))))
+    end = residual(aim, model.linearise(proposal.x)).slope * p.std()
+    known = identifiability(end)
+    labels = element_regions(desk.remodelled.model, desk.deck.regions)
+    names = tuple(dict.fromkeys(labels))
+    at = np.array([names.index(x) for x in labels])
+
+    def by_region(share: Float) -> Float:
+        return np.asarray(np.bincount(at, share, len(names)), dtype=np.float64)
+
+    member = membership(desk.remodelled.model, pool.candidates)
+    return LocaliseStage(
+        names,
+        by_region(errors.strain),
+        by_region(errors.force),
+        by_region(errors.constitutive),
+        by_region(errors.energy),
+        pairs[:, 0],
+        errors.relative,
+        p,
+        tuple(c.what for c in pool.candidates),
+        tuple(", ".join(dict.fromkeys(labels[e] for e in member[[i]].indices)) for i in range(len(p))),
+        np.linalg.norm(start.slope * p.std(), axis=0),
+        known.alone,
+        known.together,
+        variation(aim, start, p.std(), low, high).frequency,
+        pool.made,
+        pool.dropped,
+        pool.screened,
+        proposal,
+    )
+
+
+def element_regions(model: Model, regions: Mapping[str, Sequence[int]]) -> list[str]:
+    """The region of each element, in the order of `candidates.elements_of`: that of its property, or its card."""
+    named = {pid: name for name, members in regions.items() for pid in members}
+    out: list[str] = []
+    for card in affected_cards(model):
+        table = model[card]
+        if "PID" not in table.columns:
+            out += [card] * len(table)
+            continue
+        out += [named.get(p, f"property {p}") for p in table["PID"].tolist()]
+    return out

@@ -1,0 +1,185 @@
+"""How well the chosen parameters are known, and whether bands around the predictions hold what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.reduce.condense import condensed
+from ringtrue.study.opened import Progress
+from ringtrue.study.parametric import CLOSE, AtChannels
+from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
+from ringtrue.study.stages.sensitivity import target
+from ringtrue.study.workbench import Workbench
+from ringtrue.update.kfold import Held, folds_of, with_discrepancy
+from ringtrue.update.mcmc import Chains, ensemble, log_posterior
+from ringtrue.update.objective import Target, Weights, match
+from ringtrue.update.plausible import plausibility
+from ringtrue.update.posterior import Posterior, as_likelihood, laplace
+from ringtrue.update.residuals import Eigenvalues
+from ringtrue.update.several import Configuration, Problem
+
+SMALL = 100  # vectors of the model that is updated fold by fold and sampled
+DRAWS = 12  # points around the updated one whose modes it holds, beside those of each parameter by itself
+REACH, LEAST_REACH = 3.0, 0.1  # how far these points lie apart: standard deviations, and x
+FEWEST = 4  # used modes below which none can be left out
+HANDFUL = 5.0  # independent errors in a shape: what the model lacks is smooth over the channels
+KEPT = 400  # draws that are stored
+BURN = 0.5  # steps that are thrown away, over those kept
+
+
+def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
+    """Discrepancy from modes left out in turn, posterior and bands; None where fewer than four modes were used."""
+    done: UpdateStage = desk.get("update")
+    final: FinalStage = desk.get("final")
+    best, asked, aim = done.sets[done.chosen], desk.config.uncertainty, target(desk)
+    model = _delivered(desk, best, final, lambda f, t: progress(0.4 * f, t))
+    x = model.parameters.vector(best.factor)
+    paired = _paired(aim, model, final, x)
+    count = int(paired.used.sum())
+    if count < FEWEST:
+        return None
+    small = _near(model, x, best.std, np.random.default_rng([desk.config.study.seed, 6]))
+    likely, held = with_discrepancy(
+        Configuration(small, paired),
+        folds_of(paired.used, min(asked.folds, count)),
+        start=x,
+        progress=lambda f, t: progress(0.4 + 0.4 * f, t),
+    )
+    posterior, slope = _posterior(Configuration(small, paired), likely.target.weights, x)
+    told = _result(posterior, aim, likely.target, slope, final, held, asked.level)
+    if not asked.samples:
+        return told
+    rng = np.random.default_rng([desk.config.study.seed, 7])
+    problem = Problem((_likelihood(likely),))
+    chains = _sampled(problem, posterior, asked.samples, rng, lambda f, t: progress(0.8 + 0.2 * f, t))
+    return _with_draws(told, chains, posterior.parameters)
+
+
+def _posterior(assumed: Configuration, found: Weights, x: Float) -> tuple[Posterior, Float]:
+    """Of the delivered point, which is the best one by the weights that were assumed, when errors are as found.
+
+    Returns
+    -------
+    posterior : Posterior
+    slope : (m, p) float64
+        ∂λ/∂x of the modes of the model.
+    """
+    problem, w = Problem((assumed,)), assumed.target.weights
+    at = problem.evaluate(x)
+    scale = np.array([found.frequency / w.frequency, np.sqrt(found.mac / w.mac)])[: len(assumed.terms)]
+    return laplace(problem, at, scale, independent=HANDFUL), at.points[0].now.d_lambda
+
+
+def _likelihood(found: Configuration) -> Configuration:
+    """The same with weights that are the inverse covariance of the residuals."""
+    w = found.target.weights
+    if w.shape > 0:
+        return as_likelihood(found, w.frequency, w.mac, independent=HANDFUL)
+    return replace(found, terms=(Eigenvalues(w.frequency),))
+
+
+def _delivered(desk: Workbench, best: SetResult, final: FinalStage, progress: Progress) -> AtChannels:
+    """The reduced model over the chosen parameters, the suspension as tuned; exact at the delivered point."""
+    model, springs, every = desk.candidates(progress), desk.config.suspensions(), desk.parameters.names
+    tuned = desk.get("tune").factors if len(springs) else {}
+    base = np.concatenate([np.zeros(len(every)), springs.vector(np.array([tuned[n] for n in springs.names]))])
+    active = model.with_parameters([every.index(n) for n in best.parameters], base)
+    x = active.parameters.vector(best.factor)
+    truth, found = final.observed.frequencies, active.modes(x).frequencies
+    n = min(truth.size, found.size)
+    elastic = truth[:n] > 1e-3 * truth.max(initial=0.0)
+    if np.abs(found[:n][elastic] / truth[:n][elastic] - 1).max(initial=0.0) < CLOSE:
+        return active
+    progress(0.9, "modes at the updated point")
+    return AtChannels(active.model.enrich(x)[0], active.rows)
+
+
+def _paired(aim: Target, model: AtChannels, final: FinalStage, x: Float) -> Target:
+    """The pairs of the delivered deck for good; used modes that the updating has doubted take no part."""
+    now = model.linearise(x)
+    pairs = np.stack([final.table.pairing.a, final.table.pairing.b], axis=1)
+    pairs = pairs[pairs[:, 1] < now.frequencies.size]
+    _, _, groups = match(aim, now)
+    used = aim.settled(now).used & np.isin(np.arange(aim.used.size), pairs[:, 0])
+    return replace(aim, used=used, fixed=(pairs, groups))
+
+
+def _near(model: AtChannels, x: Float, std: Float, rng: np.random.Generator) -> AtChannels:
+    """The model on its modes around a point."""
+    low, high = model.parameters.bounds()
+    reach = np.maximum(REACH * std, LEAST_REACH)
+    steps = [np.zeros(x.size), *np.diag(reach), *np.diag(-reach), *(reach * rng.standard_normal((DRAWS, x.size)))]
+    size = max(SMALL, 2 * model.model.count)
+    return replace(model, model=condensed(model.model, [np.clip(x + s, low, high) for s in steps], size))
+
+
+def _result(
+    posterior: Posterior, aim: Target, likely: Target, slope: Float, final: FinalStage, held: Held, level: float
+) -> UncertaintyStage:
+    p, pairing = posterior.parameters, final.table.pairing
+    f = np.full(aim.frequencies.size, np.nan)
+    f[pairing.a] = final.observed.frequencies[pairing.b]
+    known = pairing.b < slope.shape[0]
+    rows = slope[pairing.b[known]] / (8 * np.pi**2 * f[pairing.a[known]] ** 2)[:, None]
+    parts = np.full((f.size, 3), np.nan)
+    parts[pairing.a[known], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, posterior.covariance, rows))
+    parts[:, 1], parts[:, 2] = aim.std, likely.weights.frequency
+    freedom = max(int(np.isfinite(held.predicted).sum()) - 1, 1)  # the discrepancy comes from so many errors
+    reach = float(stdtrit(freedom, 0.5 + level / 2)) * np.sqrt((parts**2).sum(axis=1)) * f
+    band = np.stack([f - reach, f + reach], axis=1)
+    return UncertaintyStage(
+        p,
+        p.factors(posterior.x),
+        posterior.std,
+        posterior.interval(level),
+        _prior(p, level),
+        posterior.ratio,
+        posterior.moved,
+        posterior.correlation(),
+        level,
+        np.array([likely.weights.frequency, likely.weights.mac]),
+        np.array([aim.weights.frequency, aim.weights.mac]),
+        aim.frequencies,
+        f,
+        band,
+        parts,
+        aim.used,
+        (band[:, 0] <= aim.frequencies) & (aim.frequencies <= band[:, 1]),
+        held,
+        tuple(flag.text for flag in plausibility(p, posterior.x, posterior.ratio)),
+    )
+
+
+def _prior(p: ParameterSet, level: float) -> Float:
+    """Intervals of the factors before the test, cut at the bounds, (p, 2)."""
+    low, high = p.bounds()
+    reach = float(ndtri(0.5 + level / 2)) * p.std()
+    return np.stack([p.factors(np.maximum(-reach, low)), p.factors(np.minimum(reach, high))], axis=1)
+
+
+def _sampled(
+    problem: Problem, posterior: Posterior, samples: int, rng: np.random.Generator, progress: Progress
+) -> Chains:
+    """Walkers from the normal approximation."""
+    walkers = 2 * problem.size + 2
+    steps = max(-(-samples // walkers), 4)
+    start = posterior.sample(walkers, rng)
+    return ensemble(log_posterior(problem), start, steps, rng, burn=int(BURN * steps), progress=progress)
+
+
+def _with_draws(told: UncertaintyStage, chains: Chains, p: ParameterSet) -> UncertaintyStage:
+    every = chains.flat()
+    band = chains.interval(told.level)
+    return replace(
+        told,
+        draws=np.stack([p.factors(x) for x in every[:: -(-len(every) // KEPT)]]),
+        sampled=np.stack([p.factors(band[:, 0]), p.factors(band[:, 1])], axis=1),
+        acceptance=chains.acceptance,
+        independent=chains.size,
+        converged=chains.converged,
+    )

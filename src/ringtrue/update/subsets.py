@@ -1,0 +1,332 @@
+"""Which subset of many candidates explains a test: elimination from all at once, growing sets, exchange.
+
+1. Candidates to which the residuals are not sensitive are left out; of a cluster that the data cannot tell apart one
+   member stands for all.
+2. All of them are updated at once, held back by their priors: from a far start only so are the modes paired right.
+   Then the least useful go, one by one.
+3. What the best set leaves as residual replaces the assumed model discrepancy. Sets of growing size: those of step 2,
+   and the best addition by the bounded minimum of the linearised J, each confirmed by a short updating with new
+   linearisations; then exchange of members while J falls. Once more, if the discrepancy has changed.
+4. The size is that of the lowest AICc plus the price of the search, less the members that it gives no support.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import gammaln
+
+from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.errors import InputError, NumericalError
+from ringtrue.update.choose import GAIN, TURNS, Candidates, Choice, predicted, short_update
+from ringtrue.update.identifiable import clusters
+from ringtrue.update.objective import Residual, Target, comparable_criteria, residual
+
+TRIALS = 2  # promising sets that are fitted in one round
+SENSITIVE = 0.05  # least effect of one prior standard deviation, in standard deviations of the residual
+AT_ONCE = 20  # Gauss-Newton steps with all candidates free
+POOL = 12  # candidates for an addition or exchange whose bounded prediction is computed
+TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
+NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
+LATER = 2  # sizes beyond the best one that are looked at
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """The candidates, what they aim at, and which of them may enter."""
+
+    model: Candidates
+    target: Target
+    pool: Int
+    groups: Int
+    apart: Bool
+    size: Float
+    low: Float
+    high: Float
+    prior: Float
+    seen: dict[bytes, Residual] = field(default_factory=dict)
+    done: dict[tuple[tuple[int, ...], bytes, int], Choice] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, model: Candidates, target: Target, alike: float, apart: Bool | None) -> Search:
+        p = model.parameters
+        low, high = p.bounds()
+        start = residual(target, model.linearise(np.zeros(len(p))))
+        sensitive = start.slope * p.std()
+        size = np.linalg.norm(sensitive, axis=0)
+        groups = clusters(sensitive, alike)
+        none = np.zeros((len(p), len(p)), dtype=np.bool_)
+        return cls(
+            model,
+            target,
+            np.flatnonzero(size >= SENSITIVE),
+            groups,
+            none if apart is None else apart,
+            size,
+            low,
+            high,
+            p.std(),
+        )
+
+    def sharper(self, discrepancy: Float) -> Search:
+        """The same with the discrepancy (relative frequency, 1 − MAC) that was found, and with pairs of least cost.
+
+        A test mode that no candidate explains then pulls none of them.
+        """
+        w = replace(self.target.weights, frequency=float(discrepancy[0]), mac=float(discrepancy[1]))
+        return replace(self, target=replace(self.target, weights=w).doubting(), seen={}, done={})
+
+    def point(self, x: Float) -> Residual:
+        """Residuals and sensitivities to all candidates at x, computed once."""
+        key = x.tobytes()
+        if key not in self.seen:
+            self.seen[key] = residual(self.target, self.model.linearise(x))
+        return self.seen[key]
+
+    def fit(self, members: Sequence[int], x: Float, turns: int = TURNS) -> Choice:
+        """A short updating from x, or from the nominal model where x cannot be solved; done once."""
+        x = np.clip(x, self.low, self.high)
+        key = (tuple(members), x.tobytes(), turns)
+        if key not in self.done:
+            try:
+                self.done[key] = short_update(self.model, self.target, members, x, turns)
+            except NumericalError:
+                self.done[key] = short_update(self.model, self.target, members, np.zeros(x.size), turns)
+        return self.done[key]
+
+    def free(self, members: Sequence[int]) -> Int:
+        """Candidates that may stand beside the members: of other clusters, and not kept apart from any."""
+        at = np.array(members, dtype=np.int64)
+        beside = ~np.isin(self.groups[self.pool], self.groups[at]) & ~self.apart[np.ix_(self.pool, at)].any(axis=1)
+        return self.pool[beside]
+
+    def together(self) -> list[int]:
+        """As many candidates as may stand side by side, those of the largest effect first."""
+        out: list[int] = []
+        while (free := self.free(out)).size:
+            out.append(int(free[np.argmax(self.size[free])]))
+        return sorted(out)
+
+    def ahead(self, r: Residual, x: Float, at: Sequence[int], base: Float) -> float:
+        """J at the bounded minimum over `at`, linearised at x; `base` is the residual at x with others put to 0."""
+        i = list(at)
+        g, w = r.slope[:, i], self.prior[i] ** -2
+        load = base + g @ x[i]
+        y = np.linalg.solve(g.T @ g + np.diag(w), g.T @ load)
+        if (y >= self.low[i]).all() and (y <= self.high[i]).all():
+            return float(np.sum((load - g @ y) ** 2) + w @ y**2)
+        return predicted(g, base, x[i], w, self.low[i], self.high[i])
+
+    def best(
+        self, r: Residual, x: Float, stay: Sequence[int], free: Int, value: Float
+    ) -> list[tuple[float, list[int]]]:
+        """Sets `stay` + one of `free`, by predicted J; a cheap bound chooses the `POOL` that are looked at."""
+        i = list(stay)
+        g = r.slope * self.prior
+        rest = value + r.slope[:, i] @ x[i]
+        q = np.linalg.qr(np.concatenate([g[:, i], np.eye(len(i))]))[0] if i else np.zeros((g.shape[0], 0))
+        pad = np.zeros((len(i), free.size))
+        column = np.concatenate([g[:, free], pad]) if i else g[:, free]
+        column = column - q @ (q.T @ column)
+        left = np.concatenate([rest, np.zeros(len(i))])
+        left = left - q @ (q.T @ left)
+        gain = (column.T @ left) ** 2 / (np.sum(column**2, axis=0) + 1)
+        few = free[np.argsort(-gain, kind="stable")[:POOL]]
+        return sorted((self.ahead(r, x, [*i, c], value), [*i, c]) for c in few.tolist())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subsets:
+    """The sets that were found.
+
+    Attributes
+    ----------
+    search : Search
+        With the discrepancy that was found.
+    start : Residual
+        At x = 0, with the weights and gates that were given.
+    path : list of Choice
+        The best set of each size from 0 on; the last is the one chosen.
+    criteria : (k,) float64
+        AICc and the price of the search.
+    discrepancy : (2,) float64
+        Relative frequency and 1 − MAC.
+    """
+
+    search: Search
+    start: Residual
+    path: list[Choice]
+    criteria: Float
+    discrepancy: Float
+
+
+def subsets(model: Candidates, target: Target, most: int, alike: float, apart: Bool | None, told: Progress) -> Subsets:
+    """The best sets of up to `most` candidates, and the one that the criterion chooses.
+
+    Parameters
+    ----------
+    apart : (p, p) bool, optional
+        Candidates that must not be in one set.
+
+    Raises
+    ------
+    InputError
+        If no mode is paired at the start.
+    """
+    plain = Search.of(model, target, alike, apart)
+    none = Choice(np.zeros(0, dtype=np.int64), np.zeros(len(model.parameters)), np.inf)
+    start = plain.point(none.x)
+    if not start.used.any():
+        raise InputError("no mode of the model is paired with one of the test: nothing can be localised from them")
+    if not plain.pool.size:
+        return Subsets(plain, start, [none, none], _criteria(plain, [none, none]), _discrepancy(plain, none))
+    told(0.0, "all candidates together")
+    whole = plain.fit(plain.together(), none.x, AT_ONCE)
+    found = _discrepancy(plain, whole)
+    search = plain.sharper(found)
+    whole = search.fit(search.together(), whole.x, AT_ONCE)
+    few = _eliminated(search, whole, most, lambda f, t: told(0.1 + 0.3 * f, t))
+    path = _path(search, most, none, few, lambda f, t: told(0.4 + 0.3 * f, t))
+    better = _left(search, plain, path, whole)
+    if np.abs(np.log(better / found)).max() > NEAR:  # all together have followed the noise, or `most` are too few
+        found, search = better, plain.sharper(better)
+        few = [search.fit(c.members.tolist(), c.x) for c in path[1:]]
+        path = _path(search, most, none, few, lambda f, t: told(0.7 + 0.3 * f, t))
+    best = _parted(search, path[int(np.argmin(_criteria(search, path)))], most)
+    path.append(_pruned(search, best))
+    return Subsets(search, start, path, _criteria(search, path), found)
+
+
+def _eliminated(search: Search, now: Choice, most: int, told: Progress) -> list[Choice]:
+    """The least useful members left out, one by one (several while there are many), the others updated again."""
+    path, first = [now], now.members.size
+    while now.members.size > 1:
+        at = now.members
+        r = search.point(now.x)
+        g = r.slope[:, at]
+        normal = g.T @ g + np.diag(search.prior[at] ** -2)
+        best = np.linalg.solve(normal, g.T @ (r.value + g @ now.x[at]))
+        rise = best**2 / np.diag(np.linalg.inv(normal))  # of the linearised J without each
+        drop = max(1, (at.size - most) // 3)
+        stay = np.sort(at[np.argsort(rise, kind="stable")[drop:]])
+        now = search.fit(stay.tolist(), np.where(np.isin(np.arange(now.x.size), stay), now.x, 0.0))
+        path.append(now)
+        told(1 - now.members.size / first, f"candidates left: {now.members.size}")
+    return path
+
+
+def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: Progress) -> list[Choice]:
+    """The best set found of each size from 0 on: that of the size below with one more, or one of `few`."""
+    names = search.model.parameters.names
+    path = [none]
+    for k in range(1, min(most, 2 * int(search.target.used.sum()) - 4) + 1):  # AICc needs more data than parameters
+        now, r, stay = path[-1], search.point(path[-1].x), path[-1].members.tolist()
+        tried = [c for c in few if c.members.size == k]
+        free = search.free(stay)
+        if free.size and r.used.any():
+            tried += [search.fit(at, now.x) for _, at in search.best(r, now.x, stay, free, r.value)[:TRIALS]]
+        if not tried:
+            break
+        path.append(_exchanged(search, min(tried, key=lambda c: c.value)))
+        more = [c for c in few if k < c.members.size <= most]
+        if k >= LATER and np.argmin(_criteria(search, [*path, *more])) <= k - LATER:  # more parameters do not pay
+            break
+        told(k / most, f"{k} parameters: {', '.join(names[i] for i in path[-1].members.tolist())}")
+    return path
+
+
+def _exchanged(search: Search, now: Choice) -> Choice:
+    """Exchange one member at a time while J falls."""
+    for _ in range(now.members.size if now.members.size > 1 else 0):
+        r = search.point(now.x)
+        options: list[tuple[float, list[int]]] = []
+        for out in now.members.tolist():
+            stay = [m for m in now.members.tolist() if m != out]
+            free = np.setdiff1d(search.free(stay), [out])
+            options += search.best(r, now.x, stay, free, r.value + r.slope[:, out] * now.x[out])[:TRIALS]
+        options = sorted(o for o in options if o[0] < (1 - GAIN) * now.value)[:TRIALS]
+        tried = [search.fit(at, np.where(np.isin(np.arange(now.x.size), at), now.x, 0.0)) for _, at in options]
+        better = min(tried, key=lambda c: c.value, default=now)
+        if not better.value < (1 - GAIN) * now.value:
+            return now
+        now = better
+    return now
+
+
+def _parted(search: Search, now: Choice, most: int) -> Choice:
+    """With members of the same clusters, as long as the criterion falls: exact data tell even these apart."""
+    while 0 < now.members.size < most:
+        at, r = now.members.tolist(), search.point(now.x)
+        alike = np.isin(search.groups[search.pool], search.groups[at]) & ~np.isin(search.pool, at)
+        twins = search.pool[alike & ~search.apart[np.ix_(search.pool, at)].any(axis=1)]
+        options = search.best(r, now.x, at, twins, r.value)[:TRIALS] if twins.size else []
+        tried = [search.fit(more, now.x) for value, more in options if value < (1 - GAIN) * now.value]
+        rise = _criteria(search, [now, *tried])
+        if rise.argmin() == 0:
+            return now
+        now = tried[int(rise.argmin()) - 1]
+    return now
+
+
+def _pruned(search: Search, now: Choice) -> Choice:
+    """Leave out members, the least first, without whom the criterion is no higher."""
+    while now.members.size > 1:
+        all_ = now.members.tolist()
+        fewer = [
+            search.fit([m for m in all_ if m != out], np.where(np.arange(now.x.size) == out, 0.0, now.x))
+            for out in all_
+        ]
+        value = _criteria(search, [now, *fewer])
+        best = int(np.argmin(value[1:]))
+        if value[1 + best] > value[0]:
+            return now
+        now = fewer[best]
+    return now
+
+
+def _criteria(search: Search, path: Sequence[Choice]) -> Float:
+    """AICc of each set and the price of the search.
+
+    The best of many sets fits the noise, too: 2 ln of the number of sets of that size. Chen and Chen (2008), eq. 2.2.
+    """
+    pool = np.unique(search.groups[search.pool]).size
+    size = np.array([c.members.size for c in path])
+    sets = gammaln(pool + 1) - gammaln(size + 1) - gammaln(np.maximum(pool - size, 0) + 1)
+    return np.asarray(2 * sets + aicc(search, path))
+
+
+def aicc(search: Search, path: Sequence[Choice]) -> Float:
+    """AICc of each set, all over the test modes that at least one of them pairs."""
+    return comparable_criteria(
+        search.target,
+        [search.point(c.x) for c in path],
+        [c.x[c.members] for c in path],
+        [search.prior[c.members] for c in path],
+    )
+
+
+def _left(search: Search, plain: Search, path: Sequence[Choice], whole: Choice) -> Float:
+    """The discrepancy of the best set; by the plain weights where it is so far off that modes lose their partner."""
+    best = path[int(np.argmin(_criteria(search, path)))]
+    if search.point(best.x).used.sum() < search.point(whole.x).used.sum():
+        return _discrepancy(plain, plain.fit(best.members.tolist(), best.x) if best.members.size else best)
+    return _discrepancy(search, best)
+
+
+def _discrepancy(search: Search, c: Choice) -> Float:
+    """Relative frequency and 1 − MAC that a set leaves, (2,), over the data that its parameters have left over."""
+    w, r = search.target.weights, search.point(c.x)
+    n = int(r.used.sum())
+    if not n:
+        return LOOSE * np.array([w.frequency, w.mac])
+    g = r.slope[:, c.members] * search.prior[c.members]
+    normal = g.T @ g
+    spent = float(np.trace(np.linalg.solve(normal + np.eye(len(normal)), normal)))
+    swell = 2 * n / max(2 * n - spent, 1.0)
+    f = float(np.sqrt(np.mean(r.frequency_error[r.used] ** 2) * swell))
+    m = float(np.mean(1 - r.mac[r.used]) * swell)
+    low, high = np.array([TIGHT * w.frequency, TIGHT**2 * w.mac]), LOOSE * np.array([w.frequency, w.mac])
+    return np.clip([f, m], low, high)

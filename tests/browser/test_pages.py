@@ -1,0 +1,82 @@
+"""The pages of the commands in a browser: drawn offline without complaint, and a click makes a choice."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import chromium
+import numpy as np
+import pytest
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.identify.environment import fit_environment
+from ringtrue.identify.poles import PoleSet, StableDiagram
+from ringtrue.identify.tracking import Stretch, track_modes
+from ringtrue.io.choices import read_choice
+from ringtrue.plots.picker import picker_page
+from ringtrue.plots.tracking import tracking_page
+
+needs_browser = pytest.mark.skipif(
+    chromium.find() is None, reason="no Chromium on this machine: the drawing of the pages is NOT tested"
+)
+
+
+def diagram() -> StableDiagram:
+    order = np.arange(2, 22, 2)
+    f = np.linspace(2.9, 3.1, 10)
+    pole = 2 * np.pi * f * (-0.01 + 1j)
+    poles = PoleSet(order, pole, np.ones((2, 10), complex), np.full(10, 1e-3), np.full(10, np.nan))
+    return StableDiagram(poles, order > 8, np.where(order > 14, 0, -1), np.linspace(2, 4, 50), np.zeros(50))
+
+
+def modes() -> ModeSet:
+    return ModeSet(np.array([3.05]), np.array([0.01]), np.ones((2, 1)), ("a", "b"))
+
+
+@needs_browser
+def test_a_click_makes_a_choice(tmp_path: Path) -> None:
+    path = tmp_path / "d.html"
+    path.write_text(picker_page("tower </script>", [diagram()], modes()))
+    click = "document.getElementById('figure-0').emit('plotly_click', {points: [{customdata: [%s, %d]}]})"
+    with chromium.page(tmp_path / "profile") as page:
+        page.call("Page.navigate", url=path.as_uri())
+        assert page.until("document.querySelectorAll('.main-svg').length > 0", 60)
+        for f, order in (("2.9", 2), ("3.05", 0), ("3.1", 20), ("3.1", 20)):
+            page.evaluate(click % (f, order))
+        text = page.evaluate("document.getElementById('choice').textContent")
+        drawn = page.evaluate("document.getElementById('figure-0').data.map((t) => (t.customdata || []).length)")
+        assert page.complaints() == []
+        assert all(u.startswith(("file:", "data:", "blob:")) for u in page.requests())
+    assert tomllib.loads(text)["pick"] == [{"frequency": 2.9, "order": 2}]
+    (tmp_path / "c.toml").write_text(text)
+    choice = read_choice(tmp_path / "c.toml")
+    assert choice.automatic
+    assert [r.frequency for r in choice.rejects] == [3.05]
+    assert drawn == [0, 4, 3, 3, 1]
+
+
+@needs_browser
+def test_modes_through_time_are_drawn(tmp_path: Path) -> None:
+    rng, n = np.random.default_rng(0), 30
+    t = np.linspace(5, 25, n)
+    f = 3 - 0.01 * (t - 15) + 0.003 * rng.standard_normal(n)
+    std = Uncertainty.independent(np.array([0.003]), np.array([0.001]), np.full((2, 1), 0.01))
+    sets = [
+        Stretch(float(k), ModeSet(f[[k]], np.array([0.01]), np.array([[1.0], [0.5]]), ("a", "b")), std)
+        for k in range(n)
+        if k != 4
+    ]
+    tracked = track_modes(sets)
+    one = tracked.tracks[0]
+    there = {"T": np.delete(t, 4), "load": rng.random(n - 1)}
+    fits = {"1": fit_environment(one.frequency, one.std_frequency, there)}
+    path = tmp_path / "t.html"
+    path.write_text(tracking_page("days", tracked, fits, there, ["a <note>"]))
+    with chromium.page(tmp_path / "profile") as page:
+        page.call("Page.navigate", url=path.as_uri())
+        assert page.until("document.querySelectorAll('.main-svg').length >= 6", 60)
+        assert page.evaluate("document.getElementById('figure-2').data.length") == 6
+        assert page.evaluate("document.querySelector('li').textContent") == "a <note>"
+        assert page.complaints() == []

@@ -1,0 +1,244 @@
+"""What a correlation rests on, the user's limits and the exit status, on the small study of `small_study`."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_study
+
+from ringtrue.cli.main import run as command
+from ringtrue.core.dofs import DofSet
+from ringtrue.model.ports import ModesRequest
+from ringtrue.report.deliver import deliver
+from ringtrue.report.parts import Table
+from ringtrue.report.sections import measured, survey
+from ringtrue.report.stages import Stages
+from ringtrue.study.acceptance import Acceptance, limits, missed_words, verdict
+from ringtrue.study.evidence import channel_mass, evidence, on_sheet, synthesised
+from ringtrue.study.reference import reference_modes
+from ringtrue.study.results import Evidence, RecordSummary
+from ringtrue.study.run import StudyRun, run_study
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> StudyRun:
+    run = run_study(small_study.write_study(tmp_path_factory.mktemp("evidence")))
+    deliver(run)
+    return run
+
+
+def final(run: StudyRun) -> Evidence:
+    found = run.results["final"].evidence
+    assert isinstance(found, Evidence)
+    return found
+
+
+def test_the_right_model_passes_the_gates_of_the_trade_and_the_wrong_one_does_not(done: StudyRun) -> None:
+    """Two thirds of the mass are at measured floors, so the static model with inertia keeps the nine modes apart."""
+    kinds = [(c.mass, c.kind) for c in final(done).measures.checks]
+    assert kinds == [("IRS", "model"), ("IRS", "self"), ("IRS", "cross"), ("SEREP", "self"), ("SEREP", "cross")]
+    assert all(c.verdict.passed for c in final(done).measures.checks)
+    before = done.results["correlate"].evidence
+    least = [[c.verdict.least_diagonal for c in e.measures.checks if c.kind == "cross"] for e in (before, final(done))]
+    assert all(a < b for a, b in zip(*least, strict=True))
+    assert np.diag(final(done).auto_mac) == pytest.approx(1)
+
+
+def test_responses_agree_after_the_updating(done: StudyRun) -> None:
+    frfs = final(done).frfs
+    assert frfs is not None
+    for before, after in zip(frfs.initial.by_input(), frfs.final.by_input(), strict=True):
+        assert after.frac > 0.95 > 0.7 > before.frac  # the resonances lay beside those of the test
+        assert after.shape > before.shape
+        assert after.deviation < 0.4 * before.deviation
+    ridge = np.diag(frfs.fdac_final)
+    assert np.median(ridge) > 0.98
+    assert np.median(np.diag(frfs.fdac_initial)) < np.median(ridge)
+
+
+def test_modes_are_followed_through_the_change(done: StudyRun) -> None:
+    tracks = final(done).tracks
+    assert tracks is not None
+    index = tracks.index
+    assert all(sorted(row) == list(range(index.shape[1])) for row in index.tolist())  # one to one
+    np.testing.assert_array_equal(index[1], index[2])  # no remodelling: the two are one model
+    assert tracks.worst.min() > 0.8
+
+
+def test_a_channel_turned_round_is_named_before_the_updating(done: StudyRun) -> None:
+    reference = reference_modes(done.results["identify"], done.config)
+    table, fe = done.results["correlate"].initial, done.results["correlate"].fe_initial
+    assert done.results["correlate"].evidence_initial.measures.suspects == ()
+    i = reference.elastic.channels.index("303+X")
+    shapes = np.where(np.arange(len(reference.elastic.channels))[:, None] == i, -1, 1) * reference.elastic.shapes
+    turned = replace(reference, elastic=replace(reference.elastic, shapes=shapes))
+    found = evidence(turned, fe, table.pairing, done.config).measures.suspects
+    assert [(s.channel, s.fault) for s in found] == [("303+X", "reversed")]
+    assert found[0].mac_mended > found[0].mac_now
+
+
+def test_channels_that_read_the_same_are_no_error(done: StudyRun) -> None:
+    opened, config = done.desk.remodelled, done.config.correlate
+    seen = opened.observation(done.results["identify"].test, config.tolerance)
+    twice = (*seen.channels, seen.channels[0])
+    assert channel_mass(opened, seen, seen.channels, config, small_study.FMAX)[1] == ""
+    mass, why = channel_mass(opened, seen, twice, config, small_study.FMAX)
+    assert mass is None
+    assert "reads what others read already" in why
+    hybrid = config.model_copy(update={"tam": "hybrid"})
+    m = channel_mass(opened, seen, seen.channels, hybrid, small_study.FMAX)[0]
+    phi = done.results["correlate"].fe_remodelled.shapes
+    np.testing.assert_allclose(phi.T @ m @ phi, np.eye(phi.shape[1]), atol=1e-6)
+
+
+def test_synthesised_responses_are_those_of_the_solver(done: StudyRun) -> None:
+    """The sensors sit on nodes, so that the solver can be asked directly; the residuals are exact at other shifts."""
+    opened, found = done.desk.initial, done.results["identify"]
+    test = on_sheet(found, 1.0, 12.0)
+    assert test is not None
+    assert test.window_decay > 0  # the blows ring longer than the block
+    test = replace(test, window_decay=0.0)
+    seen = opened.observation(found.test, done.config.correlate.tolerance)
+    fe = done.results["correlate"].fe_initial
+    zeta = np.full(len(fe), 0.02)
+    made = synthesised(opened, seen, fe, zeta, test, "SI")
+    out, into = (DofSet.parse([c.id for c in side]) for side in (test.outputs, test.inputs))
+    request = ModesRequest(band=(-1.0, small_study.FMAX))
+    want = opened.analysis.frf(out, into, test.freqs, request, damping=0.02, kind="accelerance")
+    assert np.abs(made.data - want).max() < 1e-3 * np.abs(want).max()
+    # in t, mm, N an acceleration is 1000 times as large a number, and the mass-normalised shapes are so by √1000
+    tonne = synthesised(opened, seen, fe, zeta, test, "mm-t-s")
+    np.testing.assert_allclose(1e3 * tonne.data, made.data)
+    # an exponential window damps the test like σ/ω more
+    window = replace(test, window_decay=0.5)
+    damped = synthesised(opened, seen, fe, zeta, window, "SI")
+    more = synthesised(opened, seen, fe, zeta + 0.5 / (2 * np.pi * fe.frequencies), test, "SI")
+    np.testing.assert_allclose(damped.data, more.data)
+
+
+def test_the_summary_tells_significance_and_evidence(done: StudyRun) -> None:
+    found = json.loads((done.folder / "summary.json").read_text())
+    assert set(found["evidence"]) == {"ambient_vs_hammer", "initial", "remodelled", "final"}
+    assert [c["verdict"]["passed"] for c in found["evidence"]["final"]["orthogonality"]] == [True] * 5
+    assert found["evidence"]["final"]["frfs"]["final"][0]["frac"] > 0.9
+    both = found["ambient_vs_hammer"]
+    assert all(p["deviation_std"] > 0 for p in both)
+    assert not any(p["within_scatter"] for p in found["initial"])  # 10 % off, measured to 0.01 %
+    assert found["acceptance"] == {"limits": [], "missed": []}
+
+
+# --- the user's own limits
+
+
+def stated(run: StudyRun, **limit: object) -> tuple[list[bool], tuple[str, ...]]:
+    section = type(run.config.correlate).model_validate(limit)
+    config = run.config.model_copy(update={"correlate": section})
+    return [c.held for c in limits(config, run.results)], missed_words(config, run.results)
+
+
+def test_only_stated_limits_judge(done: StudyRun) -> None:
+    assert limits(done.config, done.results) == ()
+    assert missed_words(done.config, done.results) == ()
+    names = [c.name for c in verdict(done.config, done.results)]
+    assert names == ["updating", "used modes: mean |Δf| improved", "left-out modes: mean |Δf| improved"]
+    assert all(c.held for c in verdict(done.config, done.results))
+
+
+def test_each_limit_is_held_and_missed(done: StudyRun) -> None:
+    table = done.results["final"].table
+    worst = float(np.abs(table.deviation_percent).max())
+    assert stated(done, accept_percent=1.01 * worst) == ([True], ())
+    held, missed = stated(done, accept_percent=0.99 * worst)
+    assert held == [False]
+    k = int(np.abs(table.deviation_percent).argmax())
+    assert len(missed) == 1
+    assert missed[0].startswith(f"test mode {table.pairing.a[k] + 1} (")
+    assert "MAC" in missed[0]
+    assert stated(done, accept_mac=100.0)[0] == [False]
+    assert stated(done, accept_percent=0.0, accept_hz=10.0)[0] == [True]  # one of the two is enough
+    for name, good, bad in (
+        ("accept_pairs", len(table), len(table) + 1),
+        ("accept_mean_percent", 1.01 * table.mean_deviation(), 0.99 * table.mean_deviation()),
+        ("accept_mean_mac", table.mean_mac() - 1e-4, table.mean_mac() + 1e-4),
+        ("accept_off_diagonal", 10.0, 10.0),
+    ):
+        assert stated(done, **{name: good})[0] == [True]
+        if good != bad:
+            assert stated(done, **{name: bad})[0] == [False]
+
+
+def test_a_study_without_candidates_judges_its_deck(done: StudyRun) -> None:
+    config = done.config.model_copy(update={"candidate": []})
+    config = config.model_copy(update={"correlate": type(config.correlate)(accept_percent=1.0)})
+    results = {"correlate": done.results["correlate"]}
+    (check,) = limits(config, results)
+    assert not check.held
+    assert check.name.startswith("model: pairs with |Δf| ≤ 1 %")
+    assert limits(done.config.model_copy(update={"correlate": config.correlate}), results) == ()  # not updated yet
+
+
+def test_no_pair_is_no_success(done: StudyRun) -> None:
+    table = done.results["final"].table
+    p = table.pairing
+    none = replace(p, **{k: getattr(p, k)[:0] for k in ("a", "b", "mac", "frequency_error", "sign", "subspace")})
+    empty = replace(table, pairing=none, test_hz=[], fe_hz=[], std_hz=[], used=[])
+    results = {"final": replace(done.results["final"], table=empty), "correlate": done.results["correlate"]}
+    config = done.config.model_copy(update={"correlate": type(done.config.correlate)(accept_percent=5.0)})
+    assert [c.held for c in limits(config, results)] == [False]
+    assert Acceptance.of(config.correlate).words() == "|Δf| ≤ 5 % and MAC ≥ 80 %"
+
+
+def test_the_exit_status_follows_the_limits(tmp_path: Path, capsys: Capture) -> None:
+    strict = "[correlate]\naccept_percent = 1e-6\n"
+    study = small_study.write_study(tmp_path, small_study.FULL + strict, ambient=False)
+    assert command(["run", str(study), "--json", "-"]) == 1
+    out, err = capsys.readouterr()
+    found = json.loads(out)["acceptance"]
+    assert not found["limits"][0]["held"]
+    assert err.count("not accepted: test mode") == len(found["missed"]) > 5
+    # limits that no stage depends on can be changed without running anything anew
+    study.write_text(small_study.FULL + strict + "accept_hz = 1.0\naccept_mean_mac = 50.0\n")
+    assert command(["run", str(study)]) == 0
+    out, err = capsys.readouterr()
+    assert "up to date" in out
+    assert not re.search(r": \d+\.\d s\n", out)
+    assert re.search(r"yes +final model: mean MAC", out)
+    assert "not accepted" not in err
+
+
+# --- what the report shows of a roving test
+
+
+def record(name: str, setup: str, drawn: bool) -> RecordSummary:
+    t, y = np.arange(4.0), np.ones((1, 4))
+    if drawn:
+        return RecordSummary(
+            name, "hammer", "hammer", name, 9, 512.0, 60.0, t, y, ("1+X",), t, y, ("8 hits",), "N", setup
+        )
+    return RecordSummary(
+        name, "hammer", "hammer", name, 7, 512.0, 90.0, t[:0], y[:0], (), t[:0], y[:0], ("9 hits",), "", setup
+    )
+
+
+def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
+    records = tuple(record(f"h-{s}-{k}", s, s == "1") for s in ("1", "2", "3") for k in range(2))
+    found = replace(done.results["identify"], records=records)
+    data = Stages.of({"identify": found}, "", "", Acceptance())
+    section = survey.section(data)
+    assert section is not None
+    table = next(b for b in section.blocks if isinstance(b, Table) and "Record" in b.heads[1])
+    assert [row[1] for row in table.rows] == [f"setup {s}: 2 records" for s in "123"]
+    assert [row[5] for row in table.rows] == ["2.0", "3.0", "3.0"]
+    assert table.rows[1][6] == "9 hits (2 records)"
+    signals = measured.signals(data)
+    assert signals is not None
+    text, *plots = signals.blocks
+    assert "Setup 1 of 1, 2 and 3" in text.text  # type: ignore[union-attr]
+    assert len(plots) == 2

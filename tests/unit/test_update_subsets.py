@@ -1,0 +1,140 @@
+"""What the choice among many candidates rests on: conflicts, screening, a condensed model, an empty pool."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
+import localise_twin as twin
+
+from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Target
+from ringtrue.errors import ConfigError, InputError
+from ringtrue.reduce.condense import condensed
+from ringtrue.reduce.expand import expand_hybrid, expand_reduced
+from ringtrue.update.candidates import conflicts, effects, generate, of_parameter, screened
+from ringtrue.update.dense import DenseModel
+from ringtrue.update.objective import Target as Aim
+from ringtrue.update.proposal import propose
+
+
+def test_factors_on_one_field_or_on_a_product_stay_apart() -> None:
+    model = twin.read(twin.deck())
+    found = {c.name: c for c in generate(model)}
+    names = [
+        "MAT1 30 E",
+        "MAT1 30 RHO",
+        "PSHELL 30 T",
+        "PSHELL 30 piece 1 E",
+        "MAT1 20 E",
+        "PBUSH 900 K",
+        "PBUSH 900 K1",
+    ]
+    names += ["PBEAM 11 A", "PBEAM 11 I1", "MAT1 11 E", "PBUSH 900 K2"]
+    apart = conflicts(model, [found[n] for n in names])
+    pairs = {(names[i], names[j]) for i, j in np.argwhere(np.triu(apart)).tolist()}
+    assert pairs == {
+        ("MAT1 30 E", "PSHELL 30 T"),  # a product in the stiffness
+        ("MAT1 30 E", "PSHELL 30 piece 1 E"),  # the same field
+        ("MAT1 30 RHO", "PSHELL 30 T"),  # a product in the mass
+        ("PSHELL 30 T", "PSHELL 30 piece 1 E"),
+        ("PBUSH 900 K", "PBUSH 900 K1"),
+        ("PBUSH 900 K", "PBUSH 900 K2"),  # and not K1 with K2, nor area with inertia: they add up
+        ("PBEAM 11 A", "MAT1 11 E"),
+        ("PBEAM 11 I1", "MAT1 11 E"),
+    }
+    assert (apart == apart.T).all()
+
+
+def test_a_given_parameter_knows_its_elements() -> None:
+    model = twin.read(twin.deck())
+    both = of_parameter(model, Parameter("two", (Target("MAT1", 11, "E"), Target("MAT1", 12, "E"))))
+    assert both.elements == (100, 101, 102, 103)
+    assert both.what == "MAT1 11 E, MAT1 12 E of 4 CBEAM"
+    assert both.kind == "material"
+    part = of_parameter(model, Parameter("part", (Target("MAT1", 30, "E", (310, 311)),)))
+    assert part.elements == (310, 311)
+    block = of_parameter(model, Parameter("block", substructures=(Substructure("stiffness", (310, 312)),)))
+    assert block.elements == (310, 312)
+    springs = of_parameter(model, Parameter("feet", (Target("PBUSH", 900, "K1"), Target("PBUSH", 900, "K2"))))
+    assert (springs.what, springs.kind) == ("PBUSH 900 K1,K2 of 4 CBUSH", "spring")
+
+
+def test_screening_takes_what_adds_most() -> None:
+    """A copy of the largest column adds nothing; a small one of its own does; a column of zeros never comes."""
+    g = np.array([[10.0, 9.9, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0], [0.0, 0.1, 0.0, 0.0]])
+    assert screened(g, 2).tolist() == [0, 2]
+    assert screened(g, 9).tolist() == [0, 2, 1]
+    assert screened(g[:, [1, 0]], 1).tolist() == [1]
+
+
+def test_effects_are_the_slopes_of_the_eigenvalues() -> None:
+    start = twin.start()
+    modes = start.reduced.linearise(np.zeros(len(start.candidates)))
+    lam, phi = start.reduced.vectors(np.zeros(len(start.candidates)))
+    strain, kinetic = effects(start.model, start.analysis.system, start.candidates, lam, phi)
+    np.testing.assert_allclose((strain - kinetic) * lam[:, None], modes.d_lambda, rtol=1e-6, atol=1e-9 * lam.max())
+
+
+def test_a_condensed_model_is_exact_where_it_was_made_and_close_between() -> None:
+    model = twin.start().reduced
+    p = len(model.parameters)
+    at = [model.parameters.names.index(n) for n in ("MAT1 30 E", "MAT1 21 E")]
+    few = model.with_parameters(at, np.zeros(p))
+    points = [np.zeros(2), np.array([0.4, 0.0]), np.array([0.0, -0.4]), np.array([0.4, -0.4])]
+    small = condensed(few, points, 60)
+    assert small.basis.size == 60
+    for x in points:  # four times twenty modes in sixty vectors: what is left out carries least energy
+        np.testing.assert_allclose(small.modes(x).frequencies[:12], few.modes(x).frequencies[:12], rtol=1e-4)
+    middle = np.array([0.2, -0.2])
+    np.testing.assert_allclose(small.modes(middle).frequencies[:12], few.modes(middle).frequencies[:12], rtol=1e-4)
+    here, there = small.linearise(middle), few.linearise(middle)
+    np.testing.assert_allclose(
+        here.d_lambda[:12], there.d_lambda[:12], rtol=2e-2, atol=1e-3 * there.d_lambda[:12].max()
+    )
+    assert (small.modes(middle).frequencies >= few.modes(middle).frequencies * (1 - 1e-12)).all()  # Rayleigh and Ritz
+    assert condensed(few, points, 10_000) is few
+    with pytest.raises(InputError, match="3 vectors for 20 modes"):
+        condensed(few, points, 3)
+
+
+def test_expansion_in_a_basis_is_that_of_the_whole_model_where_it_spans_it() -> None:
+    """A chain of ten masses, its basis all ten modes in another frame."""
+    n = 10
+    k = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    m = np.diag(np.linspace(1.0, 2.0, n))
+    lam, phi = np.linalg.eigh(np.diag(np.diag(m) ** -0.5) @ k @ np.diag(np.diag(m) ** -0.5))
+    phi = np.diag(np.diag(m) ** -0.5) @ phi
+    rng = np.random.default_rng(0)
+    c = np.eye(n)[[1, 4, 8]]
+    y = c @ phi[:, :2] * (1 + 0.02 * rng.standard_normal((3, 2)))
+    f = np.sqrt(lam[:2]) / (2 * np.pi) * 1.03
+    v = phi @ np.linalg.qr(rng.standard_normal((n, n)))[0]
+    q = expand_reduced(v.T @ k @ v, v.T @ m @ v, v.T @ k @ v, c @ v, y, f, noise=0.02)
+    full = expand_hybrid(*(sparse.csr_array(a) for a in (k, m, c)), y, f, phi, noise=0.02)
+    # both leave the misfit that was asked for; the norms of the residual differ by what holds the sensors
+    np.testing.assert_allclose(q.misfit, 0.02, rtol=1e-2)
+    np.testing.assert_allclose(full.misfit, 0.02, rtol=1e-2)
+    cosine = np.abs(np.einsum("nm,nm->m", v @ q.shapes, full.shapes))
+    cosine /= np.linalg.norm(v @ q.shapes, axis=0) * np.linalg.norm(full.shapes, axis=0)
+    assert (cosine > 0.999).all()
+    with pytest.raises(ConfigError, match="above 0"):
+        expand_reduced(k, m, k, c, y, f, noise=0.0)
+
+
+def test_candidates_without_effect_propose_nothing() -> None:
+    n = 6
+    k = 2e4 * (2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    names = ParameterSet((Parameter("nothing", std=0.5), Parameter("neither", std=0.5)))
+    model = DenseModel.springs(k, np.eye(n), np.zeros((2, n, n)), names)
+    modes = model.modes(np.zeros(2))
+    aim = Aim(1.01 * modes.frequencies[:4], modes.shapes[:, :4], np.zeros(4), np.ones(4, dtype=bool))
+    found = propose(model, aim)
+    assert found.members == ()
+    assert found.insensitive == ("nothing", "neither")
+    assert found.before == pytest.approx(0.01, rel=0.02)
+    assert "explains the test as well as any change" in found.text()
