@@ -82,9 +82,8 @@ def _modes(d: DampingStage, m: DampedModes) -> list[Block]:
     heads += ["FRFs before, %", "after, %", "|Fit"]
     text = (
         f"Damping ratios of the paired modes, before with {d.before}. FRFs: root mean square error over all measured "
-    )
-    text += (
-        "FRFs around the resonance, the model's mode at the frequency of the test: what is left is shape, and the sharper a resonance, the more it shows."
+        "FRFs around the resonance, the model's mode at the frequency of the test: what is left is shape, and the "
+        "sharper a resonance, the more it shows."
     )
     out: list[Block] = [Plot(plots.modes(m), "Damping ratios by mode; open marks were left out of the fit.")]
     out.append(Table(heads, rows, text, scroll=len(rows) > 16))
