@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import fake_localised
 import numpy as np
 
 from ringtrue.core.dofs import DofSet
@@ -520,6 +521,8 @@ def study() -> dict[str, object]:
             told[0],
             told[1],
         ),
+        "localise": fake_localised.localise(REGIONS, CANDIDATES),
+        "uncertainty": fake_localised.uncertainty(reference.frequencies[6:], sets[0].parameters, (3, 7, 11, 14)),
         "sensitivity": r.SensitivityStage(
             CANDIDATES,
             RNG.normal(size=(20, 16)) ** 3 * 0.05,

@@ -56,8 +56,8 @@ def full(stages: dict[str, object], tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_has_every_section_and_stays_small(full: Path, stages: dict[str, object]) -> None:
-    want = "summary survey model plan signals frfs identification tests initial remodelled sensitivities updating"
-    rest = "suspension final shapes response damping prediction provenance"
+    want = "summary survey model plan signals frfs identification tests initial remodelled localisation sensitivities"
+    rest = "updating suspension final shapes uncertainty response damping prediction provenance"
     assert ids(full) == [*want.split(), *rest.split()]
     assert full.stat().st_size < 15e6
     text = full.read_text()
@@ -158,7 +158,7 @@ def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromi
 def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
     assert page.until(DRAWN, 120)
     colors = page.evaluate(COLORS)
-    assert len(colors) == 4
+    assert len(colors) == 5
     assert min(colors) > 20
     page.evaluate("document.getElementById('shapes').scrollIntoView({behavior: 'instant'})")
     image = "document.querySelector('#shapes canvas').toDataURL().slice(-4000)"

@@ -35,6 +35,7 @@ from ringtrue.update.candidates import (
 )
 from ringtrue.update.localise import element_errors
 from ringtrue.update.objective import Target, match
+from ringtrue.update.pool import conflicts
 from ringtrue.update.proposal import Proposal, propose
 
 LENGTH = {"SI": 1.0, "mm-t-s": 1e-3, "mm-kg-ms": 1e-3, "in-lbf-s": 0.0254, "ft-lbf-s": 0.3048}  # m
@@ -78,7 +79,13 @@ def localise(
         errors = _errors(analysis, reduced, bridge, aim, keep)
         words = [c.what for c in keep]
         found = propose(
-            reduced, aim, most=most, errors=errors, words=words, progress=lambda f, t: show(0.4 + 0.6 * f, t)
+            reduced,
+            aim,
+            most=most,
+            apart=conflicts(model, keep),
+            errors=errors,
+            words=words,
+            progress=lambda f, t: show(0.4 + 0.6 * f, t),
         )
     if json:
         write_json(_table(found, keep, lost), json)

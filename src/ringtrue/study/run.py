@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import lru_cache
 from importlib.metadata import version
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ def _digests(paths: Iterable[Path], base: Path) -> dict[str, str]:
 
 def stage_key(stage: Stage, desk: Workbench, upstream: Mapping[str, str]) -> str:
     """A hash over the stage's settings, its input files, the version and the keys of the stages it needs."""
-    settings = {name: json.loads(json.dumps(_plain(getattr(desk.config, name)))) for name in stage.settings}
+    settings = {name: json.loads(json.dumps(_plain(attrgetter(name)(desk.config)))) for name in stage.settings}
     files = _digests(stage.files(desk), desk.base)
     needs = {n: upstream[n] for n in stage.needs if n in upstream}
     text = json.dumps([__version__, stage.name, settings, files, needs], sort_keys=True)

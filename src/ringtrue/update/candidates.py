@@ -6,7 +6,6 @@ what no mode strains or moves cannot be found from modes, and is left out with t
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
@@ -16,12 +15,12 @@ from typing import Literal
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Target
 from ringtrue.errors import InputError, UnsupportedError, did_you_mean
 from ringtrue.fem.assembly import System
-from ringtrue.fem.change import affected_cards, rows_of, within
+from ringtrue.fem.change import affected_cards, rows_of
 from ringtrue.fem.derivatives import PowerTerm, bilinear, system_derivatives, terms
 from ringtrue.fem.kinds import MATERIAL, PROPERTY
 from ringtrue.model.frames import positions
@@ -258,7 +257,7 @@ def _fields(
                 if given:
                     targets = [Target(card, ident, f) for f in given + _other_end(table, row, given)]
                     name = f"{card} {ident} {given[0]}"
-                    what = f"{word} {_amount(float(table[given[0]][row]), quantity, s)} of {_count(rows)}"
+                    what = f"{word} {_amount(float(table[given[0]][row]), quantity, s)} of {counted(rows)}"
                     yield _candidate(s, kind, name, what, quantity, _ids(model, rows), targets)
 
 
@@ -278,11 +277,12 @@ def _laminates(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
             if rows:
                 t = model[card].ragged("T").row(row)
                 targets = [Target(card, ident, f"T{k + 1}") for k in range(t.size)]
-                what = f"thickness of all {t.size} plies of {_count(rows)}"
+                what = f"thickness of all {t.size} plies of {counted(rows)}"
                 yield _candidate(s, "property", f"{card} {ident} T", what, "length", _ids(model, rows), targets)
 
 
-def _count(rows: Rows) -> str:
+def counted(rows: Rows) -> str:
+    """`12 CBAR and 4 CQUAD4`."""
     return " and ".join(f"{at.size} {card}" for card, at in sorted(rows.items()))
 
 
@@ -331,7 +331,7 @@ def _group(
     value = _amount(float(table[lead][at[0]]), quantity, s)
     each = " each" if ids.size > 1 else ""
     name = f"{table.card} {_listed(ids)} {field_name}"
-    return _candidate(s, kind, name, f"{word} {value}{each} of {_count(rows)}", quantity, _ids(model, rows), targets)
+    return _candidate(s, kind, name, f"{word} {value}{each} of {counted(rows)}", quantity, _ids(model, rows), targets)
 
 
 def _listed(ids: Int) -> str:
@@ -503,71 +503,6 @@ def effects(
     lam = np.maximum(np.abs(values), 1e-6 * np.abs(values).max(initial=1e-300))
     dk, dm = bilinear(model, [c.parameter for c in candidates], system, vectors[None], vectors)
     return dk[0] / lam[:, None], dm[0]
-
-
-def screened(slopes: Float, most: int) -> Int:
-    """The candidates that are looked at closely, in the order of what each adds to those before.
-
-    Greedy on ln det(I + GᵀG), the information of the data over that of the prior: one that acts like others already
-    chosen adds little, however large its effect. Those without effect are left out.
-
-    Parameters
-    ----------
-    slopes : (n, p) float64
-        Weighted, in units of the prior: of the frequencies alone, which cost no solution.
-    """
-    g, out = np.asarray(slopes, dtype=np.float64), list[int]()
-    inverse = np.eye(g.shape[0])
-    for _ in range(min(most, g.shape[1])):
-        spread = inverse @ g
-        gain = np.einsum("np,np->p", g, spread)
-        gain[out] = -1.0
-        best = int(np.argmax(np.round(gain, 12)))
-        if gain[best] <= 0:
-            break
-        out.append(best)
-        inverse = inverse - np.outer(spread[:, best], spread[:, best]) / (1 + gain[best])
-    return np.array(out, dtype=np.int64)
-
-
-def of_parameter(model: Model, parameter: Parameter) -> Candidate:
-    """A parameter that was given as a candidate: its elements and, in words, what it changes."""
-    rows: Rows = {}
-    for t in parameter.targets:
-        for card, at in within(model, rows_of(model, t), t.elements).items():
-            rows[card] = np.union1d(rows.get(card, at), at)
-    parts = [np.array(s.elements, dtype=np.int64) for s in parameter.substructures]
-    elements = np.unique(np.concatenate([_ids(model, rows), *parts]))
-    fields = dict.fromkeys(f"{t.card} {t.id}" for t in parameter.targets)
-    named = [f"{c} {','.join(t.field for t in parameter.targets if f'{t.card} {t.id}' == c)}" for c in fields]
-    what = f"{', '.join(named)} of {_count(rows)}" if rows else f"matrices of {elements.size} elements"
-    card = parameter.targets[0].card if parameter.targets else ""
-    kinds: dict[str, Kind] = {**dict.fromkeys(_MATERIALS, "material"), **dict.fromkeys(_SPRINGS, "spring")}
-    kinds |= dict.fromkeys(_MASSES, "mass")
-    return Candidate(parameter, kinds.get(card, "property" if card else "region"), what, tuple(elements.tolist()))
-
-
-_MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"}
-_BOTH = re.compile(r"T\d*|A|AB|OD")
-
-
-def conflicts(model: Model, candidates: Sequence[Candidate]) -> Bool:
-    """Pairs (p, p) that a reduced model cannot move together: both scale the same field, or a product.
-
-    A material and a section of one element make a product where both touch its stiffness, or both its mass.
-    """
-    members = membership(model, candidates)
-    overlap = (members @ members.T).toarray() > 0
-    fields = [{t.field for t in c.parameter.targets} for c in candidates]
-    family = [{t.card.startswith("MAT") for t in c.parameter.targets} for c in candidates]
-    mass = [any(f in _MASS_ONLY or _BOTH.fullmatch(f) for f in fs) for fs in fields]
-    stiff = [any(f not in _MASS_ONLY for f in fs) or not fs for fs in fields]
-    out = np.zeros(overlap.shape, dtype=np.bool_)
-    for i, j in np.argwhere(np.triu(overlap, 1)).tolist():  # over candidates, not elements
-        product = (mass[i] and mass[j]) or (stiff[i] and stiff[j])
-        same = bool(fields[i]) and bool(fields[j]) and family[i] == family[j]
-        out[i, j] = out[j, i] = bool(fields[i] & fields[j]) if same else product
-    return out
 
 
 def reduced_candidates(

@@ -103,7 +103,7 @@ def default_regions(
     """A region for each material and each group of springs; the suspension gets dashpots in place of a loss factor.
 
     MAT1 cards of one density and one Poisson's ratio are one material: a deck has several of them where the stiffness
-    of its regions is uncertain, and what dissipates in them is the same.
+    of its regions is uncertain, and what dissipates in them is the same. So are laminates of the same materials.
 
     Parameters
     ----------
@@ -137,13 +137,18 @@ def _is_spring(t: Target) -> bool:
 
 
 def _alike(table: Table) -> list[tuple[int, ...]]:
-    """Ids of the cards that are one region: MAT1 of one density and Poisson's ratio, all others one by one."""
-    if table.card != "MAT1":
-        return [(int(i),) for i in np.unique(table.ids)]
-    looks = np.nan_to_num(np.stack([table["RHO"], table["NU"]], axis=1), nan=-1.0)
-    _, of = np.unique(np.round(looks, 9), axis=0, return_inverse=True)
-    groups = [tuple(int(i) for i in table.ids[of == g]) for g in range(int(of.max(initial=-1)) + 1)]
-    return sorted(groups)
+    """Ids of the cards that are one region: MAT1 of one density and Poisson's ratio, laminates of like materials."""
+    if table.card == "MAT1":
+        looks = np.nan_to_num(np.stack([table["RHO"], table["NU"]], axis=1), nan=-1.0)
+        keys: list[object] = [tuple(row) for row in np.round(looks, 9).tolist()]
+    elif table.card in ("PCOMP", "PCOMPG"):
+        keys = [frozenset(table.ragged("MID").row(i).tolist()) for i in range(len(table))]
+    else:
+        keys = list(table.ids.tolist())
+    groups: dict[object, list[int]] = {}
+    for key, ident in zip(keys, table.ids.tolist(), strict=True):
+        groups.setdefault(key, []).append(int(ident))
+    return sorted(tuple(dict.fromkeys(g)) for g in groups.values())
 
 
 def _name(model: Model, card: str, ids: Sequence[int], properties: Mapping[str, Sequence[int]]) -> str:
@@ -161,6 +166,9 @@ def _name(model: Model, card: str, ids: Sequence[int], properties: Mapping[str, 
     names = [name for name, pids in properties.items() if mine & set(pids)]
     if 0 < len(names) <= 2 and mine <= {p for name in names for p in properties[name]}:
         return ", ".join(names)
+    if card in ("PCOMP", "PCOMPG"):
+        made_of = np.unique(model[card].ragged("MID").row(int(model[card].find(np.array(ids[:1]))[0])))
+        return f"laminates of materials {', '.join(str(i) for i in made_of.tolist())}"
     if len(ids) > 1:
         return f"material of density {float(model[card]['RHO'][model[card].find(np.array(ids[:1]))[0]]):g}"
     return f"{card} {ids[0]}"

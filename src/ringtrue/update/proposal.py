@@ -80,7 +80,7 @@ class Proposal:
     sizes : (k,) int64
         Numbers of parameters that were tried.
     criteria : (k,) float64
-        AICc of the best set of each size, plus 2 ln of the number of sets of that size.
+        AICc of the best set of each size, plus the logarithm of the number of sets of that size.
     insensitive : tuple of str
         Candidates that the residuals do not depend on.
     clusters : (p,) int64
@@ -160,7 +160,7 @@ def propose(
     alike : float
         |cosine| from which on the data cannot tell two candidates apart.
     apart : (p, p) bool, optional
-        Pairs that must not be proposed together: factors on the same field (`candidates.conflicts`).
+        Pairs that must not be proposed together: factors on the same field (`pool.conflicts`).
     errors : mapping of str to (p,) float64, optional
         Concentration of local errors on each candidate (`ElementErrors.concentration`), told among the reasons.
     words : sequence (p,) of str, optional

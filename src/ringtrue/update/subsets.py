@@ -2,12 +2,14 @@
 
 1. Candidates to which the residuals are not sensitive are left out; of a cluster that the data cannot tell apart one
    member stands for all.
-2. All of them are updated at once, held back by their priors: from a far start only so are the modes paired right.
+2. Sets of growing size: the best addition by the bounded minimum of the linearised J, confirmed by a short updating
+   with new linearisations, then exchange of members while J falls.
+3. All candidates are updated at once, held back by their priors: from a far start only so are the modes paired right.
    Then the least useful go, one by one.
-3. What the best set leaves as residual replaces the assumed model discrepancy. Sets of growing size: those of step 2,
-   and the best addition by the bounded minimum of the linearised J, each confirmed by a short updating with new
-   linearisations; then exchange of members while J falls. Once more, if the discrepancy has changed.
-4. The size is that of the lowest AICc plus the price of the search, less the members that it gives no support.
+4. What the best set leaves as residual replaces the assumed model discrepancy, and pairs of least cost the gates: a
+   test mode that no candidate explains then pulls none. The sets of 2 and 3 compete, members exchanged again.
+5. The size is that of the lowest AICc plus the price of the search. Members of the same cluster join, as long as that
+   falls; those that it gives no support leave.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ SENSITIVE = 0.05  # least effect of one prior standard deviation, in standard de
 AT_ONCE = 20  # Gauss-Newton steps with all candidates free
 POOL = 12  # candidates for an addition or exchange whose bounded prediction is computed
 TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
+TWICE = 2  # searches with the discrepancy that was found
 NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
+PRICE = 0.5  # γ: 0 follows the noise, 1 finds little that is small
 LATER = 2  # sizes beyond the best one that are looked at
 Progress = Callable[[float, str], None]
 
@@ -96,6 +100,10 @@ class Search:
             except NumericalError:
                 self.done[key] = short_update(self.model, self.target, members, np.zeros(x.size), turns)
         return self.done[key]
+
+    def refitted(self, c: Choice) -> Choice:
+        """A set of another search, updated in this one."""
+        return self.fit(c.members.tolist(), c.x) if c.members.size else c
 
     def free(self, members: Sequence[int]) -> Int:
         """Candidates that may stand beside the members: of other clusters, and not kept apart from any."""
@@ -183,20 +191,25 @@ def subsets(model: Candidates, target: Target, most: int, alike: float, apart: B
         raise InputError("no mode of the model is paired with one of the test: nothing can be localised from them")
     if not plain.pool.size:
         return Subsets(plain, start, [none, none], _criteria(plain, [none, none]), _discrepancy(plain, none))
-    told(0.0, "all candidates together")
+    path = _path(plain, most, none, [], lambda f, t: told(0.4 * f, t))
+    sets, best = path[1:], _best(plain, path)
+    told(0.4, "all candidates together")
     whole = plain.fit(plain.together(), none.x, AT_ONCE)
-    found = _discrepancy(plain, whole)
-    search = plain.sharper(found)
+    search = plain.sharper(_discrepancy(plain, whole))
     whole = search.fit(search.together(), whole.x, AT_ONCE)
-    few = _eliminated(search, whole, most, lambda f, t: told(0.1 + 0.3 * f, t))
-    path = _path(search, most, none, few, lambda f, t: told(0.4 + 0.3 * f, t))
-    better = _left(search, plain, path, whole)
-    if np.abs(np.log(better / found)).max() > NEAR:  # all together have followed the noise, or `most` are too few
-        found, search = better, plain.sharper(better)
-        few = [search.fit(c.members.tolist(), c.x) for c in path[1:]]
-        path = _path(search, most, none, few, lambda f, t: told(0.7 + 0.3 * f, t))
-    best = _parted(search, path[int(np.argmin(_criteria(search, path)))], most)
-    path.append(_pruned(search, best))
+    few = [c for c in _eliminated(search, whole, most, lambda f, t: told(0.4 + 0.2 * f, t)) if c.members.size <= most]
+    best = _best(plain, [best, plain.refitted(_best(search, few))])
+    found = _discrepancy(plain, best)
+    sets, count = [*sets, *few], plain.point(best.x).used.sum()
+    for _ in range(TWICE):
+        search = plain.sharper(found)
+        path = _path(search, most, none, [search.refitted(c) for c in sets], lambda f, t: told(0.6 + 0.4 * f, t))
+        best = _best(search, path)
+        better = _discrepancy(search, best)
+        if search.point(best.x).used.sum() < count or np.abs(np.log(better / found)).max() < NEAR:
+            break
+        found, sets = better, path[1:]
+    path.append(_pruned(search, _parted(search, best, most)))
     return Subsets(search, start, path, _criteria(search, path), found)
 
 
@@ -219,14 +232,14 @@ def _eliminated(search: Search, now: Choice, most: int, told: Progress) -> list[
 
 
 def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: Progress) -> list[Choice]:
-    """The best set found of each size from 0 on: that of the size below with one more, or one of `few`."""
+    """The best set of each size from 0 on, members exchanged: of `few`, or that of the size below with one more."""
     names = search.model.parameters.names
     path = [none]
     for k in range(1, min(most, 2 * int(search.target.used.sum()) - 4) + 1):  # AICc needs more data than parameters
         now, r, stay = path[-1], search.point(path[-1].x), path[-1].members.tolist()
         tried = [c for c in few if c.members.size == k]
         free = search.free(stay)
-        if free.size and r.used.any():
+        if not tried and free.size and r.used.any():
             tried += [search.fit(at, now.x) for _, at in search.best(r, now.x, stay, free, r.value)[:TRIALS]]
         if not tried:
             break
@@ -290,12 +303,12 @@ def _pruned(search: Search, now: Choice) -> Choice:
 def _criteria(search: Search, path: Sequence[Choice]) -> Float:
     """AICc of each set and the price of the search.
 
-    The best of many sets fits the noise, too: 2 ln of the number of sets of that size. Chen and Chen (2008), eq. 2.2.
+    The best of many sets fits the noise, too: 2 γ ln of the number of sets of that size. Chen and Chen (2008), eq. 2.2.
     """
     pool = np.unique(search.groups[search.pool]).size
     size = np.array([c.members.size for c in path])
     sets = gammaln(pool + 1) - gammaln(size + 1) - gammaln(np.maximum(pool - size, 0) + 1)
-    return np.asarray(2 * sets + aicc(search, path))
+    return np.asarray(2 * PRICE * sets + aicc(search, path))
 
 
 def aicc(search: Search, path: Sequence[Choice]) -> Float:
@@ -308,12 +321,9 @@ def aicc(search: Search, path: Sequence[Choice]) -> Float:
     )
 
 
-def _left(search: Search, plain: Search, path: Sequence[Choice], whole: Choice) -> Float:
-    """The discrepancy of the best set; by the plain weights where it is so far off that modes lose their partner."""
-    best = path[int(np.argmin(_criteria(search, path)))]
-    if search.point(best.x).used.sum() < search.point(whole.x).used.sum():
-        return _discrepancy(plain, plain.fit(best.members.tolist(), best.x) if best.members.size else best)
-    return _discrepancy(search, best)
+def _best(search: Search, sets: Sequence[Choice]) -> Choice:
+    """The set of the lowest criterion."""
+    return sets[int(np.argmin(_criteria(search, sets)))]
 
 
 def _discrepancy(search: Search, c: Choice) -> Float:

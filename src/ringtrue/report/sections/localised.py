@@ -29,6 +29,7 @@ LEAD = (
     "The test shapes, expanded to the whole model, do not fulfil its equation of motion. Where the error gathers "
     "beyond its share of strain energy (above 1), stiffness or mass is likely wrong there, or nearby."
 )
+SHOWN = 30  # names of candidates that were not looked at closely
 FEW = 14  # candidates that are not folded away
 
 
@@ -76,16 +77,15 @@ def _proposal(s: LocaliseStage) -> list[Block]:
         f"{fixed(100 * p.after, 2)} %, mean MAC rises from {fixed(100 * float(p.mac[0]), 1)} to "
         f"{fixed(100 * float(p.mac[1]), 1)} %."
     )
-    heads = ("#", "|Parameter", "|Changes", "Factor", "σ, %", "Worth, AICc", "|Not told from it")
+    where = ("|Region",) if s.made else ()  # those that are given have names
+    heads = ("#", "|Parameter", *where, "|Changes", "Factor", "σ, %", "Worth, AICc", "|Not told from it")
     rows = [_row(s, i, m) for i, m in enumerate(p.members, start=1)]
     caption = (
         "Proposed parameters, ranked by their worth: the rise of AICc if one is left out and the others are updated "
         "again. Not told from it: same effect on the data, or as good in its place."
     )
     reasons = [f"{m.name}: {sentence(m.because.removeprefix(f'{s.what[m.index]}; '))}" for m in p.members]
-    price = (
-        "AICc of the best set of each size, with the price of the search (twice the logarithm of the number of sets)."
-    )
+    price = "AICc of the best set of each size, with the price of the search (the logarithm of the number of sets)."
     blocks: list[Block] = [Text(f"{origin} {gain}"), Table(heads, rows, caption), Items(reasons, "Why")]
     orders = [(rule, ", ".join(names[: len(p.members)])) for rule, names in p.orders.items()]
     others = Table(("|Rule", "|First candidates"), orders, "As many candidates by simpler rules, one a cluster.")
@@ -113,7 +113,8 @@ def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
     shown = Cell(factor, "warn", "at its bound") if min(x - low, high - x) < 1e-6 else factor
     lost = ", ".join((*m.alike, *m.rivals)) or "–"
     what = Cell(s.what[m.index], "muted", s.elements[m.index])
-    return [str(rank), m.name, what, shown, number(100 * m.std, 2), fixed(m.worth, 1), lost]
+    where = [s.elements[m.index]] if s.made else []
+    return [str(rank), m.name, *where, what, shown, number(100 * m.std, 2), fixed(m.worth, 1), lost]
 
 
 def _candidates(s: LocaliseStage) -> Block:
@@ -148,5 +149,6 @@ def _candidates(s: LocaliseStage) -> Block:
     )
     blocks: list[Block] = [Table(heads, rows, text, scroll=len(rows) > FEW)]
     if s.screened:
-        blocks.append(Text(f"Not looked at closely: {', '.join(s.screened)}.", "note"))
+        more = f" and {len(s.screened) - SHOWN} more" if len(s.screened) > SHOWN else ""
+        blocks.append(Text(f"Not looked at closely: {', '.join(s.screened[:SHOWN])}{more}.", "note"))
     return Fold(f"All {len(rows)} candidates", blocks)

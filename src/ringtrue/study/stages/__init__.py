@@ -35,7 +35,7 @@ class Stage:
     name, title : str
     run : callable (Workbench, Progress) -> result
     settings : tuple of str
-        Sections of study.toml that it depends on.
+        Sections of study.toml that it depends on, or `section.key`.
     needs : tuple of str
         Stages that it takes results of.
     inputs : callable, Workbench -> files
@@ -88,7 +88,7 @@ STAGES = (
         "correlate",
         "model against test",
         correlate.run,
-        ("model", "correlate", "remodel", "identify"),
+        ("model", "correlate", "remodel", "identify", "update.left_out"),
         ("identify", "model"),
         _remodelled,
         _BOTH,

@@ -30,7 +30,7 @@ SPAN = 3.0  # half-power half-bandwidths around a resonance in which FRFs are co
 STILL = 1e-3  # of the highest frequency: below is a mode without stiffness
 SILENT = 0.8  # standard deviation over that before the data: they said little
 BEYOND = 2.0  # standard deviations from what was expected
-MANY = 3  # cards that are named
+MANY = 5  # cards or regions that are named
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +203,9 @@ def flags(found: Dampers, fit: DampingFit) -> tuple[str, ...]:
             out.append(f"{m.name}: {c:.3g} is {away:.1f} standard deviations above the expected {m.prior:.2g}")
     lost = [m.name for m, s in zip(found.mechanisms, fit.std.tolist(), strict=True) if s > SILENT * m.std]
     if lost:
-        out.append(f"the test says little about {', '.join(lost)}: their values are those expected, or zero")
+        more = f" and {len(lost) - MANY} more" if len(lost) > MANY + 1 else ""
+        named = ", ".join(lost[:MANY] if more else lost) + more
+        out.append(f"the test says little about {named}: their values are those expected, or zero")
     return tuple(out)
 
 

@@ -13,6 +13,7 @@ from ringtrue.errors import DataError, UnsupportedError
 from ringtrue.fem.assembly import System
 from ringtrue.fem.change import affected_cards
 from ringtrue.fem.derivatives import terms
+from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_reduced
@@ -26,17 +27,15 @@ from ringtrue.update.candidates import (
     LEAST,
     Candidate,
     CandidateSettings,
-    conflicts,
     effects,
     generate,
     membership,
-    of_parameter,
     parameters,
-    screened,
 )
 from ringtrue.update.identifiable import identifiability
 from ringtrue.update.localise import NOISE, ElementErrors, expanded_errors, variation
 from ringtrue.update.objective import Target, match, residual
+from ringtrue.update.pool import conflicts, of_parameter, screened
 from ringtrue.update.proposal import Proposal, propose
 
 SMALL = 160  # vectors of the model that the proposal searches with
@@ -114,7 +113,8 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
 
 def _exact(model: Model, candidate: Candidate, system: System) -> bool:
     """Whether K and M are polynomials of the factor, as an updating on a reduced model needs them."""
-    if candidate.kind != "property":
+    laminated = candidate.kind == "material" and any(card in model for card in LAMINATES)
+    if candidate.kind != "property" and not laminated:
         return True
     try:
         return bool(terms(model, candidate.parameter, system))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringtrue.core.arrays import Float
@@ -11,10 +13,11 @@ from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, 
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.workbench import Workbench
-from ringtrue.update.candidates import elements_of, of_parameter
+from ringtrue.update.candidates import elements_of
 from ringtrue.update.choose import criterion
 from ringtrue.update.gauss_newton import State, UpdateResult, update
 from ringtrue.update.objective import Residual, Target
+from ringtrue.update.pool import of_parameter
 
 WHY = (
     "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost their partner among "
@@ -27,10 +30,11 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     aim = target(desk)
     sets: SensitivityStage = desk.get("sensitivity")
     found: CorrelateStage = desk.get("correlate")
-    results = []
+    results: list[SetResult] = []
     for i, (name, members) in enumerate(sets.sets.items()):
         progress(i / len(sets.sets), f"updating: {name}")
-        results.append(_one(desk, aim, name, members, progress))
+        same = next((r for r in results if set(r.parameters) == set(members)), None)  # two rules, one choice
+        results.append(replace(same, name=name) if same else _one(desk, aim, name, members, progress))
     chosen = int(np.argmin([r.criterion for r in results]))
     best = results[chosen]
     parameters = desk.parameters.take([sets.names.index(n) for n in best.parameters])
