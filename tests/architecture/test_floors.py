@@ -18,6 +18,7 @@ FLOORS = [
     {"report"},
     {"demos", "testing"},
     {"cli", "studio"},
+    {"__main__"},
 ]
 SIDEWAYS = {("core", "errors"), ("reduce", "fem"), ("identify", "signal"), ("plan", "virtual")}
 THIRD_PARTY = {  # above numpy and scipy, which every floor may use

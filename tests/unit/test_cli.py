@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -444,3 +445,11 @@ def test_a_public_deck_of_real_size(capsys: Capture) -> None:
     f = [m["frequency_hz"] for m in found["modes"]]
     assert max(abs(x) for x in f[:2]) < 1e-3  # free in the plane of symmetry
     assert f[2] > 1
+
+
+def test_the_module_runs_as_the_script_does(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    monkeypatch.setattr("sys.argv", ["ringtrue", "--version"])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_module("ringtrue", run_name="__main__")
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith("ringtrue ")
