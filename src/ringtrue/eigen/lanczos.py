@@ -16,7 +16,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.eigen.factor import Factor
 from ringtrue.errors import NotConverged
 
-BLOCK = 4
+BLOCK = 8  # a solve of eight right-hand sides takes MKL 1.3 times that of four (rslab: 1.2 times)
 TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
 WELL = 1e-8  # condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
 MAX_STEPS = 1000

@@ -20,9 +20,8 @@ NEAR = 1e-5  # share of λ: no shift nearer to zero
 FINE = 1e-6  # share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined once
 PROBE = 4  # Lanczos blocks that judge a shift
 TRIES = 6  # shifts that are judged
-BLURRED = (
-    1e-2  # relative error of the first pair after them: all modes asked for lie close together, seen from the shift
-)
+BLURRED = 1e-2  # relative error of the first pair after them: seen from the shift, the modes lie close together
+ROUNDING = 2e-6  # share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
 ROUNDS = 6  # searches for missing modes before the result is given as incomplete
 
 
@@ -123,6 +122,7 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
     The probe of the last shift is the beginning of the solution.
     """
     shift, columns = _start_shift(pencil), lanczos.capacity(pencil.size, count + EXTRA)
+    nearest = ROUNDING * shift
     for last in (*(False,) * TRIES, True):
         krylov = lanczos.Krylov(pencil.at(shift), pencil.mass, columns, np.random.default_rng(0))
         krylov.start(np.zeros((pencil.size, 0)), np.zeros(0))
@@ -134,15 +134,15 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
         theta, _, error = krylov.ritz()
         first = shift + 1 / float(theta[0])
         if error[0] > BLURRED * theta[0] and first < -shift:
-            shift = -max(0.3 * abs(first), 1e-4 * -shift)
+            shift = min(-0.3 * abs(first), 1e-4 * shift, nearest)
             continue
         values = shift + 1 / theta[theta > 1e-12 * theta.max()][: max(2, min(count, 10))]
         better = -_suitable(values)
         top = float(np.abs(values).max())
         far = 2 * top * max(count / 10, 1.0)  # of the order of the highest mode asked for
-        if -NEAR * top > shift > -far:
+        if -NEAR * top > shift > -far or (better > shift and shift == nearest):
             break
-        shift = better
+        shift = min(better, nearest)
     return shift, krylov
 
 
