@@ -11,7 +11,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import Parameter, Target
 from ringtrue.eigen.derivatives import Slope
-from ringtrue.errors import UnsupportedError
+from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.assembly import System, full_matrices, reduced, sum_up, turn
 from ringtrue.fem.change import changed, rows_of, scaled, within
 from ringtrue.fem.constraints import eliminate
@@ -111,9 +111,12 @@ def _together(model: Model, parameter: Parameter) -> list[tuple[list[Target], di
 def _cubic(m: Mesh, parameter: Parameter, targets: list[Target], rows: dict[str, Int]) -> list[list[sparse.csr_array]]:
     """c0..c3 of K and M of the rows, proved at a further point."""
     with np.errstate(all="ignore"):  # a rational dependence may have its pole at one of the points; it is refused
-        samples: dict[complex, list[sparse.csr_array]] = {
-            a: _sample(m, parameter.name, targets, rows, a) for a in (1, -1, 1j, CHECK)
-        }
+        try:
+            samples: dict[complex, list[sparse.csr_array]] = {
+                a: _sample(m, parameter.name, targets, rows, a) for a in (1, -1, 1j, CHECK)
+            }
+        except DeckError as e:  # a section that has a limit, such as the thickness of a laminate
+            raise UnsupportedError(_not_polynomial(parameter)) from e
     parts = []
     for which in range(2):
         at = {a: s[which] for a, s in samples.items()}
@@ -239,6 +242,20 @@ def _carried(model: Model, system: System, dT: sparse.csr_array) -> list[sparse.
     return out
 
 
+def _padded(system: System, x: Float) -> Float:
+    """Motions (full + 1, m) of all nodes; the last row, that of DOF -1, is zero."""
+    return np.concatenate([system.transform @ np.ascontiguousarray(x), np.zeros((1, x.shape[1]))])
+
+
+def _gathered(motions: list[Float], dofs: Int) -> list[Float]:
+    """Of each element (e, d, m); the same array for the same motions."""
+    made: dict[int, Float] = {}
+    for x in motions:
+        if id(x) not in made:
+            made[id(x)] = x[dofs]
+    return [made[id(x)] for x in motions]
+
+
 def bilinear(
     model: Model, parameters: Sequence[Parameter], system: System, left: Float, right: Float
 ) -> tuple[Float, Float]:
@@ -254,23 +271,22 @@ def bilinear(
     -------
     stiffness, mass : (s, m, p) float64
     """
-    T = system.transform
-    u, v = np.stack([T @ x for x in left]), T @ right
-    pad = np.zeros((1, v.shape[1]))
-    u, v = np.concatenate([u, np.zeros((len(u), *pad.shape))], axis=1), np.concatenate([v, pad])
+    v = _padded(system, right)
+    u = [v if np.array_equal(x, right) else _padded(system, x) for x in left]
     K, M = (np.zeros((len(parameters), *left.shape[::2])) for _ in range(2))
+    dofs, at = np.empty(0, dtype=np.int64), list[Float]()
     for s in element_slopes(model, parameters):
-        ve, ue = v[s.dofs], u[:, s.dofs]  # DOF -1 is the row of zeros
-        kv = s.stiffness @ ve if np.any(s.stiffness) else None
-        mv = s.mass[:, :, None] * ve if s.mass.ndim == 2 else s.mass @ ve
-        for total, av in ((K, kv), (M, mv if np.any(s.mass) else None)):
-            if av is not None:
-                np.add.at(total, s.owner, np.einsum("sedm,edm->esm", ue, av))
+        if not np.array_equal(s.dofs, dofs):  # one piece of the mesh may come once for each kind of parameter
+            dofs, at = s.dofs, _gathered([v, *u], s.dofs)
+        for total, A in ((K, s.stiffness), (M, s.mass)):
+            if np.any(A):
+                Av = A[:, :, None] * at[0] if A.ndim == 2 else A @ at[0]
+                np.add.at(total, s.owner, np.stack([np.einsum("edm,edm->em", x, Av) for x in at[1:]], axis=1))
     for i, p in enumerate(parameters):
         if (p.shapes or any(moves_nodes(t) for t in p.targets)) and (
             dT := _transform_slope(mesh(model), p, system)
         ) is not None:
             dK, dM, _, _ = _carried(model, system, dT)
-            for total, A in ((K, dK), (M, dM)):
-                total[i] += np.einsum("sfm,fm->sm", left, A @ right)
+            for total, carried in ((K, dK), (M, dM)):
+                total[i] += np.einsum("sfm,fm->sm", left, carried @ right)
     return K.transpose(1, 2, 0), M.transpose(1, 2, 0)

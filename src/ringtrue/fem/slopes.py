@@ -1,6 +1,7 @@
 """Derivatives of element matrices to many parameters in few sweeps over the elements.
 
-Fields: a complex step (Squire and Trapp 1998), all parameters whose elements do not meet in one sweep. Places of
+Fields: a complex step (Squire and Trapp 1998), all parameters whose elements do not meet in one sweep. Moduli to
+which an element's stiffness is proportional: the stiffness itself, the real part of a sweep if there is one. Places of
 nodes, beam ends and orientations, through which no complex step passes (norms): central differences of eighth order
 with a step of half a percent of the smallest element, whose error is that of rounding (1e-12).
 """
@@ -16,14 +17,14 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.parameters import Parameter, Target
 from ringtrue.errors import InputError
 from ringtrue.fem.change import affected_cards, changed, moved, rows_of, users_of_nodes, within
-from ringtrue.fem.kinds import batches
+from ringtrue.fem.kinds import MATERIAL, PROPERTY, batches
 from ringtrue.fem.mesh import Matrices, Mesh, mesh
 from ringtrue.model.model import Model
 
 STEP = 1e-40  # of the complex step; nothing is subtracted, so it costs no digits
 SMALL = 5e-3  # of the difference, in sizes of the smallest element concerned
 CENTRAL = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))  # eighth order (Fornberg 1988)
-SPAN = 4096  # elements of a chunk: bounds the memory of what is gathered
+SPAN = 512  # elements of a chunk, whose matrices stay in the cache
 _NONE = np.empty((0, 0, 0))
 _PLACES = frozenset(["X1", "X2", "X3", "W1A", "W2A", "W3A", "W1B", "W2B", "W3B"])
 _SECTION_PLACES = frozenset(["CONM2", "CONM1"])  # X1-X3 there are an arm, generic in dtype
@@ -39,8 +40,9 @@ class ElementSlopes:
         Position of the parameter.
     dofs : (e, d) int64
         Full DOFs, -1 for none.
-    stiffness, structural : (e, d, d) float64
-        Of K_e and of g_e K_e.
+    stiffness : (e, d, d) float64
+    structural : (e, d, d) float64, or none
+        Of g_e K_e.
     mass : (e, d) or (e, d, d) float64
     viscous : (e, d, d) float64, or none
     """
@@ -81,35 +83,107 @@ def element_slopes(model: Model, parameters: Sequence[Parameter]) -> Iterator[El
         If a target or element is not in the model.
     """
     m = mesh(model)
-    for sweep in _merged(model, _bundles(model, parameters)):
-        yield from _stepped(m, sweep)
+    bundles, moduli = _bundles(model, parameters)
+    for sweep in _merged(model, bundles):
+        yield from _stepped(m, sweep, moduli)
+    for layer in moduli:
+        yield from _nominal(m, layer)
     for i, p in enumerate(parameters):
         yield from _placed(m, i, p)
         for s in p.substructures:
             yield from _plain(m, i, p.name, s.matrix, s.elements)
 
 
-def _bundles(model: Model, parameters: Sequence[Parameter]) -> list[_Sweep]:
-    """Parameters on the same fields and of disjoint elements share a sweep."""
+def _bundles(model: Model, parameters: Sequence[Parameter]) -> tuple[list[_Sweep], list[dict[str, Int]]]:
+    """Parameters on the same fields and of disjoint elements share a sweep; and layers of owners of moduli."""
     made: dict[tuple[Target, ...], list[_Sweep]] = {}
-    reach: dict[Target, dict[str, Int]] = {}
+    layers, reach = list[_Sweep](), dict[tuple[Target, ...], _Reach]()
     for i, p in enumerate(parameters):
         by_elements: dict[tuple[int, ...], list[Target]] = {}
         for t in p.targets:
             if not is_place(t):
                 by_elements.setdefault(t.elements, []).append(replace(t, elements=()))
-        for elements, targets in by_elements.items():
-            for t in targets:
-                if t not in reach:
-                    changed(model, p.name, [t], 1.0)  # names a target that is not there
-                    reach[t] = rows_of(model, t)
-            rows = within(model, _union(reach[t] for t in targets), elements)
-            bundle = made.setdefault(tuple(targets), [])
-            _join(model, bundle, tuple(targets), i, rows)
+        for elements, found in by_elements.items():
+            targets = tuple(found)
+            if targets not in reach:
+                changed(model, p.name, targets, 1.0)  # names a target that is not there
+                reach[targets] = _Reach.of(model, targets)
+            rows = reach[targets].within(elements)
+            if reach[targets].proportional(rows):
+                _join(model, layers, (), i, rows)
+            else:
+                _join(model, made.setdefault(targets, []), targets, i, rows)
     sweeps = [s for group in made.values() for s in group]
     for s in sweeps:  # what the steps change, not only what the parameters own
-        s.taken = _mask(model, _union(reach[t] for t in s.targets))
-    return sweeps
+        s.taken = _mask(model, reach[s.targets].rows)
+    return sweeps, [_owners(s) for s in layers]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reach:
+    """What targets change.
+
+    Attributes
+    ----------
+    rows : dict
+        Rows of each element card.
+    order : dict
+        Their ids, ascending, and the rows in that order.
+    moduli : dict
+        Flags of all rows of each card: the targets are all moduli of the one material that the element is made of.
+    """
+
+    rows: dict[str, Int]
+    order: dict[str, tuple[Int, Int]]
+    moduli: dict[str, Bool]
+
+    @classmethod
+    def of(cls, model: Model, targets: tuple[Target, ...]) -> _Reach:
+        rows, order = _union(rows_of(model, t) for t in targets), {}
+        for card, at in rows.items():
+            ids = model[card].ids[at]
+            by_id = np.argsort(ids, kind="stable")
+            order[card] = ids[by_id], at[by_id]
+        mids = _moduli(model, targets)
+        return cls(rows, order, {c: np.isin(sole_material(model, c), mids) for c in rows} if mids else {})
+
+    def within(self, elements: tuple[int, ...]) -> dict[str, Int]:
+        """The rows of those elements; all if none are named."""
+        if not elements:
+            return self.rows
+        wanted, out = np.unique(np.array(elements, dtype=np.int64)), dict[str, Int]()
+        for card, (ids, at) in self.order.items():
+            place = np.searchsorted(ids, wanted).clip(max=ids.size - 1)
+            picked = at[place[ids[place] == wanted]]
+            if picked.size:
+                out[card] = np.sort(picked)
+        return out
+
+    def proportional(self, rows: dict[str, Int]) -> bool:
+        """Whether the stiffness of these rows is proportional to what the targets are."""
+        return bool(self.moduli) and all(self.moduli[c][at].all() for c, at in rows.items())
+
+
+def _moduli(model: Model, targets: Sequence[Target]) -> tuple[int, ...]:
+    """Materials of which the targets are all moduli that are given; none if they are anything else, too."""
+    if any(t.card != "MAT1" or t.field not in ("E", "G") or t.step for t in targets):
+        return ()
+    mids, table = {t.id for t in targets}, model["MAT1"]
+    for mid in mids:
+        row = table.find(np.array([mid]))
+        given = {f for f in ("E", "G") if not np.isnan(table[f][row]).any()}
+        if given != {t.field for t in targets if t.id == mid}:
+            return ()
+    return tuple(sorted(mids))
+
+
+def _owners(s: _Sweep) -> dict[str, Int]:
+    """Position of the parameter that owns each row of each card, -1 for none."""
+    owner = {c: np.full(n.size, -1) for c, n in s.taken.items()}
+    for i, rows in s.rows:
+        for c, at in rows.items():
+            owner[c][at] = i
+    return owner
 
 
 def _join(model: Model, bundle: list[_Sweep], targets: tuple[Target, ...], i: int, rows: dict[str, Int]) -> None:
@@ -139,6 +213,20 @@ def _merged(model: Model, sweeps: list[_Sweep]) -> list[_Sweep]:
     return out
 
 
+def sole_material(model: Model, card: str) -> Int:
+    """The material of each row of an element card, -1 where there are several, none, or a laminate's."""
+    t, name = model[card], PROPERTY.get(card, card)
+    out = np.full(len(t), -1)
+    if name not in model or name not in MATERIAL:
+        return out
+    mids = model[name].stack(*MATERIAL[name])
+    top = mids.max(axis=1, initial=0)
+    one = ((mids == top[:, None]) | (mids <= 0)).all(axis=1) & (top > 0)
+    row = np.arange(len(t)) if name == card else model[name].find(t["PID"])
+    out[row >= 0] = np.where(one, top, -1)[row[row >= 0]]
+    return out
+
+
 def _union(parts: Iterable[dict[str, Int]]) -> dict[str, Int]:
     out: dict[str, Int] = {}
     for rows in parts:
@@ -155,15 +243,31 @@ def _mask(model: Model, rows: dict[str, Int]) -> dict[str, Bool]:
     return out
 
 
-def _stepped(m: Mesh, sweep: _Sweep) -> Iterator[ElementSlopes]:
-    owner = {c: np.full(n.size, -1) for c, n in sweep.taken.items()}
-    for i, rows in sweep.rows:
-        for c, at in rows.items():
-            owner[c][at] = i
+def _stepped(m: Mesh, sweep: _Sweep, moduli: list[dict[str, Int]]) -> Iterator[ElementSlopes]:
+    """Imaginary parts for the sweep; real ones for owners of moduli on the same elements, who are struck off."""
+    owner = _owners(sweep)
     rows = {c: np.flatnonzero(o >= 0) for c, o in owner.items()}
     there = replace(m, model=changed(m.model, "", sweep.targets, 1 + 1j * STEP))
     for card, at, part in _parts(there, rows):
         yield _slopes(m, owner[card][at], part, _imaginary)
+        for layer in moduli:
+            yield from _proportional(layer, card, at, part)
+
+
+def _nominal(m: Mesh, layer: dict[str, Int]) -> Iterator[ElementSlopes]:
+    for card, at, part in _parts(m, {c: np.flatnonzero(o >= 0) for c, o in layer.items()}):
+        yield from _proportional(layer, card, at, part)
+
+
+def _proportional(layer: dict[str, Int], card: str, at: Int, p: Matrices) -> Iterator[ElementSlopes]:
+    """The stiffness of those rows that have an owner, who is then struck off."""
+    if card not in layer or not (mine := np.flatnonzero(layer[card][at] >= 0)).size:
+        return
+    pick = slice(None) if mine.size == at.size else mine
+    owner, K, loss = layer[card][at][pick], np.ascontiguousarray(p.stiffness.real[pick]), p.loss.real[pick]
+    layer[card][at[pick]] = -1
+    structural = loss[:, None, None] * K if loss.any() else _NONE
+    yield ElementSlopes(owner, p.dofs[pick], K, structural, np.zeros(K.shape[:2]), _NONE)
 
 
 def _parts(m: Mesh, rows: dict[str, Int]) -> Iterator[tuple[str, Int, Matrices]]:
@@ -183,7 +287,7 @@ def _same(a: Any_) -> Float:
 
 def _slopes(m: Mesh, owner: Int, p: Matrices, take: object) -> ElementSlopes:
     assert callable(take)
-    loss = take(p.loss[:, None, None] * p.stiffness)
+    loss = take(p.loss[:, None, None] * p.stiffness) if p.loss.any() else _NONE
     viscous = take(p.viscous) if len(p.viscous) else _NONE
     mass = take(p.mass) * m.model.param("WTMASS", 1.0)
     return ElementSlopes(owner, p.dofs, take(p.stiffness), loss, mass, viscous)
