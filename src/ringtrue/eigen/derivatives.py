@@ -138,7 +138,7 @@ def eigenvector_derivatives(
     if m > n:
         raise InputError(f"derivatives of {m} modes asked for; {n} are given")
     phi, lam = np.ascontiguousarray(modes.vectors), modes.values
-    space = Complement.of(pencil, modes, m * len(slopes))
+    space = Complement.of(pencil, modes, lam[:m], m * len(slopes))
     columns = min(max(ROOM // max(pencil.size, 1), 30), COLUMNS)
     per = max(columns // max(m, 1), 1)
     out = np.empty((len(slopes), m, pencil.size))
@@ -147,7 +147,7 @@ def eigenvector_derivatives(
         owner, mode = np.nonzero([load.live for load in loads])
         for first in range(0, owner.size, columns):
             cut = slice(first, first + columns)
-            out[start + owner[cut], mode[cut]] = _moved(space, loads, owner[cut], mode[cut], tolerance).T
+            out[start + owner[cut], mode[cut]] = _moved(space, loads, owner[cut], mode[cut], tolerance)
         for i, load in enumerate(loads, start):
             still = np.flatnonzero(~load.live)
             out[i, still] = (phi @ load.along[:, still]).T
@@ -198,14 +198,14 @@ class _Load:
 
 
 def _moved(space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tolerance: float) -> Float:
-    """φ' (f, k) for pairs of a load and a mode; those of a load stand side by side."""
+    """φ' (k, f) for pairs of a load and a mode; those of a load stand side by side."""
     pairs = list(zip(owner.tolist(), mode.tolist(), strict=True))
     r = space.balance(np.stack([loads[i].part[:, j] for i, j in pairs], axis=1))
     size = np.empty(owner.size)
     for i in np.unique(owner).tolist():
         at = np.flatnonzero(owner == i)
         force = loads[i].force[:, mode[at]]
-        r.T[at[0] : at[-1] + 1, loads[i].rows] += force.T
+        r[at[0] : at[-1] + 1, loads[i].rows] += force.T
         size[at] = np.linalg.norm(force, axis=0)
     along = np.stack([loads[i].along[:, j] for i, j in pairs], axis=1)
     return space.balanced(r, space.modes.values[mode], tolerance * size, along)
@@ -251,7 +251,8 @@ def branch_derivatives(
     load = dm * lam - dk
     others = np.delete(np.arange(modes.values.size), at)
     rest = phi[:, others] @ ((phi[:, others].T @ load) / (modes.values[others, None] - lam))
-    rest += Complement.of(pencil, modes).solve(load, np.full(at.size, lam), tolerance)
+    root = np.full(at.size, lam)
+    rest += Complement.of(pencil, modes, root, at.size).solve(load, root, tolerance)
     same = own.T @ dm
     mixed = -load.T @ rest - same * d_lambda
     if second is not None:

@@ -1,11 +1,12 @@
 """Motions as the mass sees them: restricted to the rows that have mass, with their inertia forces.
 
-Long columns are summed in tiles of rows, which stay in the cache.
+A motion is a row here: that is the column-major layout of the solvers. Long rows are summed in tiles, which stay in
+the cache.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,27 +14,25 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
 
-TILE = 2048
-Sum = Sequence[tuple[Float, Float]]  # pairs (rows, k), (k, c): the sum of their products
+TILE = 1024
 
 
-def tiles(rows: int) -> Iterator[slice]:
-    """Slices that cover the rows."""
-    for start in range(0, rows, TILE):
+def tiles(length: int) -> Iterator[slice]:
+    """Slices that cover the length."""
+    for start in range(0, length, TILE):
         yield slice(start, start + TILE)
 
 
-def add(c: Float, terms: Sum) -> Float:
-    """c + Σ a b, into c; column-major."""
-    for t in tiles(len(c)):
-        for a, b in terms:
-            c.T[:, t] += b.T @ a.T[:, t]
-    return c
+def add(x: Float, *terms: tuple[Float, Float]) -> None:
+    """Add to x (k, f) products cᵀy of pairs c (l, k), y (l, f)."""
+    for t in tiles(x.shape[1]):
+        for c, y in terms:
+            x[:, t] += c.T @ y[:, t]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fields:
-    """Columns (r, k), column-major, as two arrays with xᵀMy = x.plainᵀ y.loaded.
+    """Motions (k, r) as two arrays with xMyᵀ = x.plain y.loadedᵀ.
 
     One and the same array, scaled by the root of the mass, where the mass is diagonal.
     """
@@ -43,26 +42,43 @@ class Fields:
 
     @property
     def count(self) -> int:
-        """Number of columns."""
-        return int(self.plain.shape[1])
+        """Number of motions."""
+        return len(self.plain)
 
     def dot(self, other: Fields) -> Float:
-        """xᵀMy (k, l)."""
-        return np.asarray(self.plain.T @ other.loaded)
+        """xMyᵀ (k, l)."""
+        return np.asarray(self.plain @ other.loaded.T)
 
-    def less(self, other: Fields, c: Float) -> Fields:
-        """x − other c; x is overwritten."""
-        plain = add(self.plain, [(other.plain, -c)])
-        return Fields(plain, plain if self.loaded is self.plain else add(self.loaded, [(other.loaded, -c)]))
+    def times(self, c: Float) -> Fields:
+        """cᵀx (l, r) for c (k, l)."""
+        plain = c.T @ self.plain
+        return Fields(plain, plain if self._one else c.T @ self.loaded)
 
+    def add(self, c: Float, other: Fields) -> None:
+        """Add cᵀy to x."""
+        add(self.plain, (c, other.plain))
+        if not self._one:
+            add(self.loaded, (c, other.loaded))
 
-def summed(terms: Sequence[tuple[Fields, Float]]) -> Fields:
-    """Σ x c."""
-    rows, columns = len(terms[0][0].plain), terms[0][1].shape[1]
-    plain = add(np.zeros((columns, rows)).T, [(x.plain, c) for x, c in terms])
-    if all(x.loaded is x.plain for x, _ in terms):
-        return Fields(plain, plain)
-    return Fields(plain, add(np.zeros((columns, rows)).T, [(x.loaded, c) for x, c in terms]))
+    def room(self, count: int) -> Fields:
+        """So many like these, not filled: pages that are never written take no memory."""
+        plain = np.empty((count, self.plain.shape[1]))
+        return Fields(plain, plain if self._one else np.empty_like(plain))
+
+    def put(self, start: int, other: Fields) -> None:
+        """Overwrite those from `start` on."""
+        self.plain[start : start + other.count] = other.plain
+        if not self._one:
+            self.loaded[start : start + other.count] = other.loaded
+
+    def first(self, count: int) -> Fields:
+        """A view of so many."""
+        plain = self.plain[:count]
+        return Fields(plain, plain if self._one else self.loaded[:count])
+
+    @property
+    def _one(self) -> bool:
+        return self.loaded is self.plain
 
 
 class Inertia:
@@ -83,26 +99,26 @@ class Inertia:
         self._mass = sparse.csr_array(mass[self._rows][:, self._rows])
 
     def fields(self, x: Float) -> Fields:
-        """Of motions (f, k)."""
-        plain = np.take(x.T, self._rows, axis=1).T
+        """Of motions (k, f)."""
+        plain = np.take(x, self._rows, axis=1)
         if self._root is None:
-            return Fields(plain, np.asfortranarray(self._mass @ plain))
-        plain.T[:] *= self._root
+            return Fields(plain, np.ascontiguousarray((self._mass @ plain.T).T))
+        plain *= self._root
         return Fields(plain, plain)
 
-    def spread(self, x: Fields) -> Float:
-        """M x on all rows (f, k), column-major."""
+    def forces(self, x: Fields) -> Float:
+        """xM on all rows (k, f)."""
         out = np.zeros((x.count, self._size))
-        out[:, self._rows] = x.loaded.T if self._root is None else x.loaded.T * self._root
-        return out.T
+        out[:, self._rows] = x.loaded if self._root is None else x.loaded * self._root
+        return out
 
-    def gram(self, x: Fields, at: Int, factor: Float, terms: Sequence[tuple[Fields, Float]]) -> Float:
-        """(Ms)ᵀ(Ms) of s = some columns of x, each times a factor, + Σ y c; its diagonal is ‖Ms‖² (2-norm)."""
+    def gram(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Float:
+        """Products of the forces of some of x, each times a factor, + Σ cᵀy; their diagonal is squared 2-norms."""
         out = np.zeros((at.size, at.size))
         for t in tiles(self._rows.size):
-            forces = x.loaded.T[:, t][at] * factor[:, None]
-            for y, c in terms:
-                forces += c.T @ y.loaded.T[:, t]
+            forces = x.loaded[:, t][at] * factor[:, None]
+            for c, y in terms:
+                forces += c.T @ y.loaded[:, t]
             if self._root is not None:
                 forces *= self._root[t]
             out += forces @ forces.T

@@ -1,0 +1,87 @@
+"""Eigenvector derivatives to many parameters at once, on a free shell with lumped mass: the equation, column by column.
+
+Rotations have no mass, six modes are rigid motions, and E and thickness of four regions are the parameters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from eigen_shell import shell
+
+from ringtrue.core.parameters import Parameter, Target
+from ringtrue.eigen import complement, derivatives
+from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
+from ringtrue.eigen.factor import Pencil
+from ringtrue.eigen.problem import EigenModes
+from ringtrue.eigen.solve import solve_modes
+from ringtrue.errors import NotConverged
+from ringtrue.fem.assembly import assemble
+from ringtrue.fem.derivatives import system_derivatives
+
+M, RIGID, REGIONS = 16, 6, 4
+TOLERANCE = 1e-6
+SOLVED = 1e-7  # what a solve leaves of the load, beside the tolerance
+
+
+@pytest.fixture(scope="module")
+def case() -> tuple[Pencil, EigenModes, list[Slope]]:
+    model = shell(16, 12, regions=REGIONS)
+    fields = [(card, r, f) for r in range(1, REGIONS + 1) for card, f in (("MAT1", "E"), ("PSHELL", "T"))]
+    system = assemble(model)
+    slopes = system_derivatives(model, [Parameter(f"{t}", (Target(*t),)) for t in fields], system)
+    pencil = Pencil(system.stiffness, system.mass)
+    return pencil, solve_modes(pencil, M + 4), slopes
+
+
+def _worst(pencil: Pencil, modes: EigenModes, slope: Slope, d: np.ndarray) -> float:
+    """Largest relative residual of the elastic modes' equations, 2-norm."""
+    phi, lam = modes.vectors[:, RIGID:M], modes.values[RIGID:M]
+    load = slope.stiffness @ phi - (slope.mass @ phi) * lam
+    rest = pencil.stiffness @ d - (pencil.mass @ d) * lam + load
+    rest -= (pencil.mass @ phi) * np.einsum("fm,fm->m", phi, load)
+    return float((np.linalg.norm(rest, axis=0) / np.linalg.norm(load, axis=0)).max())
+
+
+@pytest.mark.parametrize(("many", "columns"), [(10**6, 190), (0, 190), (0, 13)])
+def test_every_column_meets_the_tolerance(case, monkeypatch, many, columns) -> None:
+    """With the factor of the modes and with one amid them, in one batch and in batches that cut parameters."""
+    pencil, modes, slopes = case
+    pencil.at(modes.shift)
+    monkeypatch.setattr(complement, "MANY", many)
+    monkeypatch.setattr(derivatives, "COLUMNS", columns)
+    d = eigenvector_derivatives(pencil, modes, slopes, count=M, tolerance=TOLERANCE)
+    assert (pencil.shift == modes.shift) == (many > 0)
+    for i, s in enumerate(slopes):
+        assert _worst(pencil, modes, s, d[:, RIGID:, i]) < TOLERANCE + SOLVED
+        phi = modes.vectors[:, :M]
+        norm = 2 * np.einsum("fm,fm->m", phi, pencil.mass @ d[:, :, i]) + np.einsum("fm,fm->m", phi, s.mass @ phi)
+        assert np.abs(norm).max() < 1e-9
+
+
+def test_rigid_motions_stay_rigid(case) -> None:
+    pencil, modes, slopes = case
+    d = eigenvector_derivatives(pencil, modes, slopes, count=M)
+    for i in range(len(slopes)):
+        strained = np.linalg.norm(pencil.stiffness @ d[:, :, i], axis=0)
+        assert strained[:RIGID].max() < 1e-6 * strained[RIGID:].min()
+
+
+def test_a_space_that_is_full_starts_anew(case, monkeypatch) -> None:
+    """Room for fewer directions than the columns need: what is left over is solved for again."""
+    pencil, modes, slopes = case
+    pencil.at(modes.shift)
+    monkeypatch.setattr(complement, "EACH", 1)
+    monkeypatch.setattr(complement, "SPARE", 0)
+    d = eigenvector_derivatives(pencil, modes, slopes[1:2], count=M, tolerance=TOLERANCE)
+    assert _worst(pencil, modes, slopes[1], d[:, RIGID:, 0]) < TOLERANCE + SOLVED
+    monkeypatch.setattr(complement, "RUNS", 1)
+    with pytest.raises(NotConverged, match="did not converge"):
+        eigenvector_derivatives(pencil, modes, slopes[1:2], count=M, tolerance=TOLERANCE)
+
+
+def test_one_parameter_or_all(case) -> None:
+    pencil, modes, slopes = case
+    every = eigenvector_derivatives(pencil, modes, slopes, count=M, tolerance=1e-9)
+    alone = eigenvector_derivatives(pencil, modes, slopes[3:4], count=M, tolerance=1e-9)
+    assert np.abs(every[:, :, 3] - alone[:, :, 0]).max() < 1e-7 * np.abs(alone).max()
