@@ -8,9 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from eigen_shell import shell
+from scipy import sparse
 
 from ringtrue.core.parameters import Parameter, Target
-from ringtrue.eigen import complement, derivatives
+from ringtrue.eigen import complement, derivatives, fields
 from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
@@ -57,6 +58,29 @@ def test_every_column_meets_the_tolerance(case, monkeypatch, many, columns) -> N
         phi = modes.vectors[:, :M]
         norm = 2 * np.einsum("fm,fm->m", phi, pencil.mass @ d[:, :, i]) + np.einsum("fm,fm->m", phi, s.mass @ phi)
         assert np.abs(norm).max() < 1e-9
+
+
+def test_sketches_keep_norms(case) -> None:
+    """Within a few √(2/TILE) = 0.04; exactly where there are fewer rows with mass than buckets."""
+    pencil, modes, _ = case
+    inertia = fields.Inertia(pencil.mass)
+    exact = np.linalg.norm(pencil.mass @ modes.vectors, axis=0)
+    np.testing.assert_allclose(np.linalg.norm(inertia.sketch(inertia.fields(modes.vectors.T)), axis=1), exact)
+    rng = np.random.default_rng(5)
+    wide = fields.Inertia(sparse.diags_array(rng.uniform(1.0, 2.0, 20_000)).tocsr())
+    x = wide.fields(rng.standard_normal((30, 20_000)))
+    norms = np.linalg.norm(wide.forces(x), axis=1)
+    assert 1e-4 < np.abs(np.linalg.norm(wide.sketch(x), axis=1) / norms - 1).max() < 0.1
+
+
+@pytest.mark.parametrize("buckets", [40, 200])
+def test_rough_sketches_cost_no_accuracy(case, monkeypatch, buckets) -> None:
+    pencil, modes, slopes = case
+    pencil.at(modes.shift)
+    monkeypatch.setattr(complement, "TILE", buckets)
+    monkeypatch.setattr(fields, "TILE", buckets)
+    d = eigenvector_derivatives(pencil, modes, slopes, count=M, tolerance=TOLERANCE)
+    assert max(_worst(pencil, modes, s, d[:, RIGID:, i]) for i, s in enumerate(slopes)) < TOLERANCE + SOLVED
 
 
 def test_rigid_motions_stay_rigid(case) -> None:

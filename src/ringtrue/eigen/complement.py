@@ -4,28 +4,34 @@ With A = K − σM factorised and δ = λ_j − σ, the equation is (I − δ A�
 z = x + U y with x = A⁻¹r, U = A⁻¹MV and y from the Galerkin condition VᵀM(δz − Vy) = 0, whose residual M(δz − Vy) is
 exact (full orthogonalisation, Saad 2003, ch. 6.4; shifted systems: Frommer and Glässner 1998). V grows by the
 principal directions of δz − Vy over all columns that are not done, no more of them than the tolerances ask for:
-inertia loads are smooth, so that they are fewer than the columns. A column that is done keeps its y.
+inertia loads are smooth, so that they are fewer than the columns. Residuals are estimated from sketches of the forces
+until all seem to be small enough; then they are computed.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from scipy import linalg
 
-from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.arrays import Float, Int
 from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.fields import Fields, Inertia, add
+from ringtrue.eigen.fields import TILE, Fields, Inertia, add
 from ringtrue.eigen.problem import EigenModes
 from ringtrue.errors import NotConverged
 
 RUNS = 8
 EACH, SPARE = 2, 60  # directions of a run for each column and beyond, before the columns that are left start anew
-DROP = 0.7  # share of the residual allowed to a column that a block may leave out of it
+DROP = 0.9  # share of the residual allowed to a column that a block may leave out of it
+MARGIN = 0.93  # of the residual allowed, for one that is estimated
 LEAST = 1e-5  # share of the largest eigenvalue of a projection that one below zero may have by rounding
 MANY = 400  # columns that pay for a factorisation at a better shift
+PIECE = 2**21  # numbers in an array of right-hand sides
 _MORE = "compute more modes above those whose derivatives are needed"
+
+Loads = Callable[[slice], Float]  # forces (k, f) of some columns
 
 
 class _Space:
@@ -42,35 +48,46 @@ class _Space:
     """
 
     def __init__(self, like: Fields, rows: int, known: int, room: int) -> None:
-        self.size, self.room = 0, room
+        self.room = room
         self._basis, self._inner = like.room(room), like.room(room)
         self._images, self._parts = np.empty((room, rows)), np.empty((known, room))
-        self.gram, self.projected = np.zeros((0, 0)), np.zeros((0, 0))
+        self._rough = np.empty((2, room, TILE))
+        self.clear()
+
+    def clear(self) -> None:
+        """Hold nothing."""
+        self.size, self.gram, self.projected = 0, np.zeros((0, 0)), np.zeros((0, 0))
 
     @property
     def basis(self) -> Fields:
         """V."""
-        return self._basis.first(self.size)
+        return self._basis.cut(slice(self.size))
 
     @property
     def inner(self) -> Fields:
         """A⁻¹MV in the complement."""
-        return self._inner.first(self.size)
+        return self._inner.cut(slice(self.size))
 
     @property
     def images(self) -> tuple[Float, Float]:
         """A⁻¹MV (k, f) as solved for, and its coefficients along the known modes (n, k)."""
         return self._images[: self.size], self._parts[:, : self.size]
 
-    def add(self, v: Fields, image: Float, inner: Fields, part: Float) -> None:
+    def add(self, v: Fields, of: Complement) -> None:
         """A further block."""
         cut = slice(self.size, self.size + v.count)
         self._basis.put(self.size, v)
-        self._inner.put(self.size, inner)
-        self._images[cut], self._parts[:, cut] = image, part
+        inner = self._inner.cut(cut)
+        self._parts[:, cut] = of.solved(lambda c: of.inertia.forces(v.cut(c)), self._images[cut], inner)
+        self._rough[:, cut] = of.inertia.sketch(inner), of.inertia.sketch(v)
         self.size += v.count
         self.gram = _bordered(self.gram, self.basis.dot(v))
         self.projected = _bordered(self.projected, self.basis.dot(inner))
+
+    def sketch(self, y: Float, delta: Float) -> Float:
+        """Forces of δUy − Vy, folded."""
+        inner, basis = self._rough[:, : self.size]
+        return np.asarray((y * delta).T @ inner - y.T @ basis)
 
     def change(self, y: Float, delta: Float) -> tuple[tuple[Float, Fields], ...]:
         """δUy − Vy as products cᵀf."""
@@ -99,39 +116,29 @@ class _Space:
         return np.asarray(turn @ ((turn.T @ (b * delta)) / (1 - delta * theta[:, None])))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Complement:
     """The complement of known modes.
 
-    Attributes
+    The factor that the modes came from serves if it is still there; if not, or for many right-hand sides, one amid
+    the λ is made, which contracts faster.
+
+    Parameters
     ----------
     pencil : Pencil
     modes : EigenModes
         All from the lowest up.
-    shift : float
-        Where K − σM is factorised.
-    inertia : Inertia
-    known : Fields
-        Of the modes.
+    lam : (k,) float64
+        Where it will be solved for.
+    columns : int
+        Number of right-hand sides in all.
     """
 
-    pencil: Pencil
-    modes: EigenModes
-    shift: float
-    inertia: Inertia
-    known: Fields
-
-    @classmethod
-    def of(cls, pencil: Pencil, modes: EigenModes, lam: Float, columns: int) -> Complement:
-        """Of the modes given, for so many right-hand sides in all, at λ (k,).
-
-        The factor that the modes came from serves if it is still there; if not, or for many right-hand sides, one
-        amid the λ is made, which contracts faster.
-        """
+    def __init__(self, pencil: Pencil, modes: EigenModes, lam: Float, columns: int) -> None:
         there = pencil.shift == modes.shift and columns < MANY
-        shift = modes.shift if there else _amid(modes.values, float(lam.max(initial=0.0)), modes.shift)
-        inertia = Inertia(pencil.mass)
-        return cls(pencil, modes, shift, inertia, inertia.fields(modes.vectors.T))
+        self.shift = modes.shift if there else _amid(modes.values, float(lam.max(initial=0.0)), modes.shift)
+        self.pencil, self.modes, self.inertia = pencil, modes, Inertia(pencil.mass)
+        self._known = self.inertia.fields(modes.vectors.T)
+        self._rooms: tuple[Float, Fields, _Space] | None = None
 
     def solve(self, loads: Float, lam: Float, tolerance: float) -> Float:
         """z (f, k), M-orthogonal to the modes, for loads (f, k) and λ (k,).
@@ -146,61 +153,85 @@ class Complement:
         NotConverged
             If a mode below some λ is not among those known, or the residual stays above the tolerance.
         """
-        r = self.balance(self.modes.vectors.T @ loads) + loads.T
-        return self.balanced(r, lam, tolerance * np.linalg.norm(loads, axis=0)).T
+        part = self.modes.vectors.T @ loads
+        allowed = tolerance * np.linalg.norm(loads, axis=0)
+        return self.balanced(lambda c: self.balance(part[:, c]) + loads.T[c], lam, allowed).T
 
     def balance(self, part: Float) -> Float:
         """Forces (k, f) that take their part along the modes (n, k) from loads."""
-        return self.inertia.forces(self.known.times(-part))
+        return self.inertia.forces(self._known.times(-part))
 
-    def balanced(self, r: Float, lam: Float, allowed: Float, along: Float | None = None) -> Float:
-        """`solve` (k, f) for r (k, f) without part in the modes, with the residuals allowed (k,).
+    def balanced(self, loads: Loads, lam: Float, allowed: Float, along: Float | None = None) -> Float:
+        """`solve` (k, f) for loads without part in the modes, with the residuals allowed (k,).
 
-        The modes times `along` (n, k) are added.
+        The modes times `along` (n, k) are added. The next call overwrites what this one returned.
         """
-        z, at = np.zeros((0, 0)), np.arange(lam.size)
+        z, at = np.empty((0, 0)), np.arange(lam.size)
         for run in range(RUNS):
             if not at.size:
-                return z
-            step, rest, done = self._run(r, lam[at], allowed[at], None if run else along)
+                break
+            step, rest, left = self._run(loads, lam[at], allowed[at], None if run else along)
             if run:
                 z[at] += step
             else:
-                z = step
-            at, r = at[~done], rest
-        raise NotConverged(f"{at.size} of {lam.size} right-hand sides did not converge; {_MORE}")
+                z = step.copy() if left.size else step
+            at, loads = at[left], partial(np.ndarray.__getitem__, rest)
+        if at.size:
+            raise NotConverged(f"{at.size} of {lam.size} right-hand sides did not converge; {_MORE}")
+        return z
 
-    def _solved(self, rhs: Float) -> tuple[Float, Fields, Float]:
-        """A⁻¹ rhs (k, f), its fields in the complement, and its coefficients along the modes (n, k)."""
-        x = np.ascontiguousarray(self.pencil.at(self.shift).solve(rhs.T).T)
-        fields = self.inertia.fields(x)
-        part = self.known.dot(fields)
-        fields.add(-part, self.known)
-        return x, fields, part
+    def solved(self, loads: Loads, x: Float, inner: Fields) -> Float:
+        """Write x = A⁻¹ loads (k, f) and its fields in the complement; its coefficients along the modes (n, k).
 
-    def _run(self, r: Float, lam: Float, allowed: Float, along: Float | None) -> tuple[Float, Float, Bool]:
-        """Solution, forces that are left over in the columns not done, and which are done."""
-        delta = lam - self.shift
-        z, x, part = self._solved(r)
-        space = _Space(x, self.pencil.size, self.known.count, EACH * lam.size + SPARE)
-        at, y, b = np.arange(lam.size), np.zeros((0, lam.size)), np.zeros((0, lam.size))
+        In pieces: memory of less than 32 MB is used again, larger pieces are mapped anew each time.
+        """
+        part, piece = np.empty((self._known.count, len(x))), max(PIECE // max(self.pencil.size, 1), 32)
+        for start in range(0, len(x), piece):
+            cut = slice(start, start + piece)
+            x[cut] = self.pencil.at(self.shift).solve(loads(cut).T).T
+            fields = self.inertia.fields(x[cut])
+            part[:, cut] = self._known.dot(fields)
+            fields.add(-part[:, cut], self._known)
+            inner.put(start, fields)
+        return part
+
+    def _room(self, columns: int) -> tuple[Float, Fields, _Space]:
+        """Memory for solutions, their fields and a space; that of the last call if it is large enough."""
+        if self._rooms is None or len(self._rooms[0]) < columns:
+            self._rooms = None
+            size, directions = self.pencil.size, EACH * columns + SPARE
+            space = _Space(self._known, size, self._known.count, directions)
+            self._rooms = np.empty((columns, size)), self._known.room(columns), space
+        x, inner, space = self._rooms
+        space.clear()
+        return x[:columns], inner.cut(slice(columns)), space
+
+    def _run(self, loads: Loads, lam: Float, allowed: Float, along: Float | None) -> tuple[Float, Float, Int]:
+        """Solution, forces that are left over in the columns not done, and which these are."""
+        delta, at = lam - self.shift, np.arange(lam.size)
+        z, x, space = self._room(lam.size)
+        part = self.solved(loads, z, x)
+        y, b, folded = np.zeros((0, lam.size)), np.zeros((0, lam.size)), self.inertia.sketch(x)
         while True:
-            gram = self.inertia.gram(x, at, delta[at], *space.change(y[:, at], delta[at]))
-            left = ~(np.diag(gram) <= allowed[at] ** 2)
-            at, turn = at[left], _principal(gram[left][:, left], allowed[at[left]])
+            rough = folded[at] * delta[at, None] + space.sketch(y[:, at], delta[at])
+            gram, limit = rough @ rough.T, MARGIN * allowed[at]
+            if (np.diag(gram) <= limit**2).all():
+                gram = self.inertia.gram(x, at, delta[at], *space.change(y[:, at], delta[at]))
+                limit = allowed[at]
+                left = ~(np.diag(gram) <= limit**2)
+                at, gram, limit = at[left], gram[left][:, left], limit[left]
+            turn = _principal(gram, limit)
             if not at.size or space.size + turn.shape[1] > space.room:
                 break
             v = space.defect(x, at, y, delta, turn)
-            space.add(v, *self._solved(self.inertia.forces(v)))
+            space.add(v, self)
             b = np.vstack([b, v.dot(x)])
             y = np.vstack([y, np.zeros((v.count, lam.size))])
             y[:, at] = space.coefficients(b[:, at], delta[at])
         images, parts = space.images
-        part = part + parts @ y
-        add(z, (y, images), (-part if along is None else along - part, self.modes.vectors.T))
-        done = np.ones(lam.size, dtype=bool)
-        done[at] = False
-        return z, self.inertia.forces(space.defect(x, at, y, delta, np.eye(at.size))), done
+        more = -part - parts @ y if along is None else along - part - parts @ y
+        add(z, (y, images), (more, self.modes.vectors.T))
+        return z, self.inertia.forces(space.defect(x, at, y, delta, np.eye(at.size))), at
 
 
 def _principal(gram: Float, allowed: Float) -> Float:

@@ -20,7 +20,7 @@ from ringtrue.eigen.problem import EigenModes
 from ringtrue.errors import InputError
 
 CLOSE = 1e-6  # relative distance under which eigenvalues are treated as one repeated root
-COLUMNS = 190  # right-hand sides solved together: more do not make a solve cheaper
+COLUMNS = 250  # right-hand sides solved together: more save few solves and cost products
 ROOM = 2**24  # numbers in an array of them, which lessens them in large models
 STILL = 1e-9  # share of its terms under which the load of a rigid-body mode is rounding
 
@@ -138,7 +138,7 @@ def eigenvector_derivatives(
     if m > n:
         raise InputError(f"derivatives of {m} modes asked for; {n} are given")
     phi, lam = np.ascontiguousarray(modes.vectors), modes.values
-    space = Complement.of(pencil, modes, lam[:m], m * len(slopes))
+    space = Complement(pencil, modes, lam[:m], m * len(slopes))
     columns = min(max(ROOM // max(pencil.size, 1), 30), COLUMNS)
     per = max(columns // max(m, 1), 1)
     out = np.empty((len(slopes), m, pencil.size))
@@ -200,15 +200,17 @@ class _Load:
 def _moved(space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tolerance: float) -> Float:
     """φ' (k, f) for pairs of a load and a mode; those of a load stand side by side."""
     pairs = list(zip(owner.tolist(), mode.tolist(), strict=True))
-    r = space.balance(np.stack([loads[i].part[:, j] for i, j in pairs], axis=1))
-    size = np.empty(owner.size)
-    for i in np.unique(owner).tolist():
-        at = np.flatnonzero(owner == i)
-        force = loads[i].force[:, mode[at]]
-        r[at[0] : at[-1] + 1, loads[i].rows] += force.T
-        size[at] = np.linalg.norm(force, axis=0)
-    along = np.stack([loads[i].along[:, j] for i, j in pairs], axis=1)
-    return space.balanced(r, space.modes.values[mode], tolerance * size, along)
+    part, along = (np.stack([getattr(loads[i], name)[:, j] for i, j in pairs], axis=1) for name in ("part", "along"))
+    size = np.array([np.linalg.norm(loads[i].force[:, j]) for i, j in pairs])
+
+    def forces(c: slice) -> Float:
+        r = space.balance(part[:, c])
+        for i in np.unique(owner[c]).tolist():
+            at = np.flatnonzero(owner[c] == i)
+            r[at[0] : at[-1] + 1, loads[i].rows] += loads[i].force[:, mode[c][at]].T
+        return r
+
+    return space.balanced(forces, space.modes.values[mode], tolerance * size, along)
 
 
 def branch_derivatives(
@@ -252,7 +254,7 @@ def branch_derivatives(
     others = np.delete(np.arange(modes.values.size), at)
     rest = phi[:, others] @ ((phi[:, others].T @ load) / (modes.values[others, None] - lam))
     root = np.full(at.size, lam)
-    rest += Complement.of(pencil, modes, root, at.size).solve(load, root, tolerance)
+    rest += Complement(pencil, modes, root, at.size).solve(load, root, tolerance)
     same = own.T @ dm
     mixed = -load.T @ rest - same * d_lambda
     if second is not None:

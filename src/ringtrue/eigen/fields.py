@@ -71,10 +71,10 @@ class Fields:
         if not self._one:
             self.loaded[start : start + other.count] = other.loaded
 
-    def first(self, count: int) -> Fields:
-        """A view of so many."""
-        plain = self.plain[:count]
-        return Fields(plain, plain if self._one else self.loaded[:count])
+    def cut(self, at: slice) -> Fields:
+        """A view of some."""
+        plain = self.plain[at]
+        return Fields(plain, plain if self._one else self.loaded[at])
 
     @property
     def _one(self) -> bool:
@@ -97,6 +97,7 @@ class Inertia:
         diagonal = np.count_nonzero(mass.data) == self._rows.size and bool((m > 0).all())
         self._root = np.sqrt(m) if diagonal else None
         self._mass = sparse.csr_array(mass[self._rows][:, self._rows])
+        self._signs = np.random.default_rng(0).choice([-1.0, 1.0], self._rows.size)
 
     def fields(self, x: Float) -> Fields:
         """Of motions (k, f)."""
@@ -110,6 +111,18 @@ class Inertia:
         """xM on all rows (k, f)."""
         out = np.zeros((x.count, self._size))
         out[:, self._rows] = x.loaded if self._root is None else x.loaded * self._root
+        return out
+
+    def sketch(self, x: Fields) -> Float:
+        """Forces (k, TILE), folded with random signs: norms and products are kept within about √(2/TILE).
+
+        (Charikar, Chen and Farach-Colton 2002: a count sketch; its buckets are strides here.)
+        """
+        out = np.zeros((x.count, TILE))
+        weight = self._signs if self._root is None else self._signs * self._root
+        for t in tiles(self._rows.size):
+            part = x.loaded[:, t] * weight[t]
+            out[:, : part.shape[1]] += part
         return out
 
     def gram(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Float:

@@ -104,7 +104,7 @@ def adjoint(
     same = at[:, None] == at[:m]
     seen = phi.T @ gradient
     gap = np.where(same, 1.0, lam[:m] - lam[:, None])
-    rest = Complement.of(pencil, modes, lam[:m], m).solve(gradient, lam[:m], tolerance)
+    rest = Complement(pencil, modes, lam[:m], m).solve(gradient, lam[:m], tolerance)
     force = phi @ np.where(same, 0.0, seen / gap) - rest
     return Adjoint(lam[:m], phi[:, :m], force, phi @ np.where(same, -0.5 * seen, 0.0))
 
