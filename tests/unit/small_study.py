@@ -92,9 +92,9 @@ def test_model() -> TestModel:
 test_model.__test__ = False  # type: ignore[attr-defined]
 
 
-def modal(folder: Path, test: TestModel) -> ModalModel:
-    """The true structure at the channels; inputs are all channels."""
-    (folder / "truth.bdf").write_text(deck(TRUTH))
+def modal(folder: Path, test: TestModel, truth: str = "") -> ModalModel:
+    """The true structure (a deck, else that of TRUTH) at the channels; inputs are all channels."""
+    (folder / "truth.bdf").write_text(truth or deck(TRUTH))
     model = read_deck(folder / "truth.bdf")
     with EmbeddedSolver().open(model) as analysis:
         real = analysis.modes(ModesRequest(band=(-1.0, RATE / 2))).modes
@@ -140,20 +140,20 @@ def _hammer(model: ModalModel, at: int, rng: np.random.Generator) -> Array:
 
 
 @cache
-def signals(seed: int = 0) -> tuple[Array, tuple[Array, ...], TestModel]:
+def signals(seed: int = 0, truth: str = "") -> tuple[Array, tuple[Array, ...], TestModel]:
     """The ambient record, a hammer record for each reference, and the test model."""
     test = test_model()
     with tempfile.TemporaryDirectory() as folder:
-        model = modal(Path(folder), test)
+        model = modal(Path(folder), test, truth)
     rng = np.random.default_rng(seed)
     hits = tuple(_hammer(model, test.channels.index(r), rng) for r in REFERENCES)
     return _ambient(model, rng), hits, test
 
 
-def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True) -> None:
+def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True, truth: str = "") -> None:
     """The campaign's folder: records, sensor sheet and log."""
     folder.mkdir(parents=True, exist_ok=True)
-    quiet, hits, test = signals()
+    quiet, hits, test = signals(truth=truth)
     write_sheet(folder / "sensors.csv", test, test.channels)
     table = _channels(test)
     tests = []

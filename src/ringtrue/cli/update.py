@@ -8,17 +8,15 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.backends.observed import reduced
 from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
-from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
 from ringtrue.correlate.assign import PairingSettings
-from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
+from ringtrue.correlate.observe import at_dofs
+from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.modes_json import read_frequency_std, read_modes
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.io.nastran.reader import read_deck
@@ -158,22 +156,6 @@ def _problem(model: Model, config: StudyConfig, target: Target, channels: tuple[
         observation = at_dofs(channels, analysis.dofs)
         count = len(analysis.modes(ModesRequest(band=(-1.0, ABOVE * float(target.frequencies.max())))).modes)
     return Problem((Configuration(reduced(model, config.candidates(), observation, count), target),))
-
-
-def at_dofs(channels: tuple[str, ...], dofs: DofSet) -> Observation:
-    """The observation of channels whose names are DOFs, such as 101+Z.
-
-    Raises
-    ------
-    DataError
-        If a name is no DOF of the model.
-    """
-    try:
-        index, sign = dofs.align(DofSet.parse(channels))
-    except InputError as e:
-        raise DataError(f"channels of the test must be DOFs of the deck, such as 101+Z: {e}") from e
-    pick = sparse.csr_array((sign, (np.arange(index.size), index)), shape=(index.size, len(dofs)))
-    return Observation(pick, channels, dofs, 1.0, np.zeros(index.size))
 
 
 def _solved(problem: Problem, asked: Asked, show: Progress) -> Verified:

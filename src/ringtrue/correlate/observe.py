@@ -12,7 +12,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
-from ringtrue.errors import ConfigError, DataError, did_you_mean
+from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 
 Method = Literal["nearest", "rigid"]
 
@@ -115,3 +115,19 @@ def _matrix(weights: Float, nodes: Int, dofs: DofSet, channels: tuple[str, ...])
     sign = np.where(dofs.direction[column] < 0, -1.0, 1.0)
     entries = (weights[keep] * sign, (channel[keep], column))
     return sparse.csr_array(sparse.coo_array(entries, shape=(len(channels), len(dofs))))
+
+
+def at_dofs(channels: tuple[str, ...], dofs: DofSet) -> Observation:
+    """The observation of channels whose names are DOFs, such as 101+Z.
+
+    Raises
+    ------
+    DataError
+        If a name is no DOF of the model.
+    """
+    try:
+        index, sign = dofs.align(DofSet.parse(channels))
+    except InputError as e:
+        raise DataError(f"channels of the test must be DOFs of the deck, such as 101+Z: {e}") from e
+    pick = sparse.csr_array((sign, (np.arange(index.size), index)), shape=(index.size, len(dofs)))
+    return Observation(pick, channels, dofs, 1.0, np.zeros(index.size))

@@ -114,6 +114,16 @@ def _refuse_what_no_field_holds(parameter: Parameter) -> None:
         )
 
 
+def carried(model: Model, parameters: ParameterSet) -> ParameterSet:
+    """The parameters of which a model has a target, each with the targets that it has."""
+    mine = [replace(p, targets=tuple(t for t in p.targets if _has(model, t))) for p in parameters.parameters]
+    return ParameterSet(tuple(p for p in mine if p.targets or p.shapes or p.substructures))
+
+
+def _has(model: Model, target: Target) -> bool:
+    return target.card in model and bool((model[target.card].ids == target.id).any())
+
+
 def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> list[FieldChange]:
     """The deck's fields at the given factors (p,), in the order of the parameters; a field met twice gets both.
 

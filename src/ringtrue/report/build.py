@@ -20,6 +20,7 @@ from ringtrue.report.parts import Acceptance, Photo, Picture, Plot, Scene3D, Sec
 from ringtrue.report.sections import (
     after,
     choice,
+    configurations,
     correlation,
     damping,
     identified,
@@ -56,6 +57,7 @@ SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
     updated.section,
     updated.suspension,
     correlation.final,
+    configurations.section,
     shapes.section,
     uncertain.section,
     after.section,

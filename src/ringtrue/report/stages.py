@@ -12,6 +12,8 @@ from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.report.parts import Acceptance
 from ringtrue.study.results import (
     CompareStage,
+    ConfigurationsStage,
+    ConfiguredStage,
     CorrelateStage,
     DampingStage,
     FinalStage,
@@ -34,11 +36,13 @@ KINDS: dict[str, type] = {
     "identify": IdentifyStage,
     "compare": CompareStage,
     "correlate": CorrelateStage,
+    "configurations": ConfigurationsStage,
     "localise": LocaliseStage,
     "sensitivity": SensitivityStage,
     "update": UpdateStage,
     "tune": TuneStage,
     "final": FinalStage,
+    "configured": ConfiguredStage,
     "uncertainty": UncertaintyStage,
     "damping": DampingStage,
     "predict": PredictStage,
@@ -59,11 +63,13 @@ class Stages:
     identify: IdentifyStage | None = None
     compare: CompareStage | None = None
     correlate: CorrelateStage | None = None
+    configurations: ConfigurationsStage | None = None
     localise: LocaliseStage | None = None
     sensitivity: SensitivityStage | None = None
     update: UpdateStage | None = None
     tune: TuneStage | None = None
     final: FinalStage | None = None
+    configured: ConfiguredStage | None = None
     uncertainty: UncertaintyStage | None = None
     damping: DampingStage | None = None
     predict: PredictStage | None = None

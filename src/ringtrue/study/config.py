@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -241,6 +242,35 @@ class PredictSection(_Section):
     level: float = Field(default=0.9, ge=0.5, le=0.95)  # of the bands
 
 
+class ConfigurationSection(_Section):
+    """Another state of the structure with a test of its own; its deck, or cards that the deck of the study gets."""
+
+    name: str
+    deck: str | None = None
+    cards: str | None = None  # a file; its cards are added to the (remodelled) deck of the study
+    sheet: str | None = None
+    log: str | None = None  # of the crew, or
+    modes: str | None = None  # test modes, .json, .h5 or .uff; without a sheet channels are DOFs such as 101+Z
+    lines: str | None = None
+    choice: str | None = None  # as under [identify], of this log
+    left_out: int = Field(default=0, ge=0)  # modes that the updating must not see
+
+    @field_validator("name")
+    @classmethod
+    def _folder(cls, value: str) -> str:
+        if not re.fullmatch(r"\w[\w .+-]*", value):
+            raise ValueError("a configuration is named by letters, digits, blanks and . + - _: it names a folder")
+        return value
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if (self.deck is None) == (self.cards is None):
+            raise ValueError("a configuration has a deck of its own or cards that are added, one of the two")
+        if (self.log is None) == (self.modes is None) or (self.log is not None and self.sheet is None):
+            raise ValueError("a configuration has a sheet and a log, or a file of modes")
+        return self
+
+
 class ReportSection(_Section):
     """The report."""
 
@@ -260,6 +290,7 @@ class StudyConfig(_Section):
     remodel: RemodelSection | None = None
     candidate: list[Candidate] = []
     suspension: list[Candidate] = []
+    configuration: list[ConfigurationSection] = []
     localise: LocaliseSection = LocaliseSection()
     update: UpdateSection = UpdateSection()
     uncertainty: UncertaintySection = UncertaintySection()
@@ -274,6 +305,10 @@ class StudyConfig(_Section):
         names = [c.name for c in (*self.candidate, *self.suspension)]
         if twice := sorted({n for n in names if names.count(n) > 1}):
             raise ValueError(f"candidates and suspensions need names of their own; twice: {', '.join(twice)}")
+        if len({c.name for c in self.configuration}) != len(self.configuration):
+            raise ValueError("configurations need names of their own")
+        if self.configuration and (self.model is None or self.test is None):
+            raise ValueError("configurations need a [model] and a [test] that they are others of")
         return self
 
     @property

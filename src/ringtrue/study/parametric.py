@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import NotConverged
 from ringtrue.fem.derivatives import terms
 from ringtrue.model.ports import Linearisation
@@ -52,7 +52,7 @@ class AtChannels:
 
 
 def build(
-    opened: Opened, parameters: ParameterSet, test: TestModel, tolerance: float, fmax: float, progress: Progress
+    opened: Opened, parameters: ParameterSet, observation: Observation, fmax: float, progress: Progress
 ) -> ReducedModel:
     """Assemble, differentiate and project: all modes below `fmax` with every parameter."""
     system = opened.analysis.system
@@ -60,9 +60,7 @@ def build(
     for i, p in enumerate(parameters.parameters):
         progress(0.4 * i / len(parameters), f"derivatives: {p.name}")
         parts.append(terms(opened.model, p, system))
-    affine = observed_system(
-        system.stiffness, system.mass, system.transform, parameters, parts, opened.observation(test, tolerance)
-    )
+    affine = observed_system(system.stiffness, system.mass, system.transform, parameters, parts, observation)
     count = len(opened.modes(fmax).modes)
     return reduced_model(affine, count, pencil=opened.analysis.pencil, progress=lambda f, t: progress(0.4 + 0.6 * f, t))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.assign import PairingSettings
 from ringtrue.correlate.pairing import CorrelationTable, correlation_table, pair_modes
 from ringtrue.errors import DataError
+from ringtrue.io.modes_json import read_frequency_std, read_modes
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import IdentifyStage
@@ -80,6 +82,26 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
     if not len(elastic):
         raise DataError("the test holds no elastic mode: nothing to correlate with")
     return Reference(elastic, std, rigid, found.ambient_uncertainty.take(low))
+
+
+def reference_of_file(path: Path, config: StudyConfig) -> Reference:
+    """The same from a file of modes.
+
+    Raises
+    ------
+    DataError
+        If it holds no elastic mode that was measured at a common set of channels.
+    """
+    whole, spread = read_modes(path), read_frequency_std(path)
+    modes = measured_channels(whole)
+    at = np.flatnonzero(np.isin(whole.frequencies, modes.frequencies))
+    std = Uncertainty.independent(spread[at], np.zeros(at.size), np.zeros(modes.shapes.shape))
+    edge = elastic_edge(modes.frequencies, config)
+    high, low = np.flatnonzero(modes.frequencies >= edge), np.flatnonzero(modes.frequencies < edge)
+    if not high.size or not modes.channels:
+        raise DataError(f"{path}: no elastic mode was measured at a common set of channels")
+    rigid = realise_modes(modes.take(low)) if low.size else modes.take(low)
+    return Reference(realise_modes(modes.take(high)), std.take(high), rigid, std.take(low))
 
 
 def left_out(modes: ModeSet, count: int, least: float) -> Int:

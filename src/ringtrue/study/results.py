@@ -204,6 +204,48 @@ class CorrelateStage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ConfiguredTest:
+    """Another configuration: its deck before the updating against its own test."""
+
+    name: str
+    files: tuple[str, ...]  # of the deck
+    source: str  # of the test modes, in words
+    test: TestModel | None  # None: the channels are DOFs of the deck
+    reference: ModeSet  # its elastic test modes, real shapes
+    reference_uncertainty: Uncertainty
+    left_out: Int  # positions in `reference` that the updating must not see
+    initial: CorrelationTable
+    fe_initial: ModeSet  # observed at the channels
+    carried: tuple[str, ...]  # candidates and suspensions that its deck has
+    notes: tuple[str, ...]  # fields that have another value than in the deck of the study
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConfigurationsStage:
+    """All other configurations before the updating."""
+
+    items: tuple[ConfiguredTest, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeliveredConfiguration:
+    """Another configuration with what was found written into its deck, read back."""
+
+    name: str
+    files: tuple[str, ...]
+    changes: tuple[str, ...]
+    table: CorrelationTable
+    observed: ModeSet  # at the channels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConfiguredStage:
+    """All other configurations after the updating."""
+
+    items: tuple[DeliveredConfiguration, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LocaliseStage:
     """Where the remodelled deck is wrong, and which parameters the data ask for."""
 

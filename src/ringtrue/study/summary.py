@@ -16,6 +16,8 @@ from ringtrue.study.acceptance import Check as Check
 from ringtrue.study.acceptance import improvement, limits, missed_words
 from ringtrue.study.results import (
     CompareStage,
+    ConfigurationsStage,
+    ConfiguredStage,
     CorrelateStage,
     DampingStage,
     Evidence,
@@ -126,6 +128,7 @@ def summarise(run: StudyRun) -> dict[str, Any]:
         out["rigid_body"] = {"before": pairs(correlate.rigid_initial), "after": []}
         out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
     out |= _localised(r) | _updated(r) | _known(r) | _used(r)
+    out |= _configured(r)
     out["evidence"] = _all_evidence(r)
     out["acceptance"] = {
         "limits": [{"what": c.name, "wanted": c.wanted, "got": c.got, "held": c.held} for c in limits(run.config, r)],
@@ -160,6 +163,23 @@ def _evidence(e: Evidence, table: CorrelationTable) -> dict[str, Any]:
         sides = (("initial", e.frfs.initial), ("final", e.frfs.final))
         out["frfs"] = {name: [asdict(x) for x in side.by_input()] for name, side in sides}
     return out
+
+
+def _configured(r: Mapping[str, Any]) -> dict[str, Any]:
+    """Each other configuration before and after the updating."""
+    before: ConfigurationsStage | None = r.get("configurations")
+    if before is None:
+        return {}
+    done: ConfiguredStage | None = r.get("configured")
+    after = {c.name: c for c in done.items} if done else {}
+    return {
+        "configurations": [
+            {"name": c.name, "test": c.source, "carries": list(c.carried), "notes": list(c.notes)}
+            | {"initial": correlation_json(c.initial)}
+            | ({"final": correlation_json(f.table), "changes": list(f.changes)} if (f := after.get(c.name)) else {})
+            for c in before.items
+        ]
+    }
 
 
 def _localised(r: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,14 +11,19 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Int
+from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError
 from ringtrue.io.nastran.edit import add_cards
 from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.edit import carried
 from ringtrue.reduce.parametric import ReducedModel
-from ringtrue.study.config import ModelSection, StudyConfig
+from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.parametric import AtChannels, build
+from ringtrue.study.results import ConfigurationsStage
 from ringtrue.study.store import Store
 
 LENGTH = {"SI": 1.0, "mm-t-s": 1e-3}
@@ -36,6 +41,8 @@ class Workbench:
     delivered: Opened | None = None  # the deck that the final stage has written, while it is open
     generated: ParameterSet | None = None  # candidates that the localisation has made from the deck
     _model: ReducedModel | None = None
+    _opened: dict[str, Opened] = field(default_factory=dict)  # decks of other configurations
+    _others: dict[str, AtChannels] = field(default_factory=dict)  # their reduced models
 
     def get(self, stage: str) -> Any:
         """The result of a stage, from this run or from the store."""
@@ -77,7 +84,8 @@ class Workbench:
 
     def _built(self, parameters: ParameterSet, progress: Progress) -> ReducedModel:
         test, tolerance = self.get("identify").test, self.config.correlate.tolerance
-        return build(self.remodelled, parameters, test, tolerance, self.deck.fmax, progress)
+        seen = self.remodelled.observation(test, tolerance)
+        return build(self.remodelled, parameters, seen, self.deck.fmax, progress)
 
     def _reduced(self, progress: Progress) -> ReducedModel:
         """All candidates and suspensions on the remodelled deck, seen at every channel of the sheet."""
@@ -108,6 +116,42 @@ class Workbench:
     def keep(self, model: AtChannels) -> None:
         """Keep an enriched basis for what follows."""
         self._model = model.model
+
+    def configured(self, section: ConfigurationSection) -> Opened:
+        """The deck of another configuration: its own, or that of the study with cards, in `out/configurations`."""
+        if section.name not in self._opened:
+            if section.deck is not None:
+                main = self.base / section.deck
+            else:
+                cards = (self.base / str(section.cards)).read_text(encoding="utf-8")
+                model, folder = self.remodelled.model, self.out / "configurations" / section.name / "initial"
+                main, *_ = add_cards(model, model.files[0], cards, folder)
+            self._opened[section.name] = Opened(read_deck(main), self.length)
+        return self._opened[section.name]
+
+    def observed(self, opened: Opened, test: TestModel | None, channels: Sequence[str]) -> Observation:
+        """The bridge to the channels of another configuration's sheet; without a sheet they are DOFs of the deck."""
+        if test is None:
+            return at_dofs(tuple(channels), opened.analysis.dofs)
+        return opened.observation(test, self.config.correlate.tolerance)
+
+    def others(self, progress: Progress) -> tuple[AtChannels, ...]:
+        """Reduced models of the other configurations over the candidates they carry, at their reference channels."""
+        if not self.config.configuration:
+            return ()
+        found: ConfigurationsStage = self.get("configurations")
+        for section, item in zip(self.config.configuration, found.items, strict=True):
+            if section.name not in self._others:
+                opened, channels = self.configured(section), item.reference.channels
+                seen = self.observed(opened, item.test, channels)
+                mine = carried(opened.model, self.parameters)
+                rows = np.array([seen.channels.index(c) for c in channels], dtype=np.int64)
+                self._others[section.name] = AtChannels(build(opened, mine, seen, self.deck.fmax, progress), rows)
+        return tuple(self._others[s.name] for s in self.config.configuration)
+
+    def keep_others(self, models: Sequence[AtChannels]) -> None:
+        """Keep enriched bases for what follows."""
+        self._others = {s.name: m for s, m in zip(self.config.configuration, models, strict=True)}
 
     @cached_property
     def initial(self) -> Opened:

@@ -10,6 +10,8 @@ from typing import Any
 from ringtrue.study.opened import Progress
 from ringtrue.study.stages import (
     compare,
+    configurations,
+    configured,
     correlate,
     damping,
     final,
@@ -94,6 +96,15 @@ STAGES = (
         _BOTH,
     ),
     Stage(
+        "configurations",
+        "other configurations against their tests",
+        configurations.run,
+        ("model", "identify", "correlate", "remodel", "configuration", "candidate", "suspension"),
+        ("correlate",),
+        lambda desk: [*_remodelled(desk), *configurations.files(desk)],
+        (*_BOTH, "configuration"),
+    ),
+    Stage(
         "localise",
         "where the model is wrong",
         localise.run,
@@ -107,11 +118,19 @@ STAGES = (
         "sensitivities and parameter sets",
         sensitivity.run,
         ("candidate", "update"),
-        ("correlate", "localise"),
+        ("correlate", "configurations", "localise"),
         _remodelled,
         (*_BOTH, "candidate|propose"),
     ),
-    Stage("update", "updating", update.run, ("update",), ("sensitivity",), _nothing, (*_BOTH, "candidate|propose")),
+    Stage(
+        "update",
+        "updating",
+        update.run,
+        ("update",),
+        ("configurations", "sensitivity"),
+        _nothing,
+        (*_BOTH, "candidate|propose"),
+    ),
     Stage(
         "tune",
         "rigid-body tuning",
@@ -129,6 +148,15 @@ STAGES = (
         ("update", "tune"),
         _nothing,
         (*_BOTH, "candidate|suspension|propose"),
+    ),
+    Stage(
+        "configured",
+        "delivered decks of the other configurations",
+        configured.run,
+        (),
+        ("configurations", "update", "tune", "final"),
+        _nothing,
+        (*_BOTH, "configuration", "candidate|suspension|propose"),
     ),
     Stage(
         "uncertainty",

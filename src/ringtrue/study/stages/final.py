@@ -30,10 +30,7 @@ SHOWN = 4  # FRFs shown before and after
 
 def deliver(desk: Workbench) -> tuple[Opened, tuple[str, ...], list[str]]:
     """Write the updated deck into `out/updated` and read it back."""
-    parameters = ParameterSet(desk.parameters.parameters + desk.config.suspensions().parameters)
-    tuned = desk.get("tune").factors if desk.config.suspension else {}
-    springs = [tuned[p.name] for p in desk.config.suspensions().parameters]
-    factors = np.concatenate([chosen_factors(desk), np.array(springs)])
+    parameters, factors = delivered_factors(desk)
     moved = [i for i, a in enumerate(factors.tolist()) if a != 1.0]
     model = desk.remodelled.model
     changes = field_changes(model, parameters.take(moved), factors[moved])
@@ -41,6 +38,14 @@ def deliver(desk: Workbench) -> tuple[Opened, tuple[str, ...], list[str]]:
     told = [said(model, c) for c in changes]
     desk.delivered = Opened(read_deck(written[0]), desk.length)
     return desk.delivered, tuple(str(p) for p in written), told
+
+
+def delivered_factors(desk: Workbench) -> tuple[ParameterSet, Float]:
+    """All candidates and suspensions with their factors; 1 for those not chosen."""
+    parameters = ParameterSet(desk.parameters.parameters + desk.config.suspensions().parameters)
+    tuned = desk.get("tune").factors if desk.config.suspension else {}
+    springs = [tuned[p.name] for p in desk.config.suspensions().parameters]
+    return parameters, np.concatenate([chosen_factors(desk), np.array(springs)])
 
 
 def said(model: Model, change: FieldChange) -> str:

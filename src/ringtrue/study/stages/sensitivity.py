@@ -8,8 +8,9 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
 from ringtrue.study.opened import Progress
+from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import settings, used_mask
-from ringtrue.study.results import CorrelateStage, LocaliseStage, SensitivityStage
+from ringtrue.study.results import ConfiguredTest, CorrelateStage, LocaliseStage, SensitivityStage
 from ringtrue.study.workbench import Workbench
 from ringtrue.update import choose
 from ringtrue.update.objective import Target, Weights, match
@@ -19,15 +20,39 @@ RULES = choose.RULES | {
     "the rest exchanged while J falls; as many as AICc supports"
 }
 
+ALL = "; of the tests of all configurations"
+WHERE = dict.fromkeys(("proposal", "best subset"), "; by the test of the deck of the study alone")
+
 
 def target(desk: Workbench) -> Target:
     """The elastic modes of the test as the updating sees them: those left out are marked."""
     found: CorrelateStage = desk.get("correlate")
+    return _target(desk, found)
+
+
+def targets(desk: Workbench) -> tuple[Target, ...]:
+    """The same of all configurations, the study's own first."""
+    others: tuple[ConfiguredTest, ...] = desk.get("configurations").items if desk.config.configuration else ()
+    return (target(desk), *(_target(desk, c) for c in others))
+
+
+def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest) -> Target:
     sure = found.reference.confidence >= desk.config.identify.confidence
     used = used_mask(len(found.reference), found.left_out) & sure
-    std = found.reference_uncertainty.frequency / found.reference.frequencies
+    std = np.nan_to_num(found.reference_uncertainty.frequency / found.reference.frequencies, nan=0.0)
     weights = Weights(shape=desk.config.update.shape_weight)
     return Target(found.reference.frequencies, found.reference.shapes, std, used, weights, settings(desk.config))
+
+
+def _weighted(desk: Workbench, model: AtChannels, progress: Progress) -> Float:
+    """Weighted sensitivities (r, p) of all configurations, one above the other; 0 where a deck lacks the candidate."""
+    names, parts = model.parameters.names, []
+    for m, aim in zip((model, *desk.others(progress)), targets(desk), strict=True):
+        mine = choose.weighted_sensitivities(m, aim)
+        wide = np.zeros((mine.shape[0], len(names)))
+        wide[:, [names.index(n) for n in m.parameters.names]] = mine
+        parts.append(wide)
+    return np.concatenate(parts)
 
 
 def mac_slope(psi: Float, point: Linearisation, fe: int) -> Float:
@@ -56,7 +81,7 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     lam = (2 * np.pi * point.frequencies[fe]) ** 2
     d_mac = np.array([mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist()])
     count = min(desk.config.update.choose, len(names))
-    weighted = choose.weighted_sensitivities(model, aim)
+    weighted = _weighted(desk, model, lambda f, t: progress(0.6 * f, t))
     progress(0.6, "choosing parameters")
     members: dict[str, Int] = {}
     if desk.config.propose:
@@ -73,6 +98,6 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
         d_mac.reshape(-1, len(names)),
         fe,
         {rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
-        {rule: RULES[rule] for rule in members},
+        {rule: RULES[rule] + (WHERE.get(rule, ALL) if desk.config.configuration else "") for rule in members},
         choose.alike(weighted, names),
     )

@@ -12,6 +12,7 @@ from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, v
 from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
+from ringtrue.study.stages.together import together
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.candidates import elements_of
 from ringtrue.update.choose import criterion
@@ -34,7 +35,12 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     for i, (name, members) in enumerate(sets.sets.items()):
         progress(i / len(sets.sets), f"updating: {name}")
         same = next((r for r in results if set(r.parameters) == set(members)), None)  # two rules, one choice
-        results.append(replace(same, name=name) if same else _one(desk, aim, name, members, progress))
+        if same is not None:
+            results.append(replace(same, name=name))
+        elif desk.config.configuration:
+            results.append(together(desk, name, members, progress))
+        else:
+            results.append(_one(desk, aim, name, members, progress))
     chosen = int(np.argmin([r.criterion for r in results]))
     best = results[chosen]
     parameters = desk.parameters.take([sets.names.index(n) for n in best.parameters])

@@ -1,0 +1,142 @@
+"""A parameter set updated over all configurations at once: one objective, the reduced model of each verified."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Float
+from ringtrue.study.opened import Progress
+from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
+from ringtrue.study.results import SetResult
+from ringtrue.study.stages.sensitivity import targets
+from ringtrue.study.workbench import Workbench
+from ringtrue.update.objective import DOUBT, Target, aicc
+from ringtrue.update.several import Configuration, Evaluated, Problem
+from ringtrue.update.trust import Method, Solution, solve
+
+
+def together(desk: Workbench, name: str, members: Sequence[str], progress: Progress) -> SetResult:
+    """Update on the reduced models of all configurations until the full ones agree at the end point.
+
+    Raises
+    ------
+    NotConverged
+        If a reduced model does not follow its full one.
+    """
+    models, aims = [desk.candidates(progress), *desk.others(progress)], targets(desk)
+    start: Float | None = None
+    path: list[Evaluated] = []
+    error = np.inf
+    for _ in range(ROUNDS):
+        done, way = _settled(desk, _problem(desk, models, aims, members), start)
+        path += way if start is None else way[1:]
+        start = done.y
+        models, error = _verified(models, members, done)
+        if error < CLOSE:
+            break
+    desk.keep(models[0])
+    desk.keep_others(models[1:])
+    if error >= CLOSE:
+        raise not_verified(error)
+    problem = _problem(desk, models, aims, members)
+    done, way = _settled(desk, problem, start)
+    return _summary(problem, aims, name, done, [*path, *way[1:]])
+
+
+def _held(model: AtChannels, members: Sequence[str]) -> AtChannels:
+    """The model over those of the parameters that it has."""
+    every = model.parameters.names
+    return model.with_parameters([every.index(m) for m in members if m in every], np.zeros(len(every)))
+
+
+def _problem(desk: Workbench, models: Sequence[AtChannels], aims: Sequence[Target], members: Sequence[str]) -> Problem:
+    names = ("the deck of the study", *(c.name for c in desk.config.configuration))
+    return Problem(
+        tuple(Configuration(_held(m, members), aim, name=n) for m, aim, n in zip(models, aims, names, strict=True))
+    )
+
+
+def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
+    held = zip(problem.configurations, aims, strict=True)
+    return replace(problem, configurations=tuple(replace(c, target=t) for c, t in held))
+
+
+def _settled(desk: Workbench, problem: Problem, start: Float | None) -> tuple[Solution, list[Evaluated]]:
+    """Gates first, then pairs of least cost, then these for good, in all configurations (as in `stages.update`)."""
+    limit = desk.config.update.iterations
+    method = Method("published" if desk.config.update.step == "published" else "trust-region")
+    path: list[Evaluated] = []
+    if start is None:
+        rough = solve(problem, method, iterations=limit)
+        path, start = list(rough.history), rough.y
+    aims = [c.target for c in problem.configurations]
+    near = solve(_aimed(problem, [a.doubting() for a in aims]), method, start=start, iterations=limit)
+    path += near.history[1:] if path else near.history
+    fixed = [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)]
+    done = solve(_aimed(problem, fixed), method, start=near.y, iterations=limit)
+    return done, [*path, *done.history[1:]]
+
+
+def _verified(models: Sequence[AtChannels], members: Sequence[str], done: Solution) -> tuple[list[AtChannels], float]:
+    """The models with their full solutions at the end, and the largest frequency error that they had there."""
+    better, errors, at = [], [], dict(zip(members, done.x.tolist(), strict=True))
+    for m in models:
+        active = _held(m, members)
+        fresh, error = verified(active.model, np.array([at[n] for n in active.parameters.names]))
+        every = m.parameters.names
+        better.append(AtChannels(fresh, m.rows).with_parameters(range(len(every)), np.zeros(len(every))))
+        errors.append(error)
+    return better, max(errors)
+
+
+def _errors(aims: Sequence[Target], at: Evaluated) -> tuple[Float, Float, Bool]:
+    """Relative frequency errors and MAC (k,) of all pairs of all configurations, and which of them are used."""
+    error, used = [], []
+    for aim, p in zip(aims, at.points, strict=True):
+        test, fe = p.every.T
+        error.append(p.now.frequencies[fe] / aim.frequencies[test] - 1)
+        used.append(aim.used[test])
+    return np.concatenate(error), np.concatenate([p.mac for p in at.points]), np.concatenate(used)
+
+
+def _mean(error: Float, which: Bool) -> float:
+    return float(100 * np.mean(np.abs(error[which]))) if which.any() else float("nan")
+
+
+def _summary(
+    problem: Problem, aims: Sequence[Target], name: str, done: Solution, path: Sequence[Evaluated]
+) -> SetResult:
+    p, told = problem.parameters, [_errors(aims, at) for at in path]
+    error, mac, used = told[-1]
+    low, high = p.bounds()
+    count = int(sum(aim.used.sum() for aim in aims))
+    lost = count - int(used.sum())
+    size = np.maximum(np.linalg.norm(done.end.slope, axis=0), 1e-300)
+    scaled = done.end.slope / size
+    first = float(np.linalg.norm(problem.gradient(path[0]))) or 1.0
+    steps = [0.0, *(float(np.abs(b.x - a.x).max(initial=0.0)) for a, b in pairwise(path))]
+    return SetResult(
+        name,
+        p.names,
+        done.factors,
+        done.std * p.slope(done.x) / done.factors,
+        np.stack([p.factors(low), p.factors(high)], axis=1),
+        done.identifiability,
+        _mean(error, used),
+        float(100 * np.max(np.abs(error[used]))),
+        float(100 * np.mean(mac[used])),
+        _mean(error, ~used),
+        float(np.linalg.cond(scaled.T @ scaled)),
+        aicc(done.cost + DOUBT * lost, 2 * max(count, 1), done.x.size),
+        done.outcome.value,
+        np.array([at.cost for at in path]),
+        np.array(steps),
+        np.array([_mean(e, u) for e, _, u in told]),
+        np.array([float(100 * np.mean(m[u])) for _, m, u in told]),
+        np.array([p.factors(at.x) for at in path]),
+        float(np.linalg.norm(problem.gradient(done.end))) / first,
+    )

@@ -1,0 +1,175 @@
+"""One parameter set over two configurations: the small frame as it is, and with a known mass on its top floor.
+
+A factor on all moduli and one on all densities change the frequencies f² ~ E/rho of the bare frame alike: its test tells
+their ratio alone, and the prior shares it out. A known mass that is added tells the scale:
+
+    bare:   f² ~ E / (rho V)          loaded:   f² ~ E / (rho V + m)
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
+import small_study
+
+from ringtrue.errors import ConfigError
+from ringtrue.io.modes_json import write_modes
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.report.deliver import deliver
+from ringtrue.study.config import parse_config
+from ringtrue.study.opened import Opened
+from ringtrue.study.run import StudyRun, load_study, run_study
+
+TRUTH = {"stiffness": 0.75, "density": 0.9}
+CORNERS = [small_study.node(3, i, j) for i, j in small_study.CORNERS]
+MASS = "".join(f"CONM2,{9000 + k},{n},,800.0\n" for k, n in enumerate(CORNERS))
+CANDIDATES = """
+[[candidate]]
+name = "stiffness"
+targets = ["MAT1 1 E", "MAT1 2 E", "MAT1 3 E", "MAT1 10 E"]
+
+[[candidate]]
+name = "density"
+targets = ["MAT1 1 RHO", "MAT1 2 RHO", "MAT1 3 RHO", "MAT1 10 RHO"]
+"""
+LOADED = '\n[[configuration]]\nname = "loaded"\ncards = "deck/mass.bdf"\nsheet = "loaded/sensors.csv"\n'
+LOADED += 'log = "loaded/campaign.json"\nleft_out = 2\n'
+OWN = '\n[[configuration]]\nname = "loaded"\ndeck = "deck/loaded.bdf"\nmodes = "loaded.json"\nleft_out = 1\n'
+PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS + CANDIDATES
+
+
+def truth(*, loaded: bool) -> str:
+    e, rho = TRUTH["stiffness"], TRUTH["density"]
+    text = small_study.deck(dict.fromkeys((1, 2, 3), e)).replace("3.+10", f"{3 * e}+10")
+    text = text.replace("2500.0", f"{2500 * rho}").replace("7850.0", f"{7850 * rho}")
+    return text.replace("ENDDATA", MASS + "ENDDATA") if loaded else text
+
+
+def folder(at: Path, toml: str) -> Path:
+    """The study with the records of both configurations, and the modes of the loaded one as a file."""
+    (at / "deck").mkdir()
+    (at / "deck/frame.bdf").write_text(small_study.deck())
+    (at / "deck/mass.bdf").write_text(MASS)
+    (at / "deck/loaded.bdf").write_text(small_study.deck().replace("ENDDATA", MASS + "ENDDATA"))
+    small_study.write_data(at / "data", ambient=False, truth=truth(loaded=False))
+    small_study.write_data(at / "loaded", ambient=False, truth=truth(loaded=True))
+    (at / "truth.bdf").write_text(truth(loaded=True))
+    opened = Opened(read_deck(at / "truth.bdf"), 1.0)
+    seen = opened.seen(opened.modes(small_study.FMAX).modes, small_study.test_model(), 0.01)
+    write_modes(at / "loaded.json", seen)
+    (at / "study.toml").write_text(toml)
+    return at / "study.toml"
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> StudyRun:
+    run = run_study(folder(tmp_path_factory.mktemp("both"), PLAIN + LOADED))
+    deliver(run)
+    return run
+
+
+def errors(run: StudyRun) -> dict[str, float]:
+    done = run.results["update"]
+    best = done.sets[done.chosen]
+    assert best.outcome.startswith("converged")
+    found = dict(zip(best.parameters, best.factor.tolist(), strict=True))
+    return {name: abs(found.get(name, 1.0) / value - 1) for name, value in TRUTH.items()}
+
+
+def test_both_parameters_are_found_and_from_one_configuration_they_are_not(both: StudyRun, tmp_path: Path) -> None:
+    alone = errors(run_study(folder(tmp_path, PLAIN), until="final"))
+    together = errors(both)
+    # the objective allows 1 % of a frequency, so that the prior still pulls; alone it shares out what is not known
+    assert max(together.values()) < 0.003
+    assert min(alone.values()) > 0.15
+
+
+def test_each_configuration_has_its_table_before_and_after(both: StudyRun) -> None:
+    summary = json.loads((both.folder / "summary.json").read_text())
+    (found,) = summary["configurations"]
+    assert found["name"] == "loaded"
+    assert found["carries"] == ["stiffness", "density"]
+    for key in ("initial", "final"):
+        assert len(found[key]["pairs"]) == 9
+        assert sum(not p["used"] for p in found[key]["pairs"]) == 2
+    assert found["initial"]["mean_deviation_percent"] > 5
+    assert found["final"]["max_deviation_percent"] < 0.3
+    page = (both.folder / "report.html").read_text(encoding="utf-8")
+    assert 'id="configurations"' in page
+    assert "loaded: the delivered deck against its test." in page
+
+
+def test_every_deck_that_has_the_field_is_written(both: StudyRun) -> None:
+    update = both.results["update"]
+    best = update.sets[update.chosen]
+    factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
+    folders = (both.folder / "updated", both.folder / "configurations/loaded/updated")
+    for model in (read_deck(f / "frame.bdf") for f in folders):
+        m = model["MAT1"]
+        # eight characters of a free field
+        np.testing.assert_allclose(m["E"][m.find(np.array([1, 2, 3]))], 2.0e11 * factor["stiffness"], rtol=1e-6)
+        np.testing.assert_allclose(m["RHO"][m.find(np.array([10]))], 2500 * factor["density"], rtol=1e-6)
+    assert len(read_deck(folders[1] / "frame.bdf")["CONM2"]) == 4
+    assert (both.folder / "deck/frame.bdf").read_text() == small_study.deck()
+
+
+def test_a_second_run_resumes_and_the_store_holds_the_tables(both: StudyRun) -> None:
+    again = run_study(both.folder / "study.toml")
+    assert not set(both.timings) - set(again.loaded)
+    stored = load_study(both.folder / "study.h5").results
+    for stage in ("configurations", "configured"):
+        (a,), (b,) = both.results[stage].items, stored[stage].items
+        assert a.name == b.name == "loaded"
+    np.testing.assert_array_equal(
+        both.results["configured"].items[0].table.fe_hz, stored["configured"].items[0].table.fe_hz
+    )
+
+
+def test_a_deck_of_its_own_and_a_file_of_modes(both: StudyRun, tmp_path: Path) -> None:
+    study = folder(tmp_path, PLAIN + OWN)
+    run = run_study(study, until="configured")
+    assert max(errors(run).values()) < 0.01
+    (item,) = run.results["configured"].items
+    assert (~item.table.used).sum() == 1
+    assert item.table.max_deviation() < 0.3
+    assert both.results["configurations"].items[0].source != run.results["configurations"].items[0].source
+
+
+def test_a_deck_without_a_candidate_field_says_where_it_starts_from(tmp_path: Path) -> None:
+    study = folder(tmp_path, PLAIN + OWN)
+    deck = tmp_path / "deck/loaded.bdf"
+    deck.write_text(deck.read_text().replace("MAT1,10,3.+10,,0.2,2500.0", "MAT1,10,3.+10,,0.2,2250.0"))
+    run = run_study(study, until="configurations")
+    (item,) = run.results["configurations"].items
+    assert item.notes == ("MAT1 10 RHO is 2250 here and 2500 in the deck of the study",)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('cards = "deck/mass.bdf"\n', "", "a deck of its own or cards"),
+        ('log = "loaded/campaign.json"\n', "", "a sheet and a log, or a file of modes"),
+        ('sheet = "loaded/sensors.csv"\n', "", "a sheet and a log, or a file of modes"),
+        ('name = "loaded"', 'name = "../out"', "it names a folder"),
+        ('name = "loaded"', 'nmae = "loaded"', "did you mean 'name'"),
+    ],
+)
+def test_what_is_missing_is_told(tmp_path: Path, old: str, new: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        parse_config((PLAIN + LOADED).replace(old, new), tmp_path / "study.toml")
+
+
+def test_a_deck_that_carries_nothing_is_refused(tmp_path: Path) -> None:
+    study = folder(tmp_path, PLAIN + OWN)
+    text = (tmp_path / "deck/loaded.bdf").read_text()
+    for k in (1, 2, 3, 10):
+        text = text.replace(f"MAT1,{k},", f"MAT1,{k + 50},").replace(f"PBEAM,{k},{k},", f"PBEAM,{k},{k + 50},")
+    (tmp_path / "deck/loaded.bdf").write_text(text.replace("PSHELL,10,10,0.1,10,,10", "PSHELL,10,60,0.1,60,,60"))
+    with pytest.raises(ConfigError, match="its deck has no card of a candidate"):
+        run_study(study, until="configurations")
