@@ -1,7 +1,7 @@
 """One parameter set over two configurations: the small frame as it is, and with a known mass on its top floor.
 
-A factor on all moduli and one on all densities change the frequencies f² ~ E/rho of the bare frame alike: its test tells
-their ratio alone, and the prior shares it out. A known mass that is added tells the scale:
+A factor on all moduli and one on all densities change the frequencies f² ~ E/rho of the bare frame alike: its test
+tells their ratio alone, and the prior shares it out. A known mass that is added tells the scale:
 
     bare:   f² ~ E / (rho V)          loaded:   f² ~ E / (rho V + m)
 """
@@ -69,7 +69,9 @@ def folder(at: Path, toml: str) -> Path:
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> StudyRun:
-    run = run_study(folder(tmp_path_factory.mktemp("both"), PLAIN + LOADED))
+    run = run_study(
+        folder(tmp_path_factory.mktemp("both"), PLAIN + LOADED + "[uncertainty]\nfolds = 3\nsamples = 160\n")
+    )
     deliver(run)
     return run
 
@@ -88,6 +90,13 @@ def test_both_parameters_are_found_and_from_one_configuration_they_are_not(both:
     # the objective allows 1 % of a frequency, so that the prior still pulls; alone it shares out what is not known
     assert max(together.values()) < 0.003
     assert min(alone.values()) > 0.15
+
+
+def test_the_intervals_know_of_both_tests(both: StudyRun) -> None:
+    found = both.results["uncertainty"]
+    truth = np.array([TRUTH[n] for n in found.parameters.names])
+    assert (found.ratio < 0.05).all()  # alone the sum of the two would keep its prior: 0.7 each
+    assert (np.abs(found.factor / truth - 1) < 4 * found.std).all()
 
 
 def test_each_configuration_has_its_table_before_and_after(both: StudyRun) -> None:

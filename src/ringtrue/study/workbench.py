@@ -144,9 +144,11 @@ class Workbench:
             if section.name not in self._others:
                 opened, channels = self.configured(section), item.reference.channels
                 seen = self.observed(opened, item.test, channels)
-                mine = carried(opened.model, self.parameters)
+                every = ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
+                mine, count = carried(opened.model, every), len(carried(opened.model, self.parameters))
                 rows = np.array([seen.channels.index(c) for c in channels], dtype=np.int64)
-                self._others[section.name] = AtChannels(build(opened, mine, seen, self.deck.fmax, progress), rows)
+                model = AtChannels(build(opened, mine, seen, self.deck.fmax, progress), rows)
+                self._others[section.name] = model.with_parameters(range(count), np.zeros(len(mine)))
         return tuple(self._others[s.name] for s in self.config.configuration)
 
     def keep_others(self, models: Sequence[AtChannels]) -> None:

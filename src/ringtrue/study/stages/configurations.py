@@ -11,7 +11,6 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, DataError, InputError, about
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.edit import apply_factors, carried, field_value
 from ringtrue.model.model import Model
@@ -41,7 +40,7 @@ def files(desk: Workbench) -> list[Path]:
     for c in desk.config.configuration:
         names = (c.cards, c.sheet, c.log, c.modes, c.lines, c.choice)
         out += [desk.base / f for f in names if f]
-        out += [Path(f) for f in read_deck(desk.base / c.deck).files] if c.deck else []
+        out += [Path(f) for f in desk.configured(c).model.files] if c.deck else []
         out += identify.files(_at_test(desk, c)) if c.log else []
     return list(dict.fromkeys(out))
 

@@ -22,7 +22,6 @@ from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.reduce.response import response_basis
 from ringtrue.study.config import PredictSection
 from ringtrue.study.opened import Opened, Progress
-from ringtrue.study.parametric import AtChannels
 from ringtrue.study.results import (
     CorrelateStage,
     DampedRegions,
@@ -34,6 +33,7 @@ from ringtrue.study.results import (
 from ringtrue.study.stages.damping import regions
 from ringtrue.study.stages.final import deliver
 from ringtrue.study.stages.sensitivity import target
+from ringtrue.study.stages.together import others_at
 from ringtrue.study.stages.tune import suspended
 from ringtrue.study.stages.tune import target as rigid_target
 from ringtrue.study.stages.update import chosen_factors
@@ -197,18 +197,19 @@ def _posterior(desk: Workbench, progress: Progress) -> tuple[Posterior, float]:
     error = discrepancy(shown, np.zeros(shown.size)) if shown.size else aim.weights.frequency
     active = model.with_parameters(at, np.zeros(len(every)))
     weights = replace(aim.weights, frequency=max(error, aim.weights.frequency))
-    parts = [_laplace(active, Configuration(active, replace(aim, weights=weights)), best.factor)]
+    others = (replace(c, target=replace(c.target, weights=weights)) for c in others_at(desk, best, progress))
+    parts = [_laplace((Configuration(active, replace(aim, weights=weights)), *others), best.factor)]
     if desk.config.suspension:
         springs = suspended(desk, progress)
         tuned = desk.get("tune").factors
         factors = np.array([tuned[n] for n in springs.parameters.names])
-        parts.append(_laplace(springs, Configuration(springs, rigid_target(desk)), factors))
+        parts.append(_laplace((Configuration(springs, rigid_target(desk)),), factors))
     return _together(parts), error
 
 
-def _laplace(active: AtChannels, configuration: Configuration, factors: Float) -> Posterior:
-    problem = Problem((configuration,))
-    at = problem.evaluate(active.parameters.vector(factors))
+def _laplace(configurations: tuple[Configuration, ...], factors: Float) -> Posterior:
+    problem = Problem(configurations)
+    at = problem.evaluate(problem.parameters.vector(factors))
     return laplace(problem, at, np.ones(int(at.kind.max(initial=-1)) + 1), independent=1.0)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.study.opened import Progress
-from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
-from ringtrue.study.results import SetResult
+from ringtrue.study.parametric import CLOSE, ROUNDS, STILL, AtChannels, not_verified, verified
+from ringtrue.study.results import ConfiguredStage, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.objective import DOUBT, Target, aicc
@@ -45,6 +45,39 @@ def together(desk: Workbench, name: str, members: Sequence[str], progress: Progr
     problem = _problem(desk, models, aims, members)
     done, way = _settled(desk, problem, start)
     return _summary(problem, aims, name, done, [*path, *way[1:]])
+
+
+def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Configuration, ...]:
+    """The other configurations over the parameters of a set, springs as tuned; the pairs of the delivered decks."""
+    if not desk.config.configuration:
+        return ()
+    delivered: ConfiguredStage = desk.get("configured")
+    factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
+    out, models = [], desk.others(progress)
+    for model, aim, done in zip(models, targets(desk)[1:], delivered.items, strict=True):
+        active = _tuned(desk, model, best.parameters)
+        p = active.parameters
+        x = p.vector(np.array([factor[n] for n in p.names]))
+        if not _agrees(active.modes(x).frequencies, done.observed.frequencies):
+            active = replace(active, model=active.model.enrich(x)[0])
+        out.append(Configuration(active, aim.settled(active.linearise(x)), name=done.name))
+    return tuple(out)
+
+
+def _tuned(desk: Workbench, model: AtChannels, members: Sequence[str]) -> AtChannels:
+    """The model over those of the parameters that it has, its springs as tuned."""
+    every, mine = model.model.system.parameters, model.parameters.names
+    springs = every.take(range(len(mine), len(every)))
+    tuned = desk.get("tune").factors if len(springs) else {}
+    base = np.concatenate([np.zeros(len(mine)), springs.vector(np.array([tuned[n] for n in springs.names]))])
+    return model.with_parameters([mine.index(m) for m in members if m in mine], base)
+
+
+def _agrees(found: Float, truth: Float) -> bool:
+    """Whether the elastic modes of the reduced model are those of the full one."""
+    n = min(found.size, truth.size)
+    moving = truth[:n] > STILL * truth.max(initial=0.0)
+    return bool(np.abs(found[:n][moving] / truth[:n][moving] - 1).max(initial=0.0) < CLOSE)
 
 
 def _held(model: AtChannels, members: Sequence[str]) -> AtChannels:

@@ -14,6 +14,7 @@ from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, AtChannels
 from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
 from ringtrue.study.stages.sensitivity import target
+from ringtrue.study.stages.together import others_at
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
@@ -50,28 +51,50 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
         start=x,
         progress=lambda f, t: progress(0.4 + 0.4 * f, t),
     )
-    posterior, slope = _posterior(Configuration(small, paired), likely.target.weights, x)
+    others = _others(desk, best, rng=np.random.default_rng([desk.config.study.seed, 8]), progress=progress)
+    posterior, slope = _posterior((Configuration(small, paired), *others), likely.target.weights, x)
     told = _result(posterior, aim, likely.target, slope, final, held, asked.level)
     if not asked.samples:
         return told
     rng = np.random.default_rng([desk.config.study.seed, 7])
-    problem = Problem((_likelihood(likely),))
+    problem = Problem((_likelihood(likely), *(_likelihood(_weighed(c, likely.target.weights)) for c in others)))
     chains = _sampled(problem, posterior, asked.samples, rng, lambda f, t: progress(0.8 + 0.2 * f, t))
     return _with_draws(told, chains, posterior.parameters)
 
 
-def _posterior(assumed: Configuration, found: Weights, x: Float) -> tuple[Posterior, Float]:
+def _others(
+    desk: Workbench, best: SetResult, rng: np.random.Generator, progress: Progress
+) -> tuple[Configuration, ...]:
+    """The other configurations on the modes around the updated point."""
+    std, out = dict(zip(best.parameters, best.std.tolist(), strict=True)), []
+    for c in others_at(desk, best, progress):
+        assert isinstance(c.model, AtChannels)
+        p = c.model.parameters
+        factor = np.array([best.factor[best.parameters.index(n)] for n in p.names])
+        near = _near(c.model, p.vector(factor), np.array([std[n] for n in p.names]), rng)
+        out.append(replace(c, model=near))
+    return tuple(out)
+
+
+def _weighed(c: Configuration, found: Weights) -> Configuration:
+    return replace(c, target=replace(c.target, weights=found))
+
+
+def _posterior(assumed: tuple[Configuration, ...], found: Weights, x: Float) -> tuple[Posterior, Float]:
     """Of the delivered point, which is the best one by the weights that were assumed, when errors are as found.
+
+    The errors of the other configurations are taken to be like those of the first, the deck of the study.
 
     Returns
     -------
     posterior : Posterior
     slope : (m, p) float64
-        ∂λ/∂x of the modes of the model.
+        ∂λ/∂x of the modes of the first.
     """
-    problem, w = Problem((assumed,)), assumed.target.weights
+    problem, w = Problem(assumed), assumed[0].target.weights
     at = problem.evaluate(x)
-    scale = np.array([found.frequency / w.frequency, np.sqrt(found.mac / w.mac)])[: len(assumed.terms)]
+    one = np.array([found.frequency / w.frequency, np.sqrt(found.mac / w.mac)])
+    scale = np.concatenate([one[: len(c.terms)] for c in assumed])
     return laplace(problem, at, scale, independent=HANDFUL), at.points[0].now.d_lambda
 
 
