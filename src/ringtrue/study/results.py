@@ -213,6 +213,8 @@ class ConfiguredTest:
     test: TestModel | None  # None: the channels are DOFs of the deck
     reference: ModeSet  # its elastic test modes, real shapes
     reference_uncertainty: Uncertainty
+    rigid: ModeSet  # its rigid-body test modes
+    rigid_uncertainty: Uncertainty
     left_out: Int  # positions in `reference` that the updating must not see
     initial: CorrelationTable
     fe_initial: ModeSet  # observed at the channels

@@ -73,6 +73,8 @@ def _one(desk: Workbench, section: ConfigurationSection, progress: Progress) -> 
         test,
         reference.elastic,
         reference.elastic_std,
+        reference.rigid,
+        reference.rigid_std,
         out,
         elastic_table(reference, fe, desk.config, out),
         fe,

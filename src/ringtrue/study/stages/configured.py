@@ -36,8 +36,7 @@ def _one(desk: Workbench, section: ConfigurationSection, item: ConfiguredTest) -
     written = edit_fields(model, changes, desk.out / "configurations" / section.name / "updated")
     opened = Opened(read_deck(written[0]), desk.length)
     fe = seen(desk, opened, item.test, item.reference.channels)
-    none = item.reference.take([])
-    reference = Reference(item.reference, item.reference_uncertainty, none, item.reference_uncertainty.take([]))
+    reference = Reference(item.reference, item.reference_uncertainty, item.rigid, item.rigid_uncertainty)
     return DeliveredConfiguration(
         section.name,
         tuple(str(p) for p in written),

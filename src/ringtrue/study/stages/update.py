@@ -24,6 +24,7 @@ WHY = (
     "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost their partner among "
     "them, against the number of parameters and does not look at the modes left out"
 )
+ALL = "; all figures are over the tests of all configurations"
 
 
 def run(desk: Workbench, progress: Progress) -> UpdateStage:
@@ -49,7 +50,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     return UpdateStage(
         tuple(results),
         chosen,
-        WHY.format(name=best.name, value=best.criterion),
+        WHY.format(name=best.name, value=best.criterion) + (ALL if desk.config.configuration else ""),
         found.left_out,
         before,
         after,
