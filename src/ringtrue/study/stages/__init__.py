@@ -37,7 +37,7 @@ class Stage:
     name, title : str
     run : callable (Workbench, Progress) -> result
     settings : tuple of str
-        Sections of study.toml that it depends on, or `section.key`.
+        Sections of study.toml that it depends on, or single settings as `update.left_out`.
     needs : tuple of str
         Stages that it takes results of.
     inputs : callable, Workbench -> files
