@@ -44,22 +44,21 @@ OWN = '\n[[configuration]]\nname = "loaded"\ndeck = "deck/loaded.bdf"\nmodes = "
 PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS + CANDIDATES
 
 
-def truth(*, loaded: bool) -> str:
-    e, rho = TRUTH["stiffness"], TRUTH["density"]
+def truth(e: float, rho: float, *, loaded: bool) -> str:
     text = small_study.deck(dict.fromkeys((1, 2, 3), e)).replace("3.+10", f"{3 * e}+10")
     text = text.replace("2500.0", f"{2500 * rho}").replace("7850.0", f"{7850 * rho}")
     return text.replace("ENDDATA", MASS + "ENDDATA") if loaded else text
 
 
-def folder(at: Path, toml: str) -> Path:
+def folder(at: Path, toml: str, e: float = TRUTH["stiffness"], rho: float = TRUTH["density"]) -> Path:
     """The study with the records of both configurations, and the modes of the loaded one as a file."""
     (at / "deck").mkdir()
     (at / "deck/frame.bdf").write_text(small_study.deck())
     (at / "deck/mass.bdf").write_text(MASS)
     (at / "deck/loaded.bdf").write_text(small_study.deck().replace("ENDDATA", MASS + "ENDDATA"))
-    small_study.write_data(at / "data", ambient=False, truth=truth(loaded=False))
-    small_study.write_data(at / "loaded", ambient=False, truth=truth(loaded=True))
-    (at / "truth.bdf").write_text(truth(loaded=True))
+    small_study.write_data(at / "data", ambient=False, truth=truth(e, rho, loaded=False))
+    small_study.write_data(at / "loaded", ambient=False, truth=truth(e, rho, loaded=True))
+    (at / "truth.bdf").write_text(truth(e, rho, loaded=True))
     opened = Opened(read_deck(at / "truth.bdf"), 1.0)
     seen = opened.seen(opened.modes(small_study.FMAX).modes, small_study.test_model(), 0.01)
     write_modes(at / "loaded.json", seen)
@@ -97,6 +96,17 @@ def test_the_intervals_know_of_both_tests(both: StudyRun) -> None:
     truth = np.array([TRUTH[n] for n in found.parameters.names])
     assert (found.ratio < 0.05).all()  # alone the sum of the two would keep its prior: 0.7 each
     assert (np.abs(found.factor / truth - 1) < 4 * found.std).all()
+
+
+@pytest.mark.parametrize(("e", "rho", "wrong"), [(1.0, 0.8, "density"), (0.8, 1.0, "stiffness")])
+def test_one_wrong_parameter_is_chosen_by_both_tests(tmp_path: Path, e: float, rho: float, wrong: str) -> None:
+    toml = PLAIN.replace("[update]", "[update]\nchoose = 1") + LOADED  # the bare frame cannot say which of the two
+    run = run_study(folder(tmp_path, toml, e, rho), until="update")
+    assert run.results["sensitivity"].sets["best subset"] == (wrong,)
+    done = run.results["update"]
+    best = done.sets[done.chosen]
+    assert best.parameters == (wrong,)
+    assert best.factor[0] == pytest.approx(0.8, rel=2e-3)
 
 
 def test_each_configuration_has_its_table_before_and_after(both: StudyRun) -> None:

@@ -17,6 +17,8 @@ from ringtrue.model.ports import Linearisation
 from ringtrue.update.gauss_newton import update
 from ringtrue.update.identifiable import ALIKE
 from ringtrue.update.objective import Residual, Target, aicc, objective, residual
+from ringtrue.update.several import Problem, held_to
+from ringtrue.update.trust import solve
 
 GAIN = 0.01  # relative gain in J that an exchange must promise and keep
 TRIALS = 3  # promising exchanges tried in one round
@@ -141,6 +143,74 @@ def _exchange(model: Candidates, target: Target, now: Choice) -> Choice:
             if trial.value < (1 - GAIN) * now.value and (better is None or trial.value < better.value):
                 better = trial
         if better is None:
+            return now
+        now = better
+    return now
+
+
+def joint_subset(
+    problem: Problem, count: int, starts: Sequence[Int] = (), progress: Callable[[float, str], None] | None = None
+) -> Choice:
+    """Forward selection and exchange of `count` parameters of a problem with several configurations, on its J.
+
+    Parameters
+    ----------
+    problem : Problem
+        Over all candidates, none of them linked.
+    count : int
+    starts : sequence of (count,) int64
+        Sets by simpler rules, from which members are exchanged, too.
+
+    Raises
+    ------
+    InputError
+        If there are fewer candidates.
+    """
+    p = len(problem.parameters)
+    if not 0 < count <= p:
+        raise InputError(f"choose {count} of {p} candidates: allowed are 1 to {p}")
+    now = Choice(np.zeros(0, dtype=np.int64), np.zeros(p), np.inf)
+    for k in range(count):
+        rest = np.setdiff1d(np.arange(p), now.members).tolist()
+        (_, at), *_ = _promising(problem, now, [[*now.members.tolist(), c] for c in rest])
+        now = _joint_update(problem, at, now.x)
+        if progress is not None:
+            progress((k + 1) / (count + 2), f"parameter {k + 1}: {problem.parameters.names[at[-1]]}")
+    unique = {tuple(sorted(s.tolist())): s for s in (now.members, *starts)}
+    found = [_joint_exchange(problem, _joint_update(problem, s.tolist(), np.zeros(p))) for s in unique.values()]
+    return min(found, key=lambda c: c.value)
+
+
+def _joint_update(problem: Problem, members: Sequence[int], x: Float) -> Choice:
+    """A short updating of some members from x; the others go to 0."""
+    names, at = problem.parameters.names, sorted(members)
+    done = solve(held_to(problem, [names[i] for i in at]), start=x[at], iterations=TURNS)
+    return Choice(np.array(members, dtype=np.int64), done.x, done.cost)
+
+
+def _promising(problem: Problem, now: Choice, options: Sequence[Sequence[int]]) -> list[tuple[float, list[int]]]:
+    """J at the bounded minimum of its linearisation at a point for each set, the lowest first."""
+    low, high = problem.parameters.bounds()
+    w = 1 / problem.parameters.std() ** 2
+    r, g = problem.weighted(problem.evaluate(now.x))
+    out = []
+    for at in map(list, options):
+        gone = np.setdiff1d(np.flatnonzero(now.x), at)
+        value = r + g[:, gone] @ now.x[gone]  # what is not a member goes back to x = 0
+        out.append((predicted(g[:, at], value, now.x[at], w[at], low[at], high[at]), at))
+    return sorted(out, key=lambda o: o[0])
+
+
+def _joint_exchange(problem: Problem, now: Choice) -> Choice:
+    """Exchange one member at a time while J falls."""
+    p = len(problem.parameters)
+    for _ in range(2 * now.members.size):
+        members = now.members.tolist()
+        rest = np.setdiff1d(np.arange(p), members).tolist()
+        options = [[*(m for m in members if m != out), c] for out in members for c in rest]
+        trials = [_joint_update(problem, at, now.x) for _, at in _promising(problem, now, options)[:TRIALS]]
+        better = min(trials, key=lambda c: c.value, default=now)
+        if better.value >= (1 - GAIN) * now.value:
             return now
         now = better
     return now

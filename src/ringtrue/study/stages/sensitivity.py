@@ -14,6 +14,7 @@ from ringtrue.study.results import ConfiguredTest, CorrelateStage, LocaliseStage
 from ringtrue.study.workbench import Workbench
 from ringtrue.update import choose
 from ringtrue.update.objective import Target, Weights, match
+from ringtrue.update.several import Configuration, Problem
 
 RULES = choose.RULES | {
     "proposal": "the ranked proposal of the localisation: from all candidates at once the least useful are left out, "
@@ -21,7 +22,7 @@ RULES = choose.RULES | {
 }
 
 ALL = "; of the tests of all configurations"
-WHERE = dict.fromkeys(("proposal", "best subset"), "; by the test of the deck of the study alone")
+OWN = {"proposal": "; by the test of the deck of the study alone"}
 
 
 def target(desk: Workbench) -> Target:
@@ -44,15 +45,32 @@ def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest) -> Target:
     return Target(found.reference.frequencies, found.reference.shapes, std, used, weights, settings(desk.config))
 
 
-def _weighted(desk: Workbench, model: AtChannels, progress: Progress) -> Float:
-    """Weighted sensitivities (r, p) of all configurations, one above the other; 0 where a deck lacks the candidate."""
-    names, parts = model.parameters.names, []
-    for m, aim in zip((model, *desk.others(progress)), targets(desk), strict=True):
-        mine = choose.weighted_sensitivities(m, aim)
-        wide = np.zeros((mine.shape[0], len(names)))
-        wide[:, [names.index(n) for n in m.parameters.names]] = mine
-        parts.append(wide)
-    return np.concatenate(parts)
+def _problem(desk: Workbench, model: AtChannels, progress: Progress) -> Problem:
+    """All candidates over all configurations."""
+    every = zip((model, *desk.others(progress)), targets(desk), strict=True)
+    return Problem(tuple(Configuration(m, aim) for m, aim in every))
+
+
+def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[str, Int], Float]:
+    """Parameter sets by their rule, and the weighted sensitivities (r, p) that the simple ones come from."""
+    names, count = model.parameters.names, min(desk.config.update.choose, len(model.parameters))
+    several = _problem(desk, model, progress) if desk.config.configuration else None
+    if several is None:
+        weighted = choose.weighted_sensitivities(model, target(desk))
+    else:
+        weighted = several.evaluate(np.zeros(len(names))).slope * several.parameters.std()
+    out: dict[str, Int] = {}
+    if desk.config.propose:
+        out["proposal"] = np.array([names.index(n) for n in proposed(desk)])
+    if not len(desk.config.candidates()):  # those made from the deck may scale the same field: the proposal knows
+        return out, weighted
+    orthogonal, largest = choose.orthogonal(weighted, count), choose.largest(weighted, count)
+    progress(0.0, "choosing parameters")
+    if several is None:
+        out["best subset"] = choose.best_subset(model, target(desk), count, progress).members
+    else:
+        out["best subset"] = choose.joint_subset(several, count, (orthogonal, largest), progress).members
+    return out | {"orthogonal sensitivities": orthogonal, "largest sensitivities": largest}, weighted
 
 
 def mac_slope(psi: Float, point: Linearisation, fe: int) -> Float:
@@ -80,24 +98,13 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     fe = pairs[:, 1]
     lam = (2 * np.pi * point.frequencies[fe]) ** 2
     d_mac = np.array([mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist()])
-    count = min(desk.config.update.choose, len(names))
-    weighted = _weighted(desk, model, lambda f, t: progress(0.6 * f, t))
-    progress(0.6, "choosing parameters")
-    members: dict[str, Int] = {}
-    if desk.config.propose:
-        members["proposal"] = np.array([names.index(n) for n in proposed(desk)])
-    if len(desk.config.candidates()):  # those made from the deck may scale the same field: the proposal knows
-        members |= {
-            "best subset": choose.best_subset(model, aim, count, lambda f, t: progress(0.6 + 0.4 * f, t)).members,
-            "orthogonal sensitivities": choose.orthogonal(weighted, count),
-            "largest sensitivities": choose.largest(weighted, count),
-        }
+    members, weighted = _sets(desk, model, lambda f, t: progress(0.6 + 0.4 * f, t))
     return SensitivityStage(
         names,
         0.5 * point.d_lambda[fe] / lam[:, None],
         d_mac.reshape(-1, len(names)),
         fe,
         {rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
-        {rule: RULES[rule] + (WHERE.get(rule, ALL) if desk.config.configuration else "") for rule in members},
+        {rule: RULES[rule] + (OWN.get(rule, ALL) if desk.config.configuration else "") for rule in members},
         choose.alike(weighted, names),
     )
