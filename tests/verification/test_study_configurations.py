@@ -22,6 +22,7 @@ from ringtrue.errors import ConfigError
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
+from ringtrue.study.acceptance import missed_words, verdict
 from ringtrue.study.config import parse_config
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, load_study, run_study
@@ -122,6 +123,15 @@ def test_each_configuration_has_its_table_before_and_after(both: StudyRun) -> No
     page = (both.folder / "report.html").read_text(encoding="utf-8")
     assert 'id="configurations"' in page
     assert "loaded: the delivered deck against its test." in page
+
+
+def test_stated_limits_hold_for_every_delivered_deck(both: StudyRun) -> None:
+    strict = both.config.model_validate(both.config.model_dump() | {"correlate": {"accept_percent": 1e-4}})
+    said = missed_words(strict, both.results)
+    tables = both.results["final"].table, both.results["configured"].items[0].table
+    assert len(said) == sum(int((np.abs(t.deviation_percent) > 1e-4).sum()) for t in tables)
+    assert sum(s.startswith("loaded: test mode") for s in said) > 0
+    assert [c.held for c in verdict(both.config, both.results) if c.name.startswith("loaded")] == [True]
 
 
 def test_every_deck_that_has_the_field_is_written(both: StudyRun) -> None:

@@ -8,7 +8,14 @@ from typing import Any
 
 from ringtrue.correlate.pairing import CorrelationRow, CorrelationTable
 from ringtrue.study.config import CorrelateSection, StudyConfig
-from ringtrue.study.results import CorrelateStage, Evidence, FinalStage, UpdateStage
+from ringtrue.study.results import (
+    ConfigurationsStage,
+    ConfiguredStage,
+    CorrelateStage,
+    Evidence,
+    FinalStage,
+    UpdateStage,
+)
 
 PER_PAIR = {"accept_percent", "accept_hz", "accept_mac"}
 ORTHOGONALITY = {"accept_orthogonality", "accept_off_diagonal"}
@@ -71,7 +78,8 @@ class Acceptance:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """The model that a study delivers, as far as it was run: its tables and what they rest on."""
+    """The model that a study delivers, as far as it was run: its tables (those of other configurations last) and what
+    they rest on."""
 
     name: str
     tables: tuple[tuple[str, CorrelationTable], ...]
@@ -86,7 +94,9 @@ def judged(config: StudyConfig, results: Mapping[str, Any]) -> Judged | None:
     final: FinalStage | None = results.get("final")
     if final is not None:
         rigid = (("rigid-body ", final.rigid),) if config.suspension else ()
-        return Judged("final model", (("", final.table), *rigid), final.evidence)
+        done: ConfiguredStage | None = results.get("configured")
+        others = tuple((f"{c.name}: ", c.table) for c in done.items) if done else ()
+        return Judged("final model", (("", final.table), *rigid, *others), final.evidence)
     correlate: CorrelateStage | None = results.get("correlate")
     if correlate is None or config.candidate or config.suspension or config.propose:
         return None
@@ -167,7 +177,20 @@ def improvement(results: Mapping[str, Any]) -> tuple[Check, ...]:
         if all((t.used == which).any() for t in tables):
             a, b = (t.mean_deviation(t.used == which) for t in tables)
             out.append(Check(f"{name} modes: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a)))
-    return tuple(out)
+    return (*out, *_others_improved(results))
+
+
+def _others_improved(results: Mapping[str, Any]) -> list[Check]:
+    """The same of each other configuration, over all its modes."""
+    before: ConfigurationsStage | None = results.get("configurations")
+    after: ConfiguredStage | None = results.get("configured")
+    if before is None or after is None:
+        return []
+    out = []
+    for c, d in zip(before.items, after.items, strict=True):
+        a, b = c.initial.mean_deviation(), d.table.mean_deviation()
+        out.append(Check(f"{c.name}: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a)))
+    return out
 
 
 def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]:
