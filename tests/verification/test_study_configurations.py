@@ -170,13 +170,18 @@ def test_a_deck_of_its_own_and_a_file_of_modes(both: StudyRun, tmp_path: Path) -
     assert both.results["configurations"].items[0].source != run.results["configurations"].items[0].source
 
 
-def test_a_deck_without_a_candidate_field_says_where_it_starts_from(tmp_path: Path) -> None:
+def test_where_a_deck_differs_is_said(tmp_path: Path) -> None:
     study = folder(tmp_path, PLAIN + OWN)
     deck = tmp_path / "deck/loaded.bdf"
-    deck.write_text(deck.read_text().replace("MAT1,10,3.+10,,0.2,2500.0", "MAT1,10,3.+10,,0.2,2250.0"))
+    text = deck.read_text().replace("MAT1,10,3.+10,,0.2,2500.0", "MAT1,10,3.+10,,0.2,2250.0")
+    deck.write_text(text.replace("MAT1,3,", "MAT1,53,").replace("PBEAM,3,3,", "PBEAM,3,53,"))
     run = run_study(study, until="configurations")
     (item,) = run.results["configurations"].items
-    assert item.notes == ("MAT1 10 RHO is 2250 here and 2500 in the deck of the study",)
+    assert item.notes == (
+        "its deck has 3 of the 4 fields of stiffness",
+        "its deck has 3 of the 4 fields of density",
+        "MAT1 10 RHO is 2250 here and 2500 in the deck of the study",
+    )
 
 
 @pytest.mark.parametrize(

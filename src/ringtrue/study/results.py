@@ -219,7 +219,7 @@ class ConfiguredTest:
     initial: CorrelationTable
     fe_initial: ModeSet  # observed at the channels
     carried: tuple[str, ...]  # candidates and suspensions that its deck has
-    notes: tuple[str, ...]  # fields that have another value than in the deck of the study
+    notes: tuple[str, ...]  # fields of candidates that its deck lacks, or has with another value
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -174,7 +174,8 @@ def _configured(r: Mapping[str, Any]) -> dict[str, Any]:
     after = {c.name: c for c in done.items} if done else {}
     return {
         "configurations": [
-            {"name": c.name, "test": c.source, "carries": list(c.carried), "notes": list(c.notes)}
+            {"name": c.name, "test": c.source, "notes": list(c.notes)}
+            | ({"carries": list(c.carried)} if c.carried else {})  # candidates made from the deck are not known yet
             | {"initial": correlation_json(c.initial)}
             | ({"final": correlation_json(f.table), "changes": list(f.changes)} if (f := after.get(c.name)) else {})
             for c in before.items

@@ -61,7 +61,7 @@ def _values(before: CorrelationTable, after: CorrelationTable | None) -> list[st
 def _one(data: Stages, c: ConfiguredTest, after: DeliveredConfiguration | None) -> list[Block]:
     before = blocks(c.initial, data, f"{c.name}: the deck before the updating against its test.", updating=True)
     out: list[Block] = [Heading(c.name)]
-    out += [Items([sentence(n) for n in c.notes], "Start values that differ")] if c.notes else []
+    out += [Items([sentence(n) for n in c.notes], "Where its deck differs")] if c.notes else []
     if after is None:
         return [*out, *before]
     out += blocks(after.table, data, f"{c.name}: the delivered deck against its test.", updating=True)

@@ -79,7 +79,7 @@ def _one(desk: Workbench, section: ConfigurationSection, progress: Progress) -> 
         elastic_table(reference, fe, desk.config, out),
         fe,
         mine.names,
-        _notes(desk.remodelled.model, opened.model, mine),
+        _notes(desk.remodelled.model, opened.model, parameters, mine),
     )
 
 
@@ -120,9 +120,14 @@ def _check(section: ConfigurationSection, model: Model, every: ParameterSet, min
         raise ConfigError(f"configuration {section.name}: {e}") from e
 
 
-def _notes(base: Model, model: Model, mine: ParameterSet) -> tuple[str, ...]:
-    """Fields of candidates that start from another value than in the deck of the study."""
-    out = []
+def _notes(base: Model, model: Model, every: ParameterSet, mine: ParameterSet) -> tuple[str, ...]:
+    """Fields of candidates that its deck lacks, or has with another value than the deck of the study."""
+    out, have = [], {p.name: len(p.targets) for p in mine.parameters}
+    for p in every.parameters:
+        if not (count := have.get(p.name, 0)):
+            out.append(f"its deck has no field of {p.name}, which does not act here")
+        elif count < len(p.targets):
+            out.append(f"its deck has {count} of the {len(p.targets)} fields of {p.name}")
     for t in (t for p in mine.parameters for t in p.targets):
         here, there = float(field_value(model, t)), float(field_value(base, t))
         if abs(here - there) > SAME * abs(there):
