@@ -74,7 +74,7 @@ def test_the_structure_as_built_is_found(folder: Path) -> None:
 
 
 def test_what_it_says_is_there_is_there(folder: Path) -> None:
-    plan, results = ("plan/sensors.csv", "plan/geometry.uff"), ("report.html", "again.html", "study.h5")
+    plan, results = ("plan/sensors.csv", "plan/geometry.uff"), ("report.html", "study.h5")
     for name in (*plan, *results, "damped/bwb_geom.blk"):
         assert (folder / name).stat().st_size > 0
     old, new = ((folder / f / "bwb_geom.blk").read_text().splitlines() for f in (".", "updated"))
