@@ -12,10 +12,11 @@ from scipy.ndimage import median_filter
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.signal.psd import segments_spectrum
 from ringtrue.signal.windows import step, window
 
 _LARGEST = 1e70  # fourth powers stay finite
+_LINES = 32  # channels that show the lines of machines, at most
+_FEW = 2000  # samples that most channels show themselves in
 _LOOK, _LEVELS = 1 << 16, 32  # samples looked at for different values, and how few are a coarse recorder
 _ODD = 100.0  # times the typical level of the channels of a quantity
 _CUT = 2e-3  # share of the samples at an extreme that changes the statistics of the amplitude
@@ -57,10 +58,12 @@ class Harmonic:
 
 def detrend(data: Any_) -> Float:
     """`data` (ch, sample) as float64 less mean and straight line of each channel."""
-    y = np.asarray(data, dtype=np.float64)
+    y = np.array(data, dtype=np.float64)
     t = np.linspace(-1.0, 1.0, y.shape[1])
-    y = y - y.mean(1, keepdims=True)
-    return np.asarray(y - np.outer(y @ t / (t @ t), t))
+    for x in y:  # in place: there may be many samples
+        x -= x.mean()
+        x -= (x @ t / (t @ t)) * t
+    return y
 
 
 def band_signals(data: Any_, rate: float, bands: Sequence[Band]) -> tuple[tuple[Float, float], ...]:
@@ -157,6 +160,8 @@ def _alike(a: Channel, b: Channel) -> bool:
 
 def _straight(x: Any_, std: float) -> bool:
     """Whether nothing but rounding is left beside a straight line."""
+    if x.size > 8 * _FEW and not _straight(x[:: x.size // _FEW], 0.99 * std):
+        return False  # a straight line is one in some of its samples too
     t = np.linspace(-1.0, 1.0, x.size)
     slope = float((x - float(x[0])) @ (t - t.mean())) / float(t @ t)
     return slope**2 * float(t @ t) / x.size > (1 - 1e-10) * std**2
@@ -168,7 +173,8 @@ def _stuck(x: Any_) -> int:
 
 
 def _ends(x: Any_) -> str:
-    if (levels := np.unique(x[:_LOOK]).size) < _LEVELS < x.size / 8:
+    few = np.unique(x[:_FEW]).size < _LEVELS  # to sort more takes its time
+    if few and (levels := np.unique(x[:_LOOK]).size) < _LEVELS < x.size / 8:
         return f"coarse: {levels} different values only"
     stuck = _stuck(x)
     return f"clipped: {stuck} samples stand at its largest value" if stuck > max(4, x.size // 50000) else ""
@@ -228,7 +234,9 @@ def block_weights(power: Float) -> Float:
 
     A jump or a blow would otherwise outweigh the rest of the record, and its variance with it.
     """
-    loud = np.maximum(power / max(float(np.median(power)), np.finfo(np.float64).tiny), 1.0)
+    power = np.asarray(power, dtype=np.float64)
+    typical = float(np.median(power)) or float(power.mean()) or 1.0
+    loud = np.maximum(power / typical, 1.0)
     return np.asarray((1 / loud) / (1 / loud).sum())
 
 
@@ -280,13 +288,19 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
 
 def _moments(data: Any_, starts: Int, length: int, rate: float) -> tuple[Float, Float, Float]:
     """Second and fourth moment (freq,) of the power summed over normalised channels, and frequencies."""
-    win = window("blackmanharris", length).astype(np.float32)
-    freqs = rfftfreq(length, 1 / rate)
-    some = data[:, :: max(1, data.shape[1] // 20000)]
-    scale = (1 / np.maximum(np.std(some, axis=1, dtype=np.float64), 1e-30)).astype(np.float32)
-    power = np.empty((starts.size, freqs.size))
-    batch = max(1, 4_000_000 // (length * len(data)))
-    for i in range(0, starts.size, batch):  # streamed
-        y = segments_spectrum(data, starts[i : i + batch], win) * scale[:, None]
-        power[i : i + batch] = (y.real**2 + y.imag**2).sum(1)
-    return power.mean(0), (power**2).mean(0), freqs
+    win = window("blackmanharris", length)
+    power = np.zeros((starts.size, length // 2 + 1), dtype=np.float32)
+    seg = np.empty((starts.size, length), dtype=np.float32)
+    for i in np.unique(np.linspace(0, len(data) - 1, _LINES).astype(np.int64)):
+        x = data[i]  # one in memory at a time, and in place: most of the time is that of the transforms
+        some = x[:: max(1, x.size // 20000)]
+        level = some.mean(dtype=np.float64)
+        for row, k in zip(seg, starts.tolist(), strict=True):
+            np.subtract(x[k : k + length], level, out=row, casting="same_kind")
+        seg *= (win / max(float(np.std(some, dtype=np.float64)), 1e-30)).astype(np.float32)
+        parts = rfft(seg, axis=1).view(np.float32)
+        parts *= parts
+        power += parts[:, ::2]
+        power += parts[:, 1::2]
+    wide = power.astype(np.float64)
+    return wide.mean(0), (wide**2).mean(0), rfftfreq(length, 1 / rate)
