@@ -112,43 +112,62 @@ class _Curve:
     d_zeta: Float
 
 
-def _lorentz(nu: Float, nu0: float, zeta: float, slope: float, turns: float) -> _Curve:
-    """(ν/ν0)^slope over |ν0² − ν² + 2iζν0ν|², peak 1; `turns` = duration · f_start corrects for the finite length."""
-    d = (nu0**2 - nu**2) ** 2 + 4 * zeta**2 * nu0**2 * nu**2
-    level = 4 * zeta**2 * nu0**4 / d * (nu / nu0) ** slope
+def _finite(nu: Float, nu0: float, zeta: float, turns: float) -> Float:
+    """Factor on the spectrum of a mode for the finite length, `turns` = duration · f_start."""
     q = 2 * np.pi * turns * (zeta * nu0 + 1j * (nu - nu0 * np.sqrt(1 - min(zeta, 0.9) ** 2)))
-    finite = (1 / q - (1 - np.exp(-q)) / q**2).real / (1 / q).real
-    return _Curve(
-        level * finite,
-        4 - slope - nu0 * (4 * nu0 * (nu0**2 - nu**2) + 8 * zeta**2 * nu0 * nu**2) / d,
-        2 - 8 * zeta**2 * nu0**2 * nu**2 / d,
-    )
+    u = 1 / q
+    return np.asarray(1 - (u * u * (1 - np.exp(-q))).real / u.real)
+
+
+def _lorentz(nu: Float, nu0: float, zeta: float, turns: float) -> _Curve:
+    """1 over |ν0² − ν² + 2iζν0ν|², peak 1, as seen in a record of a finite length."""
+    square = nu * nu
+    own, wide = nu0**2 - square, (4 * zeta**2 * nu0**2) * square
+    d = own * own + wide
+    level = (4 * zeta**2 * nu0**4) * _finite(nu, nu0, zeta, turns) / d
+    return _Curve(level, 4 - (4 * nu0**2 * own + 2 * wide) / d, 2 - 2 * wide / d)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
     """Whittle fit of one filtered spectrum: θ = ln ν0, ln ζ, slope, ln A, ln of the background at both ends, then
-    ln of each neighbour's level."""
+    ln of each neighbour's level.
+
+    Attributes
+    ----------
+    nu, power, count : (bin,) float64
+    turns : float
+    place : (other,) float64
+        ν of the neighbours.
+    near : (bin, other) float64
+        Their spectra without the slope.
+    mean, prior : (parameter,) float64
+        Start of θ, and one over the variance of what is known of it.
+    """
 
     nu: Float
     power: Float
     count: Float
     turns: float
-    near: tuple[tuple[float, float], ...]
+    place: Float
+    near: Float
     mean: Float
     prior: Float
 
     def spectrum(self, theta: Float) -> tuple[Float, Float]:
         """S (bin,) and its logarithmic derivatives (bin, parameter)."""
         nu0, zeta, slope = float(np.exp(theta[0])), float(np.exp(theta[1])), float(theta[2])
-        own = _lorentz(self.nu, nu0, zeta, slope, self.turns)
+        own, ratio = _lorentz(self.nu, nu0, zeta, self.turns), np.log(self.nu / nu0)
+        tilt = np.exp(slope * ratio)
         x = (self.nu - self.nu[0]) / (self.nu[-1] - self.nu[0])
-        rest = [_lorentz(self.nu, f, z, slope, self.turns).level for f, z in self.near]
-        parts = np.stack([own.level, 1 - x, x, *rest], axis=1) * np.exp(theta[3:])
+        parts = np.empty((x.size, 3 + self.place.size))
+        parts[:, 0], parts[:, 1], parts[:, 2] = own.level * tilt, 1 - x, x
+        parts[:, 3:] = self.near * tilt[:, None] * (nu0 / self.place) ** slope
+        parts *= np.exp(theta[3:])
         s = np.maximum(parts.sum(1), 1e-300)
-        share = parts / s[:, None]
-        first = share[:, :1] * np.stack([own.d_freq, own.d_zeta, np.log(self.nu / nu0)], axis=1)
-        return s, np.concatenate([first, share], axis=1)
+        parts /= s[:, None]
+        first = parts[:, :1] * np.stack([own.d_freq - slope, own.d_zeta, ratio], axis=1)
+        return s, np.concatenate([first, parts], axis=1)
 
     def cost(self, s: Float, theta: Float) -> float:
         """Negative log posterior."""
@@ -218,7 +237,7 @@ def _filter(b: SpectralBins, at: Int, f: Float, z: Float, psi: Complex, i: int, 
         np.trace(b.cross[np.abs(b.freqs - f[k]).argmin()]).real / np.vdot(v, v).real
         for k, v in zip(others, psi.T[others], strict=True)
     ]
-    share = [_lorentz(b.freqs[at] / f[k], 1.0, z[k], 0.0, b.duration * f[k]).level.mean() for k in others]
+    share = [_lorentz(b.freqs[at] / f[k], 1.0, z[k], b.duration * f[k]).level.mean() for k in others]
     r_all = np.diag(noise.mean(0)) + NULL * (shapes[:, 1:] * (np.array(peak) * share)) @ shapes[:, 1:].conj().T
     x = np.linalg.solve(r_all, psi[:, i])
     w = x / np.vdot(psi[:, i], x)
@@ -284,5 +303,6 @@ def _prepare(b: SpectralBins, i: int, f: Float, z: Float, psi: Complex, slope: t
     # free ones take from the skirts of the mode on average, and with them from its damping
     loose = np.where(known, LEVEL, 3.0) ** -2
     prior = np.concatenate([[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LEVEL**-2)])
-    near = tuple((float(f[j] / f[i]), float(z[j])) for j in others)
-    return _Fit(nu, power, b.count[at], b.duration * f[i], near, mean, prior)
+    turns, place = b.duration * f[i], f[others] / f[i]
+    near = [_lorentz(nu, float(p), float(q), turns).level for p, q in zip(place, z[others], strict=True)]
+    return _Fit(nu, power, b.count[at], turns, place, np.reshape(near, (others.size, nu.size)).T, mean, prior)
