@@ -52,7 +52,7 @@ def test_a_pole_of_an_order_is_taken_as_it_is(auto: AmbientResult) -> None:
 def test_a_pole_that_no_mode_holds_becomes_one(auto: AmbientResult) -> None:
     d = auto.diagrams[0]
     far = np.abs(d.poles.frequencies[:, None] / auto.modes.frequencies - 1).min(axis=1) > 0.05
-    k = int(np.flatnonzero((d.cluster < 0) & far & (d.poles.order > 30))[0])
+    k = int(np.flatnonzero((d.cluster < 0) & far & (d.poles.order > 20))[0])
     pick = Pick(float(d.poles.frequencies[k]), int(d.poles.order[k]))
     found = by_hand(Choice((pick,)))
     assert len(found.modes) == 4

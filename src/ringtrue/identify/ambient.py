@@ -12,37 +12,48 @@ from itertools import chain
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identify import variance as var
-from ringtrue.identify.ambient_verdict import Found, confidence, machine, overtones, reason, select, uncertainty
+from ringtrue.identify.ambient_verdict import (
+    Found,
+    confidence,
+    machine,
+    overtones,
+    reason,
+    select,
+    settled,
+    uncertainty,
+)
+from ringtrue.identify.bands import STEP, BandSums, begin, more
 from ringtrue.identify.choice import chosen, with_picks
 from ringtrue.identify.poles import PoleSet, StableDiagram, unit
 from ringtrue.identify.ssi import (
     BandPoles,
     SsiCov,
-    Subspace,
     all_orders,
-    choose_references,
     identify_band,
     loudness_weights,
-    stretch,
-    subspace,
+    part_of,
 )
-from ringtrue.identify.stabilise import Candidates, candidates, half_agreement, refined, steady
-from ringtrue.identify.whittle import SpectralBins, spectral_bins
+from ringtrue.identify.stabilise import (
+    Candidates,
+    candidates,
+    half_agreement,
+    refined,
+    steady,
+)
+from ringtrue.identify.whittle import SpectralBins
 from ringtrue.signal.harmonics import steady_amplitudes
-from ringtrue.signal.preprocess import Band, Harmonic, band_signals, harmonics, uncut, usable
+from ringtrue.signal.preprocess import Band, Harmonic, harmonics, uncut, usable
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
-SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 BLOCKS_EACH = 4  # of one stretch of a long record
-MOST_BLOCKS = 64
+ENOUGH = 0.6  # of the orders, where the modes appear in the first third of them
 Progress = Callable[[float, str], None]
 
 
@@ -119,23 +130,22 @@ def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[
             f"band {low:.4g} .. {high:.4g} Hz is empty: {duration:.4g} s at {rate:.4g} Hz allow "
             f"{50 / duration:.4g} .. {0.49 * rate:.4g} Hz"
         )
-    top = rate if high > TOP * rate else high / TOP
+    top = rate / max(int(TOP * rate / high), 1)
     bands = [Band(max(low, 0.06 * top), high, top)]
     while bands[-1].low > low:
-        r = bands[-1].rate / 4
+        r = bands[-1].rate / STEP
         bands.append(Band(max(low, 0.06 * r), TOP * r, r))
     return tuple(bands)
 
 
-def _halves(r: Float, weights: Float, ssi: SsiCov, whole: Subspace, band: Band) -> tuple[PoleSet, PoleSet]:
+def _halves(r: Any_, weights: Float, ssi: SsiCov, found: BandPoles, band: Band) -> tuple[PoleSet, PoleSet]:
     """Poles of the first and of the second half of the record, every other order."""
-    mid = weights.size // 2
+    mid, whole = weights.size // 2, found.subspace
     step = replace(ssi, order_step=2 * ssi.order_step)
 
     def half(part: slice) -> PoleSet:
-        mean = np.einsum("b,bkij->kij", weights[part] / weights[part].sum(), r[part])
-        sub = subspace(mean, ssi.block_rows, ssi.order_max, whole.rate, whole.vs * whole.s)
-        return all_orders(sub, None, step, (0.97 * band.low, 1.03 * band.high))[0]
+        mean = np.tensordot((weights[part] / weights[part].sum()).astype(r.dtype), r[part], 1).astype(np.float64)
+        return all_orders(part_of(whole, mean, ssi.block_rows), None, step, (0.97 * band.low, 1.03 * band.high))[0]
 
     return half(slice(0, mid)), half(slice(mid, None))
 
@@ -152,79 +162,38 @@ def _spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) ->
     return bins.freqs[: n * join].reshape(n, join).mean(1), 10 * np.log10(np.maximum(top, np.finfo(np.float64).tiny))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sums:
-    """What one band keeps of the record, however long: blocks of correlations and binned spectra.
-
-    Attributes
-    ----------
-    band : Band
-    rate : float, Hz
-    ssi : SsiCov
-    references, eyes : (ref,), (eye,) int64
-        Channels of the correlations, and those of the spectra.
-    scale : (ch,) float64
-        Root mean squares of the first stretch.
-    r : (block, lag, ch, ref) float64
-    bins : SpectralBins
-    """
-
-    band: Band
-    rate: float
-    ssi: SsiCov
-    references: Int
-    eyes: Int
-    scale: Float
-    r: Float
-    bins: SpectralBins
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Frequencies of the spectra, Hz: a little more than the band."""
-        return _span(self.band, self.rate)
-
-    def add(self, data: Float, blocks: int) -> _Sums:
-        """With one more stretch (ch, sample) of the record; pairs of blocks are joined when they become many."""
-        r = np.concatenate([self.r, stretch(data, self.ssi, blocks, self.references, self.scale)])
-        if len(r) > MOST_BLOCKS:
-            r = r[: len(r) // 2 * 2].reshape(-1, 2, *r.shape[1:]).mean(1)
-        bins = spectral_bins(data[self.eyes] / self.scale[self.eyes, None], self.rate, self.span)
-        same = bins.freqs.shape == self.bins.freqs.shape and np.isclose(bins.duration, self.bins.duration)
-        return replace(self, r=r, bins=self.bins + bins if same else self.bins)
+def _candidates(sums: BandSums, r: Any_, weights: Float, choice: Choice | None) -> tuple[BandPoles, Candidates, Int]:
+    """Poles, candidates and the pick behind each, of the lower orders; of all where modes still appear late."""
+    ssi, band = sums.ssi, sums.band
+    for share in (ENOUGH, 1.0):
+        some = replace(ssi, order_max=max(2 * int(share * ssi.order_max / 2), 2))
+        poles = identify_band(r, weights, some, band.rate, (band.low, band.high))
+        table, picked = with_picks(candidates(poles), poles, choice)
+        if table.pole.size:
+            table = replace(table, halves=half_agreement(table, _halves(r, weights, some, poles, band)))
+        if settled(table, ssi.order_max // ssi.order_step):
+            break
+    return poles, table, picked
 
 
-def _span(band: Band, rate: float) -> tuple[float, float]:
-    return max(0.7 * band.low, 0.02 * rate), min(1.15 * band.high, 0.4 * rate)
-
-
-def _begin(data: Float, rate: float, band: Band, settings: AmbientSettings, refs: Int | None, blocks: int) -> _Sums:
-    """The sums of the first stretch; `blocks` 0 chooses."""
-    ssi = SsiCov(int(np.clip(data.shape[1] // 60, 10, settings.block_rows)), settings.order_max)
-    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
-    refs = choose_references(data, scale) if refs is None else refs
-    eyes = choose_references(data, scale, SPECTRAL_CHANNELS)
-    blocks = blocks or var.blocks_for(data.shape[1], 2 * ssi.block_rows - 1)
-    r = stretch(data, ssi, blocks, refs, scale)
-    bins = spectral_bins(data[eyes] / scale[eyes, None], rate, _span(band, rate))
-    return _Sums(band, rate, ssi, refs, eyes, scale, r, bins)
-
-
-def _band(sums: _Sums, settings: AmbientSettings, slope: tuple[float, float], choice: Choice | None) -> Found:
+def _band(sums: BandSums, settings: AmbientSettings, slope: tuple[float, float], choice: Choice | None) -> Found:
     """Modes of one band."""
-    band, ssi, r, scale = sums.band, sums.ssi, sums.r, sums.scale[:, None]
+    r = sums.r
     weights = loudness_weights(r, sums.references)
-    poles = identify_band(r, weights, ssi, sums.rate, (band.low, band.high))
-    table, picked = with_picks(candidates(poles), poles, choice)
-    if table.pole.size:
-        table = replace(table, halves=half_agreement(table, _halves(r, weights, ssi, poles.subspace, band)))
-    sure = confidence(table)
-    at = np.flatnonzero((sure >= settings.confidence_min) & (picked < 0))
-    if at.size and steady(weights):
-        table = refined(table, at, sums.eyes, sums.bins, slope)
-    scaled = table.shape * scale
-    top = np.abs(scaled).max(0, initial=0.0)
-    shown = _diagram(poles, table, sums)
-    return Found(table, unit(scaled), table.shape_std * scale / top, sure, shown, picked)
+    poles, table, picked = _candidates(sums, r, weights, choice)
+    sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
+    found = _found(sums, poles, table, sure, picked)
+    at = np.array([i for _, i in select([found], settings.confidence_min)], dtype=np.int64)
+    if not at.size or not steady(weights):
+        return found
+    return _found(sums, poles, refined(table, at, sums.eyes, sums.bins, slope), sure, picked)
+
+
+def _found(sums: BandSums, poles: BandPoles, table: Candidates, sure: Float, picked: Int) -> Found:
+    """The candidates with shapes in the channels' units."""
+    scaled = table.shape * sums.scale[:, None]
+    std = table.shape_std * sums.scale[:, None] / np.abs(scaled).max(0, initial=0.0)
+    return Found(table, unit(scaled), std, sure, _diagram(poles, table, sums), picked)
 
 
 def _slope(history: TimeHistory) -> tuple[float, float]:
@@ -235,7 +204,7 @@ def _slope(history: TimeHistory) -> tuple[float, float]:
     return (known[kind], 1.5) if kind in known else (2.0, 3.0)
 
 
-def _diagram(poles: BandPoles, table: Candidates, sums: _Sums) -> StableDiagram:
+def _diagram(poles: BandPoles, table: Candidates, sums: BandSums) -> StableDiagram:
     shown = poles.poles.rescaled(sums.scale)
     return StableDiagram(shown, table.stable, table.label, *_spectrum(sums.bins, sums.scale[sums.eyes]))
 
@@ -314,14 +283,13 @@ def identify_stretches(
     tell(0.0, "filtering into bands")
     whole = uncut(good, states)  # an amplitude that is cut off looks steady
     lines = tuple(h for h in harmonics(whole, low=bands[-1].low) if h.frequency < bands[0].high) if whole else ()
-    blocks = 0 if second is None else BLOCKS_EACH
-    signals = band_signals(good.data, good.rate, bands)
-    sums = [_begin(y, rate, b, settings, refs, blocks) for b, (y, rate) in zip(bands, signals, strict=True)]
+    ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH)
+    sums = begin(good.data, good.rate, bands, ssi, refs)
     duration = good.duration
-    for more in chain(() if second is None else (second,), coming):
+    for part in chain(() if second is None else (second,), coming):
         tell(0.0, f"filtering into bands, {duration:.4g} s done")
-        sums = _continued(sums, good, more)
-        duration += more.duration
+        sums = _continued(sums, good, part)
+        duration += part.duration
     found = []
     for k, x in enumerate(sums):
         tell((k + 1) / (len(bands) + 2), f"identifying {x.band.low:.3g} .. {x.band.high:.3g} Hz")
@@ -337,19 +305,20 @@ def identify_stretches(
     return replace(result, notes=notes + result.notes)
 
 
-def _continued(sums: list[_Sums], first: TimeHistory, more: TimeHistory) -> list[_Sums]:
+def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory) -> list[BandSums]:
     """The sums with one more stretch, unless it is too short for the lags of the lowest band."""
-    part = more.pick([c.id for c in first.channels])
+    part = coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
     if not np.isclose(part.rate, first.rate):
-        raise DataError(f"{more.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
+        raise DataError(f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
     share = part.duration / first.duration
     if share < 0.5:  # edges of the filters would weigh too much
         return sums
-    signals = band_signals(part.data, part.rate, [x.band for x in sums])
-    bad = [c.id for c, y in zip(part.channels, signals[0][0], strict=True) if not np.isfinite(y).all()]
-    if bad:
-        raise DataError(f"{more.source}: channels {' '.join(bad[:8])} fail later in the record; leave them out")
-    return [x.add(y, BLOCKS_EACH) for x, (y, _) in zip(sums, signals, strict=True)]
+    out = more(sums, part.data, part.rate)
+    lost = np.asarray(~np.isfinite(out[0].parts[-1]).all((0, 1, 3)))
+    if lost.any():
+        bad = [c.id for c, x in zip(part.channels, lost, strict=True) if x]
+        raise DataError(f"{coming.source}: channels {' '.join(bad[:8])} fail later in the record; leave them out")
+    return out
 
 
 def _references(history: TimeHistory, names: tuple[str, ...]) -> Int | None:

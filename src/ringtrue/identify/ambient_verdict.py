@@ -15,7 +15,8 @@ from ringtrue.identify.stabilise import Candidates
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.preprocess import Harmonic
 
-OVERTONE = 2e-3  # relative distance
+OVERTONE = 3e-3  # relative distance
+DOUBTFUL = 0.2  # confidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,12 +31,22 @@ class Found:
     picked: Int
 
 
-def confidence(c: Candidates) -> Float:
-    """(m,) 0..1: agreement of the halves, share of the orders, certainty of the damping, collinearity."""
+def confidence(c: Candidates, orders: int = 0) -> Float:
+    """(m,) 0..1: agreement of the halves, share of the orders, certainty of the damping, collinearity.
+
+    `orders` there are to try; those that were not would show a mode as those since its first appearance do.
+    """
     _, sz = c.stds()
-    orders = np.sqrt(c.orders[:, 0] / np.maximum(c.orders[:, 1], 1))
+    found, tried = c.orders[:, 0] + 0.0, np.maximum(c.orders[:, 1], 1)
+    rest = np.maximum(orders - tried, 0)
+    seen = np.sqrt((found + c.share * rest) / (tried + rest))
     known = 1 / (1 + (2 * sz / np.maximum(c.damping, 1e-3)) ** 2)
-    return np.asarray(np.clip(c.halves * orders * known * np.sqrt(c.mpc), 0, 1))
+    return np.asarray(np.clip(c.halves * seen * known * np.sqrt(c.mpc), 0, 1))
+
+
+def settled(c: Candidates, orders: int) -> bool:
+    """Whether all that may be a mode was there at most of the orders tried, so that the higher ones may rest."""
+    return not ((confidence(c, orders) > DOUBTFUL) & (c.orders[:, 0] < 0.6 * c.orders[:, 1])).any()
 
 
 def select(found: list[Found], least: float) -> list[tuple[int, int]]:

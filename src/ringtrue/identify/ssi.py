@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh, qr, solve_triangular, svd
+from scipy.linalg import qr, solve_triangular, svd
+from scipy.sparse.linalg import eigsh
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
@@ -92,30 +93,43 @@ class BandPoles:
     perturbations: var.Perturbations
 
 
-def decompose(h: Float, order: int, start: Float | None = None) -> tuple[Float, Float, Float]:
-    """Leading singular triplets U (i, order), s, V (j, order) of `h`: a Gram start and one Rayleigh-Ritz step.
+def decompose(h: Float, order: int) -> tuple[Float, Float, Float]:
+    """Leading singular triplets U (i, order), s, V (j, order) of `h`, from its Gram matrix where that is small.
 
-    `start` (j, k), V of a matrix much like `h`, replaces the Gram matrix by one more multiplication.
+    A Rayleigh-Ritz step follows where the square of a singular value comes near the rounding of the largest.
     """
     j = h.shape[1]
     if j <= 4 * order:
         u, s, vt = svd(h, full_matrices=False)
         return u[:, :order], s[:order], vt[:order].T
-    v = eigh(h.T @ h, subset_by_index=(j - order, j - 1))[1] if start is None else h.T @ (h @ start)
+    size, v = eigsh(h.T @ h, order, v0=np.ones(j))
+    rank = np.argsort(-size, kind="stable")
+    size, v = size[rank], v[:, rank]
+    if size[-1] > 1e-10 * size[0]:
+        s = np.sqrt(size)
+        return (h @ v) / s, s, v
     basis, _ = qr(h @ v, mode="economic")
     u, s, vt = svd(basis.T @ h, full_matrices=False)
     return basis @ u[:, :order], s[:order], vt[:order].T
 
 
-def subspace(r: Float, rows: int, order: int, rate: float, start: Float | None = None) -> Subspace:
+def subspace(r: Float, rows: int, order: int, rate: float) -> Subspace:
     """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank ends."""
     ch = r.shape[1]
     h = var.hankel(r, rows)
-    u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), start)
+    u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)))
     n = int((s > 1e-12 * s[0]).sum())
-    u, s, v = u[:, :n], s[:n], v[:, :n]
+    return _factored(u[:, :n], s[:n], v[:, :n] / s[:n], ch, rate)
+
+
+def part_of(whole: Subspace, r: Float, rows: int) -> Subspace:
+    """The subspace that the correlations `r` of a part of the record show through the right vectors of the whole."""
+    return _factored(var.hankel(r, rows) @ whole.vs, whole.s, whole.vs, whole.channels, whole.rate)
+
+
+def _factored(u: Float, s: Float, vs: Float, ch: int, rate: float) -> Subspace:
     q, tri = qr(u[:-ch], mode="economic")
-    return Subspace(u, s, v / s, np.asarray(q, np.float64), np.asarray(tri, np.float64), q.T @ u[ch:], ch, rate)
+    return Subspace(u, s, vs, np.asarray(q, np.float64), np.asarray(tri, np.float64), q.T @ u[ch:], ch, rate)
 
 
 def transition(sub: Subspace, n: int) -> tuple[Float, Complex, Complex, Complex]:
@@ -127,27 +141,34 @@ def transition(sub: Subspace, n: int) -> tuple[Float, Complex, Complex, Complex]
 
 
 def _order(
-    sub: Subspace, p: var.Perturbations | None, n: int, settings: SsiCov, low: float, high: float
+    sub: Subspace, back: Float, p: var.Perturbations | None, n: int, settings: SsiCov, low: float, high: float
 ) -> tuple[Int, Complex, Complex, Complex, Float]:
-    """Columns, poles, shapes (ch, k), deviations (k, block) and strengths of one order within the band."""
-    _, mu, right, left = transition(sub, n)
-    log = np.asarray(np.log(np.where(mu == 0, 1e-300, mu)) * sub.rate, dtype=np.complex128)
+    """Columns, poles, shapes (ch, k), deviations (k, block) and strengths of one order within the band.
+
+    `back` is R⁻¹: R is a triangle, so the leading blocks of its inverse are the inverses of its leading blocks.
+    """
+    mu, right = np.linalg.eig(back[:n, :n] @ sub.qd[:n, :n])
+    log = np.asarray(np.log(np.where(mu == 0, 1e-300, mu + 0j)) * sub.rate, dtype=np.complex128)
     f, zeta = np.abs(log) / (2 * np.pi), -log.real / np.maximum(np.abs(log), 1e-300)
     ok = (mu.imag > 0) & (zeta > 0) & (zeta < settings.damping_max) & (f >= low) & (f <= high)
     keep = np.flatnonzero(ok).astype(np.int64)
-    psi = np.asarray(sub.u[: sub.channels, :n] @ right[:, keep], dtype=np.complex128)
-    if p is None:
-        return keep, log[keep], psi, np.empty((keep.size, 0), np.complex128), np.full(keep.size, np.nan)
-    d_mu = var.pole_deviations(p, sub.r[:n, :n], mu[keep], right[:, keep], left[keep])
-    return keep, log[keep], psi, d_mu / mu[keep, None] * sub.rate, var.strengths(p, sub.s, left[keep])
+    own = right[:, keep].astype(np.complex128)
+    psi = np.asarray(sub.u[: sub.channels, :n] @ own, dtype=np.complex128)
+    if p is None or not keep.size:
+        blocks = 0 if p is None else len(p.up)
+        return keep, log[keep], psi, np.empty((keep.size, blocks), np.complex128), np.full(keep.size, np.nan)
+    left = np.linalg.solve(right.T, np.eye(n)[:, keep]).T.astype(np.complex128)
+    d_mu = var.pole_deviations(p, left @ back[:n, :n], mu[keep], own)
+    return keep, log[keep], psi, d_mu / mu[keep, None] * sub.rate, var.strengths(p, sub.s, left)
 
 
 def all_orders(
     sub: Subspace, p: var.Perturbations | None, settings: SsiCov, band: tuple[float, float]
 ) -> tuple[PoleSet, Complex, Float, Int]:
     """Poles of the orders 2, 2 + step, .. within the band (Hz), their deviations, strengths and columns."""
-    orders = np.arange(2, sub.s.size + 1, settings.order_step)
-    parts = [_order(sub, p, int(n), settings, *band) for n in orders]
+    orders = np.arange(2, min(sub.s.size, settings.order_max) + 1, settings.order_step)
+    back = solve_triangular(sub.r, np.eye(len(sub.r)))
+    parts = [_order(sub, back, p, int(n), settings, *band) for n in orders]
     column = np.concatenate([x[0] for x in parts]).astype(np.int64)
     pole = np.concatenate([x[1] for x in parts])
     psi = np.concatenate([x[2] for x in parts], axis=1)

@@ -13,6 +13,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.identify import variance as var
 from ringtrue.identify.cluster import cluster_poles
+from ringtrue.identify.mixing import Mixing, unmix
 from ringtrue.identify.poles import PoleSet, unit
 from ringtrue.identify.ssi import BandPoles, transition
 from ringtrue.identify.whittle import SpectralBins, refine
@@ -31,6 +32,8 @@ class Candidates:
         By each block of the record; the sum of squares is the variance.
     shape : (ch, m) complex128
     shape_std : (ch, m) float64
+    shape_deviation : (m, ch, block) complex128
+        Of the shape, its largest component 1, by each block of the record.
     share : (m,) float64
         Fraction of the orders, from the first that shows the mode, that show it.
     orders : (m, 2) int64
@@ -51,6 +54,7 @@ class Candidates:
     deviation: Complex
     shape: Complex
     shape_std: Float
+    shape_deviation: Complex
     share: Float
     orders: Int
     strength: Float
@@ -67,7 +71,7 @@ class Candidates:
 
     def take(self, at: Int) -> Candidates:
         """The chosen rows, in the given order; `label` and `stable` stay."""
-        rows = ("pole", "deviation", "share", "orders", "strength", "mpc", "halves", "refined")
+        rows = ("pole", "deviation", "shape_deviation", "share", "orders", "strength", "mpc", "halves", "refined")
         part = {name: getattr(self, name)[at] for name in rows}
         return replace(self, **part, shape=self.shape[:, at], shape_std=self.shape_std[:, at])
 
@@ -97,18 +101,20 @@ def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:
     w = (1 / v) / (1 / v).sum()
     pole = complex(w @ p.pole[at])
     best = int(at[np.argmin(np.abs(p.pole[at] - pole) ** 2 / np.abs(pole) ** 2 + 1e-4 * v / v.min())])
+    # low orders lack modes, whose motion goes into the shapes of those that are there
+    high = p.order[at] > p.order.max() / 2
+    share = w * high if high.sum() > 1 else w
     psi = p.shape[:, at]
     turn = p.shape[:, best].conj() @ psi
-    return pole, w @ band.deviation[at], (psi * (turn.conj() / np.abs(turn))) @ w, best
+    return pole, w @ band.deviation[at], (psi * (turn.conj() / np.abs(turn))) @ (share / share.sum()), best
 
 
-def _shape_std(band: BandPoles, k: int) -> Float:
-    """Standard deviation (ch,) of the modulus of the shape of pole `k`, its largest component 1."""
+def _shape_deviation(band: BandPoles, k: int) -> Complex:
+    """Deviation (ch, block) of the shape of pole `k`, its largest component 1."""
     sub, n = band.subspace, int(band.poles.order[k])
     parts = transition(sub, n)
-    c = sub.u[: sub.channels, :n]
-    d = var.shape_deviations(band.perturbations, parts, c, int(band.column[k]), sub.r[:n, :n])
-    return var.modulus_std(unit(c @ parts[2][:, band.column[k], None])[:, 0], d)
+    i = int(np.argmin(np.abs(parts[1] - np.exp(band.poles.pole[k] / sub.rate))))
+    return var.shape_deviations(band.perturbations, parts, sub.u[: sub.channels, :n], i, sub.r[:n, :n])
 
 
 def candidates(band: BandPoles, least: int = 4) -> Candidates:
@@ -142,12 +148,14 @@ def _table(
     size = np.array([g.size for g in groups], dtype=np.int64)
     possible = (tried[:, None] >= first).sum(0) if m else size
     shape = np.stack([x[2] for x in means], axis=1) if m else np.empty((ch, 0), np.complex128)
-    std = np.stack([_shape_std(band, x[3]) for x in means], axis=1) if m else np.empty((ch, 0))
+    psi = unit(shape)
+    d = np.stack([_shape_deviation(band, x[3]) for x in means]) if m else np.empty((0, ch, nb), np.complex128)
     return Candidates(
         np.array([x[0] for x in means], dtype=np.complex128),
         np.stack([x[1] for x in means]) if m else np.empty((0, nb), np.complex128),
-        unit(shape),
-        std,
+        psi,
+        var.modulus_std(psi, d),
+        d,
         size / np.maximum(possible, 1),
         np.stack([size, np.full(m, tried.size)], axis=1).astype(np.int64),
         np.array([np.median(band.strength[g]) for g in groups]),
@@ -171,7 +179,12 @@ def refined(c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: 
     Modes of one band are then independent: the deviations of each take two columns of their own.
     """
     doubt = c.stds()[1][at] / c.damping[at]
-    fit = refine(bins, c.frequencies[at], c.damping[at], c.shape[np.ix_(references, at)], slope, doubt)
+    shape = c.shape[np.ix_(references, at)]
+    prior = _stated_mixing(c, at)
+    rough = unmix(bins, c.frequencies[at], c.damping[at], shape, slope[0], prior=prior).matrix
+    fit = refine(bins, c.frequencies[at], c.damping[at], shape @ rough, slope, doubt)
+    mix = unmix(bins, fit.frequency, fit.damping, shape, slope[0], prior=prior, start=rough)
+    c = _unmixed(c, at, mix)
     ok = np.flatnonzero(fit.ok)
     rows, f, z = at[ok], fit.frequency[ok], fit.damping[ok]
     root = np.sqrt(1 - z**2)
@@ -185,6 +198,34 @@ def refined(c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: 
     poles, done = c.pole.copy(), c.refined.copy()
     poles[rows], done[rows] = pole, True
     return replace(c, pole=poles, deviation=deviation, refined=done)
+
+
+def _stated_mixing(c: Candidates, at: Int) -> Float:
+    """(m, m) variance of the share of the shape of each row `at` in the others', from their deviations."""
+    inverse = np.linalg.pinv(c.shape[:, at])
+    return np.asarray((np.abs(inverse @ c.shape_deviation[at]) ** 2).sum(2).T)
+
+
+def _unmixed(c: Candidates, at: Int, mix: Mixing) -> Candidates:
+    """The candidates with the shapes of the rows `at` told apart.
+
+    Deviations in the direction of a shape that was told apart give way to those of the mixing.
+    """
+    psi, tried = c.shape[:, at] @ mix.matrix, mix.variance > 0
+    inverse = np.linalg.pinv(psi)
+    shape, std, deviation, like = c.shape.copy(), c.shape_std.copy(), c.shape_deviation.copy(), c.mpc.copy()
+    for k, row in enumerate(at):  # modes
+        top = int(np.argmax(np.abs(psi[:, k])))
+        own = psi[:, k] / psi[top, k]
+        other = psi[:, tried[:, k]]
+        d = deviation[row] - other @ (inverse @ deviation[row])[tried[:, k]]
+        deviation[row] = d - np.outer(own, d[top])
+        by_mixing = (other - np.outer(own, other[top])) / psi[top, k]
+        shape[:, row] = own
+        half = 0.5 * np.abs(by_mixing) ** 2 @ mix.variance[tried[:, k], k]
+        std[:, row] = np.sqrt(var.modulus_std(own[None].T, deviation[[row]])[:, 0] ** 2 + half)
+    like[at] = mpc(shape[:, at])
+    return replace(c, shape=shape, shape_std=std, shape_deviation=deviation, mpc=like)
 
 
 def half_agreement(c: Candidates, halves: tuple[PoleSet, PoleSet]) -> Float:

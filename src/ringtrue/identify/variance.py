@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from scipy.linalg import solve_triangular
 
 from ringtrue.core.arrays import Any_, Complex, Float
@@ -20,67 +21,70 @@ class Perturbations:
 
     Attributes
     ----------
-    up, down : (block, order, order) float64
+    up, down : (block, order, order) float32
         Qᵀ ΔO without its last and without its first block row.
-    output : (block, ch, order) float64
+    output : (block, ch, order) float32
         First block row of ΔO.
-    inner : (block, order, order) float64
+    inner : (block, order, order) float32
         Uᵀ ΔO, for the strength of a mode.
     """
 
-    up: Float
-    down: Float
-    output: Float
-    inner: Float
+    up: Any_
+    down: Any_
+    output: Any_
+    inner: Any_
 
 
 def hankel(r: Any_, rows: int) -> Any_:
     """Block-Hankel (rows·ch, rows·ref) of the lags 1 .. 2·rows − 1 of `r` (lag, ch, ref)."""
-    at = 1 + np.arange(rows)[:, None] + np.arange(rows)
-    return np.asarray(r[at].transpose(0, 2, 1, 3).reshape(rows * r.shape[1], rows * r.shape[2]))
+    return np.asarray(_block_rows(r[None], rows)[0].reshape(rows * r.shape[1], rows * r.shape[2]))
 
 
-def deviations(r: Float, weights: Float) -> tuple[Float, Float]:
+def _block_rows(r: Any_, rows: int) -> Any_:
+    """(block, row, ch, rows·ref) view of the Hankel matrices of `r` (block, lag, ch, ref)."""
+    by_channel = np.ascontiguousarray(r.transpose(0, 2, 1, 3)[:, :, 1 : 2 * rows])
+    nb, ch, _, ref = by_channel.shape
+    s = by_channel.strides
+    shape, strides = (nb, rows, ch, rows * ref), (s[0], s[2], s[1], s[3])
+    return as_strided(by_channel, shape, strides, writeable=False)
+
+
+def deviations(r: Any_, weights: Float) -> tuple[Float, Any_]:
     """Weighted mean (lag, ch, ref) of the block correlations `r` (block, lag, ch, ref), and each block's deviation.
 
     The deviations are scaled so that their sum of squares is the variance of the mean.
     """
-    mean = np.einsum("b,bkij->kij", weights, r)
+    mean = np.tensordot(weights.astype(r.dtype), r, 1)
     n = weights.size
-    return mean, (r - mean) * (weights * np.sqrt(n / (n - 1)))[:, None, None, None]
+    size = (weights * np.sqrt(n / (n - 1))).astype(r.dtype)
+    return mean.astype(np.float64), (r - mean) * size[:, None, None, None]
 
 
-def perturb(dr: Float, rows: int, u: Float, vs: Float, q: Float) -> Perturbations:
+def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations:
     """Perturbations by the deviations `dr` (block, lag, ch, ref); `u` left vectors, `vs` = V S⁻¹, `q` of O's QR."""
     ch, nb, n = dr.shape[2], dr.shape[0], vs.shape[1]
-    shape = (nb, n, n)
-    up, down, inner, output = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((nb, ch, n))
     # a standard deviation needs no more than single precision, which halves the time
-    single = dr.astype(np.float32)
-    u32, vs32, q32 = u.astype(np.float32), vs.astype(np.float32), q.astype(np.float32)
-    for b in range(nb):  # one Hankel matrix in memory at a time
-        t = hankel(single[b], rows) @ vs32
-        up[b], down[b], inner[b], output[b] = q32.T @ t[:-ch], q32.T @ t[ch:], u32.T @ t, t[:ch]
-    return Perturbations(up, down, output, inner)
+    u32, vs32, q32 = (x.astype(np.float32) for x in (u.T, vs, q.T))
+    t = np.empty((nb, rows * ch, n), dtype=np.float32)
+    for b, view in enumerate(_block_rows(dr.astype(np.float32), rows)):  # the copies of one in memory at a time
+        np.matmul(view, vs32, out=t[b].reshape(rows, ch, n))
+    return Perturbations(q32 @ t[:, :-ch], q32 @ t[:, ch:], t[:, :ch].copy(), u32 @ t)
 
 
-def _bilinear(left: Complex, mid: Float, right: Complex) -> Complex:
-    """(k, block) values left_i mid_b right_i of `left` (k, n), `mid` (block, n, n), `right` (n, k)."""
-    nb, n, _ = mid.shape
+def _bilinear(left: Complex, mid: Any_, right: Complex) -> Complex:
+    """(k, block) values left_i mid_b right_i of `left` (k, n), `mid` (block, n, n) float32, `right` (n, k)."""
     k = left.shape[0]
-    flat = np.ascontiguousarray(mid.transpose(1, 0, 2)).reshape(n, nb * n)
-    both = np.concatenate([left.real, left.imag]) @ flat
-    half = (both[:k] + 1j * both[k:]).reshape(k, nb, n)
-    return np.asarray((half @ right.T[:, :, None])[..., 0])
+    half = np.concatenate([left.real, left.imag]).astype(np.float32) @ mid
+    full = half[:, :k] + 1j * half[:, k:]
+    return np.asarray(np.einsum("bkn,nk->kb", full, right.astype(np.complex64)), dtype=np.complex128)
 
 
-def pole_deviations(p: Perturbations, r: Float, mu: Complex, right: Complex, left: Complex) -> Complex:
+def pole_deviations(p: Perturbations, row: Complex, mu: Complex, right: Complex) -> Complex:
     """Δμ (k, block) complex128 of the discrete poles `mu` (k,) of one order.
 
-    `right` (n, k) and `left` (k, n) are eigenvectors with left @ right = I, `r` (n, n) the triangle of O's QR.
+    `right` (n, k) are eigenvectors; `row` (k, n) left ones, scaled to left @ right = I, times R⁻¹ of O's QR.
     """
-    n = r.shape[0]
-    row = solve_triangular(r.T, left.T, lower=True).T
+    n = row.shape[1]
     return np.asarray(_bilinear(row, p.down[:, :n, :n], right) - mu[:, None] * _bilinear(row, p.up[:, :n, :n], right))
 
 
@@ -118,10 +122,10 @@ def shape_deviations(
 
 
 def modulus_std(psi: Complex, d_psi: Complex) -> Float:
-    """Standard deviation (ch,) of |ψ| from the deviations `d_psi` (ch, block)."""
+    """Standard deviations (ch, m) of |ψ| of the shapes `psi` (ch, m) from their deviations `d_psi` (m, ch, block)."""
     size = np.abs(psi)
     phase = np.where(size > 1e-12, psi / np.maximum(size, 1e-12), 1.0)
-    return np.asarray(np.sqrt(((d_psi * phase.conj()[:, None]).real ** 2).sum(1)))
+    return np.asarray(np.sqrt(((d_psi * phase.T.conj()[:, :, None]).real ** 2).sum(2)).T)
 
 
 def frequency_damping(pole: Complex, d_pole: Complex) -> tuple[Float, Float]:

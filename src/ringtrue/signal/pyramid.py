@@ -1,0 +1,207 @@
+"""One pass over a signal at one rate: correlations of its band by blocks, and the signals at the next rate.
+
+Overlapped segments are transformed once, and their spectra give both, so that a pass costs little more than its FFT.
+The filters are symmetric and finite and the segments overlap by their lengths: nothing depends on where a segment
+begins, and the correlations are those of the whole filtered signal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from scipy.fft import irfft, next_fast_len, rfft
+
+from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.signal.stream import Fir
+
+AT_ONCE = 1 << 21  # samples of all channels that are transformed together: they stay in the cache
+LOOKS = 48  # segments that `glance` takes
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """How a signal is cut.
+
+    Attributes
+    ----------
+    blocks, each : int
+        Blocks, and segments of each.
+    hop : int
+        Samples of a segment that count; a multiple of `factor`.
+    lead : int
+        Samples before and behind them, for the filters.
+    size : int
+        Length of the transform.
+    lags : int
+        Largest lag.
+    factor : int
+        That the signals of the next rate are decimated by.
+    """
+
+    blocks: int
+    each: int
+    hop: int
+    lead: int
+    size: int
+    lags: int
+    factor: int
+
+
+def segments(samples: int, blocks: int, lags: int, band: Fir, decimation: Fir) -> Segments:
+    """A cut of `samples` into equal blocks, with room for a filter of the band and one that decimates."""
+    factor = decimation.factor
+    lead = -(-(max(band.taps.size, decimation.taps.size) // 2 + 16) // factor) * factor
+    beside = 2 * lead + lags
+    block = -(-samples // blocks)
+    each = max(1, round(block / (4 * beside)))
+    hop = -(-block // (each * factor)) * factor
+    size = factor * int(next_fast_len(-(-(hop + beside) // factor), real=True))
+    return Segments(blocks, each, hop, lead, size, lags, factor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """Signals less a level, which is taken off where they are read: a copy of a long record takes its time.
+
+    Attributes
+    ----------
+    data : (ch, sample) float
+    level : (ch,) float64
+    """
+
+    data: Any_
+    level: Float
+
+    @classmethod
+    def of(cls, data: Any_) -> Signals:
+        """Less about their mean, from some of the samples: what is left is below all bands."""
+        some = data[:, :: max(1, min(64, data.shape[1] // 1000))]
+        return cls(data, some.mean(1, dtype=np.float64))
+
+    @property
+    def samples(self) -> int:
+        """Of each channel."""
+        return int(self.data.shape[1])
+
+    def part(self, start: int, stop: int, rows: Int | slice = slice(None)) -> Any_:
+        """(ch, stop − start) float32, zero beyond the ends."""
+        a, b = max(start, 0), min(stop, self.samples)
+        level = self.level[rows].astype(self.data.dtype)
+        out = np.empty((level.size, stop - start), dtype=np.float32)
+        out[:, : a - start], out[:, max(b - start, 0) :] = 0.0, 0.0
+        np.subtract(self.data[rows, a:b], level[:, None], out=out[:, a - start : b - start], casting="same_kind")
+        return out
+
+
+def detrended(data: Any_) -> Signals:
+    """The signals less their mean and straight line, in place."""
+    if not data.shape[1]:
+        return Signals(data, np.zeros(len(data)))
+    t = np.linspace(-1.0, 1.0, data.shape[1], dtype=np.float32)
+    for x in data:
+        x -= x.mean(dtype=np.float64)
+        x -= (x @ t) / max(float(t @ t), 1.0) * t
+    return Signals(data, np.zeros(len(data)))
+
+
+def _gain(fir: Fir, size: int) -> Any_:
+    """(freq,) float32 real gain of a symmetric filter."""
+    half = fir.taps.size // 2
+    h = np.zeros(size)
+    h[: half + 1], h[size - half :] = fir.taps[half:], fir.taps[:half]
+    return rfft(h).real.astype(np.float32)
+
+
+def glance(signals: Signals, cut: Segments, band: Fir) -> tuple[Float, Float]:
+    """Root mean squares (ch,) of the band, and correlations (ch, ch) at lag 1 in their units, from some segments."""
+    every = cut.blocks * cut.each
+    some = np.unique(np.linspace(0, every - 1, min(LOOKS, every)).round().astype(np.int64))
+    gain = _gain(band, cut.size)
+    turn = np.exp(2j * np.pi * np.arange(gain.size) / cut.size).astype(np.complex64)
+    ch = signals.level.size
+    power, lagged = np.zeros(ch), np.zeros((ch, ch))
+    for k in some.tolist():
+        start = k * cut.hop - cut.lead
+        y = rfft(signals.part(start, start + cut.size), axis=1) * gain
+        flat = y.view(np.float32)
+        power += np.einsum("cf,cf->c", flat, flat)
+        lagged += (y * turn).view(np.float32) @ flat.T
+    size = np.sqrt(np.maximum(power, 1e-300))
+    return np.sqrt(2 * power / some.size) / cut.size, lagged / (size[:, None] * size)
+
+
+def run(signals: Signals, cut: Segments, band: Fir, decimation: Fir, references: Int) -> tuple[Any_, Any_]:
+    """One pass.
+
+    Parameters
+    ----------
+    signals : Signals
+    cut : Segments
+    band, decimation : Fir
+        What makes the band of the signal, and what leads to the next rate.
+    references : (ref,) int64
+
+    Returns
+    -------
+    correlation : (block, lags + 1, ch, ref) float32
+        Of the band; R[k] = mean of y(t + k) y_ref(t)ᵀ over the t of the block.
+    lower : (ch, sample / factor) float32
+        Decimated signals; of no length with factor 1.
+    """
+    gain, low = _gain(band, cut.size), _gain(decimation, cut.size)
+    ch, n = signals.level.size, signals.samples
+    q, block = cut.factor, cut.each * cut.hop
+    lower = np.empty((ch, cut.blocks * block // q if q > 1 else 0), dtype=np.float32)
+    r = np.empty((cut.blocks, cut.lags + 1, ch, references.size), dtype=np.float32)
+    batch = max(1, AT_ONCE // (ch * cut.size))
+    for b in range(cut.blocks):  # in memory one at a time
+        cross = np.zeros((gain.size, ch, references.size), dtype=np.complex64)
+        for k in range(b * cut.each, (b + 1) * cut.each, batch):
+            count = min(batch, (b + 1) * cut.each - k)
+            start = k * cut.hop
+            x = signals.part(start - cut.lead, start - cut.lead + (count - 1) * cut.hop + cut.size)
+            y = _spectra(x, cut, count)
+            cross += y @ _references(x, cut, count, references)
+            if q > 1:
+                lower[:, start // q : (start + count * cut.hop) // q] = _decimated(y, cut, low)
+        cross *= (gain**2)[:, None, None]
+        r[b] = irfft(cross, cut.size, axis=0)[cut.lead : cut.lead + cut.lags + 1]
+    pairs = np.clip(n - np.arange(cut.lags + 1) - np.arange(cut.blocks)[:, None] * block, 1, block)
+    r /= pairs[:, :, None, None].astype(np.float32)
+    return r, lower[:, : -(-n // q)]
+
+
+def lowered(signals: Signals, decimation: Fir) -> Any_:
+    """(ch, sample) float32 decimated signals."""
+    ch, n = signals.level.size, signals.samples
+    cut = segments(n, -(-n // max(4 * decimation.taps.size, 4096)), 0, decimation, decimation)
+    gain, q = _gain(decimation, cut.size), cut.factor
+    out = np.empty((ch, cut.blocks * cut.each * cut.hop // q), dtype=np.float32)
+    batch = max(1, AT_ONCE // (ch * cut.size))
+    for k in range(0, cut.blocks * cut.each, batch):
+        count = min(batch, cut.blocks * cut.each - k)
+        start = k * cut.hop
+        x = signals.part(start - cut.lead, start - cut.lead + (count - 1) * cut.hop + cut.size)
+        out[:, start // q : (start + count * cut.hop) // q] = _decimated(_spectra(x, cut, count), cut, gain)
+    return out[:, : -(-n // q)]
+
+
+def _spectra(x: Any_, cut: Segments, count: int) -> Any_:
+    """(freq, ch, segment) complex64 of `count` segments of the part `x` (ch, sample)."""
+    strides = (x.strides[1], x.strides[0], cut.hop * x.strides[1])
+    return rfft(as_strided(x, (cut.size, len(x), count), strides), axis=0)
+
+
+def _references(x: Any_, cut: Segments, count: int, references: Int) -> Any_:
+    """(freq, segment, ref) conjugate spectra of the samples of each segment that count."""
+    inner = x[references, cut.lead : cut.lead + count * cut.hop].reshape(references.size, count, cut.hop)
+    return np.ascontiguousarray(rfft(inner.transpose(2, 1, 0), cut.size, axis=0).conj())
+
+
+def _decimated(y: Any_, cut: Segments, gain: Any_) -> Any_:
+    """(ch, sample) decimated signals of the spectra `y` (freq, ch, segment): what counts of each segment."""
+    q, m = cut.factor, cut.size // cut.factor
+    z = irfft(y[: m // 2 + 1] * (gain[: m // 2 + 1, None, None] / np.float32(q)), m, axis=0)
+    return z[cut.lead // q : (cut.lead + cut.hop) // q].transpose(1, 2, 0).reshape(y.shape[1], -1)
