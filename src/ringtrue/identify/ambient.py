@@ -18,6 +18,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.identify import variance as var
 from ringtrue.identify.ambient_verdict import (
     Found,
     confidence,
@@ -192,7 +193,7 @@ def _band(sums: BandSums, settings: AmbientSettings, slope: tuple[float, float],
 def _found(sums: BandSums, poles: BandPoles, table: Candidates, sure: Float, picked: Int) -> Found:
     """The candidates with shapes in the channels' units."""
     scaled = table.shape * sums.scale[:, None]
-    std = table.shape_std * sums.scale[:, None] / np.abs(scaled).max(0, initial=0.0)
+    std = var.modulus_std(scaled, table.shape_deviation * sums.scale[:, None])
     return Found(table, unit(scaled), std, sure, _diagram(poles, table, sums), picked)
 
 

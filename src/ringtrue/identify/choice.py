@@ -122,12 +122,11 @@ def _orders_like(poles: PoleSet, at: int) -> int:
 
 def _stacked(one: Candidates, two: Candidates) -> Candidates:
     """The rows of two tables of one band; the second one's poles count for it."""
-    by_row = [f.name for f in fields(Candidates) if f.name not in ("shape", "shape_std", "label", "stable")]
+    by_row = [f.name for f in fields(Candidates) if f.name not in ("shape", "label", "stable")]
     joined = {n: np.concatenate([getattr(one, n), getattr(two, n)]) for n in by_row}
     return Candidates(
         **joined,
         shape=np.concatenate([one.shape, two.shape], axis=1),
-        shape_std=np.concatenate([one.shape_std, two.shape_std], axis=1),
         label=np.where(two.label >= 0, two.label + one.pole.size, one.label),
         stable=one.stable,
     )

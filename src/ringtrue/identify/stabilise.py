@@ -31,9 +31,8 @@ class Candidates:
     deviation : (m, block) complex128, rad/s
         By each block of the record; the sum of squares is the variance.
     shape : (ch, m) complex128
-    shape_std : (ch, m) float64
     shape_deviation : (m, ch, block) complex128
-        Of the shape, its largest component 1, by each block of the record.
+        Of the shape by each block of the record, and by what is not known of its mixing with others.
     share : (m,) float64
         Fraction of the orders, from the first that shows the mode, that show it.
     orders : (m, 2) int64
@@ -53,7 +52,6 @@ class Candidates:
     pole: Complex
     deviation: Complex
     shape: Complex
-    shape_std: Float
     shape_deviation: Complex
     share: Float
     orders: Int
@@ -73,7 +71,7 @@ class Candidates:
         """The chosen rows, in the given order; `label` and `stable` stay."""
         rows = ("pole", "deviation", "shape_deviation", "share", "orders", "strength", "mpc", "halves", "refined")
         part = {name: getattr(self, name)[at] for name in rows}
-        return replace(self, **part, shape=self.shape[:, at], shape_std=self.shape_std[:, at])
+        return replace(self, **part, shape=self.shape[:, at])
 
     @property
     def frequencies(self) -> Float:
@@ -148,13 +146,11 @@ def _table(
     size = np.array([g.size for g in groups], dtype=np.int64)
     possible = (tried[:, None] >= first).sum(0) if m else size
     shape = np.stack([x[2] for x in means], axis=1) if m else np.empty((ch, 0), np.complex128)
-    psi = unit(shape)
     d = np.stack([_shape_deviation(band, x[3]) for x in means]) if m else np.empty((0, ch, nb), np.complex128)
     return Candidates(
         np.array([x[0] for x in means], dtype=np.complex128),
         np.stack([x[1] for x in means]) if m else np.empty((0, nb), np.complex128),
-        psi,
-        var.modulus_std(psi, d),
+        unit(shape),
         d,
         size / np.maximum(possible, 1),
         np.stack([size, np.full(m, tried.size)], axis=1).astype(np.int64),
@@ -209,23 +205,19 @@ def _stated_mixing(c: Candidates, at: Int) -> Float:
 def _unmixed(c: Candidates, at: Int, mix: Mixing) -> Candidates:
     """The candidates with the shapes of the rows `at` told apart.
 
-    Deviations in the direction of a shape that was told apart give way to those of the mixing.
+    Deviations in the direction of a shape that was told apart give way to those of the mixing, in columns of their own.
     """
     psi, tried = c.shape[:, at] @ mix.matrix, mix.variance > 0
-    inverse = np.linalg.pinv(psi)
-    shape, std, deviation, like = c.shape.copy(), c.shape_std.copy(), c.shape_deviation.copy(), c.mpc.copy()
+    inverse, size = np.linalg.pinv(psi), np.sqrt(0.5 * mix.variance)
+    shape, like, m = c.shape.copy(), c.mpc.copy(), at.size
+    deviation = np.concatenate([c.shape_deviation, np.zeros((*c.shape_deviation.shape[:2], 2 * m))], axis=2)
     for k, row in enumerate(at):  # modes
-        top = int(np.argmax(np.abs(psi[:, k])))
-        own = psi[:, k] / psi[top, k]
-        other = psi[:, tried[:, k]]
-        d = deviation[row] - other @ (inverse @ deviation[row])[tried[:, k]]
-        deviation[row] = d - np.outer(own, d[top])
-        by_mixing = (other - np.outer(own, other[top])) / psi[top, k]
-        shape[:, row] = own
-        half = 0.5 * np.abs(by_mixing) ** 2 @ mix.variance[tried[:, k], k]
-        std[:, row] = np.sqrt(var.modulus_std(own[None].T, deviation[[row]])[:, 0] ** 2 + half)
-    like[at] = mpc(shape[:, at])
-    return replace(c, shape=shape, shape_std=std, shape_deviation=deviation, mpc=like)
+        by_mixing = psi * size[:, k]
+        d = c.shape_deviation[row]
+        d = d - psi[:, tried[:, k]] @ (inverse @ d)[tried[:, k]]
+        deviation[row] = np.concatenate([d, by_mixing, 1j * by_mixing], axis=1)
+    shape[:, at], like[at] = psi, mpc(psi)
+    return replace(c, shape=shape, shape_deviation=deviation, mpc=like)
 
 
 def half_agreement(c: Candidates, halves: tuple[PoleSet, PoleSet]) -> Float:

@@ -122,10 +122,18 @@ def shape_deviations(
 
 
 def modulus_std(psi: Complex, d_psi: Complex) -> Float:
-    """Standard deviations (ch, m) of |ψ| of the shapes `psi` (ch, m) from their deviations `d_psi` (m, ch, block)."""
-    size = np.abs(psi)
-    phase = np.where(size > 1e-12, psi / np.maximum(size, 1e-12), 1.0)
-    return np.asarray(np.sqrt(((d_psi * phase.T.conj()[:, :, None]).real ** 2).sum(2)).T)
+    """Standard deviations (ch, m) of |ψ|, its largest component held at 1.
+
+    `psi` (ch, m) are shapes and `d_psi` (m, ch, block) their deviations, both of any one scale.
+    """
+    m = np.arange(psi.shape[1])
+    top = np.abs(psi).argmax(0)
+    own = psi / psi[top, m]
+    d = d_psi / psi[top, m][:, None, None]
+    d = d - own.T[:, :, None] * d[m, top][:, None]
+    size = np.abs(own)
+    phase = np.where(size > 1e-12, own / np.maximum(size, 1e-12), 1.0)
+    return np.asarray(np.sqrt(((d * phase.T.conj()[:, :, None]).real ** 2).sum(2)).T)
 
 
 def frequency_damping(pole: Complex, d_pole: Complex) -> tuple[Float, Float]:
