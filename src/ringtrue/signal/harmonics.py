@@ -18,6 +18,7 @@ from ringtrue.signal.windows import step
 _BETWEEN = 2.1  # kurtosis: the geometric mean of 1.5 of a sine and 3 of random response
 _WIDEST = 0.05  # apparent damping of a machine that still has a speed
 _NEAR = 0.4  # share of the power of a band that lies near its pole
+_INSTANTS = 1 << 14  # of an envelope that tell its moments
 _EYES, _LONGEST = 3, 1 << 21  # channels and samples that tell whether an amplitude is steady
 
 
@@ -64,13 +65,16 @@ def _narrow(spectrum: Complex, n: int, history: TimeHistory, frequency: float, w
     last = min(int((frequency + 0.75 * width) / step_f) + 2, spectrum.shape[1])
     f = step_f * np.arange(first, last)
     edges = (frequency - 0.75 * width, frequency - 0.4 * width), (frequency + 0.75 * width, frequency + 0.4 * width)
-    gain = step(f, *edges[0]) * step(f, *edges[1])
-    m = int(next_fast_len(2 * f.size))
-    power = np.abs(ifft(spectrum[:, first:last] * gain, m, axis=1) * m) ** 2
+    gain = (step(f, *edges[0]) * step(f, *edges[1])).astype(spectrum.real.dtype)
+    m = int(next_fast_len(min(2 * f.size, _INSTANTS)))
+    lines = np.zeros((len(spectrum), -(-f.size // m), m), dtype=spectrum.dtype)
+    lines.reshape(len(spectrum), -1)[:, : f.size] = spectrum[:, first:last] * gain
+    envelope = ifft(lines.sum(axis=1), axis=1, norm="forward")  # folded lines: the same envelope at fewer instants
+    power = envelope.real**2 + envelope.imag**2
     skirt = int(np.ceil(m * step_f / width))
     power = power[:, skirt : m * history.data.shape[1] // n - skirt]
-    mean = power.mean(axis=1)
-    each = (power**2).mean(axis=1) / np.maximum(mean, 1e-300)
+    mean = power.mean(axis=1, dtype=np.float64)
+    each = ((power / np.maximum(mean, 1e-300)[:, None]) ** 2).mean(axis=1, dtype=np.float64) * mean
     return float(1.5 * each.sum() / max(mean.sum(), 1e-300)), float(mean.sum())
 
 

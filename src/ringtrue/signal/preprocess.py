@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import median_filter
 
@@ -16,6 +17,7 @@ from ringtrue.signal.windows import step, window
 
 _LARGEST = 1e70  # fourth powers stay finite
 _LINES = 32  # channels that show the lines of machines, at most
+_BATCH = 8  # segments that are transformed together
 _FEW = 2000  # samples that most channels show themselves in
 _LOOK, _LEVELS = 1 << 16, 32  # samples looked at for different values, and how few are a coarse recorder
 _ODD = 100.0  # times the typical level of the channels of a quantity
@@ -117,7 +119,7 @@ def decimate(history: TimeHistory, rate: float) -> TimeHistory:
 
 def _runs(flag: Bool) -> int:
     """Samples in runs of at least three."""
-    return int((flag[2:] & flag[1:-1] & flag[:-2]).sum())
+    return int((flag[2:] & flag[1:-1] & flag[:-2]).sum()) if np.count_nonzero(flag) > 2 else 0
 
 
 def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
@@ -130,8 +132,9 @@ def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
         If values are so large that their squares overflow.
     """
     data, ids = history.data, [c.id for c in history.channels]
-    finite: Bool = np.asarray(np.isfinite(data).all(1))
-    top = np.array([float(np.abs(x).max()) if ok else 0.0 for x, ok in zip(data, finite, strict=True)])
+    ends = np.stack([data.max(1), data.min(1)]).astype(np.float64)  # not finite where a sample is not
+    finite: Bool = np.asarray(np.isfinite(ends).all(0))
+    top = np.where(finite, np.abs(ends).max(0), 0.0)
     if (top > _LARGEST).any():
         raise DataError(
             f"{history.source}: channel {ids[int(top.argmax())]} reaches {top.max():.2g}: no unit makes that"
@@ -270,8 +273,7 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     length = int(next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True))
     if data.shape[1] < 16 * length // 2:
         return ()
-    starts = np.arange(0, data.shape[1] - length + 1, length // 2, dtype=np.int64)
-    second, fourth, freqs = _moments(data, starts, length, rate)
+    second, fourth, freqs = _moments(data, length, rate)
     kurtosis = fourth / np.maximum(second**2, np.finfo(np.float64).tiny)
     floor = median_filter(second, size=41, mode="nearest")
     at = np.arange(8, second.size - 8)
@@ -286,21 +288,25 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     )
 
 
-def _moments(data: Any_, starts: Int, length: int, rate: float) -> tuple[Float, Float, Float]:
-    """Second and fourth moment (freq,) of the power summed over normalised channels, and frequencies."""
-    win = window("blackmanharris", length)
-    power = np.zeros((starts.size, length // 2 + 1), dtype=np.float32)
-    seg = np.empty((starts.size, length), dtype=np.float32)
+def _moments(data: Any_, length: int, rate: float) -> tuple[Float, Float, Float]:
+    """Second and fourth moment (freq,) of the power summed over normalised channels, and frequencies.
+
+    Of half-overlapped segments of `length` samples.
+    """
+    win, count = window("blackmanharris", length), (data.shape[1] - length) // (length // 2) + 1
+    power = np.zeros((count, length // 2 + 1), dtype=np.float32)
+    seg = np.empty((_BATCH, length), dtype=np.float32)
     for i in np.unique(np.linspace(0, len(data) - 1, _LINES).astype(np.int64)):
-        x = data[i]  # one in memory at a time, and in place: most of the time is that of the transforms
-        some = x[:: max(1, x.size // 20000)]
-        level = some.mean(dtype=np.float64)
-        for row, k in zip(seg, starts.tolist(), strict=True):
-            np.subtract(x[k : k + length], level, out=row, casting="same_kind")
-        seg *= (win / max(float(np.std(some, dtype=np.float64)), 1e-30)).astype(np.float32)
-        parts = rfft(seg, axis=1).view(np.float32)
-        parts *= parts
-        power += parts[:, ::2]
-        power += parts[:, 1::2]
+        some = data[i, :: max(1, data.shape[1] // 20000)]
+        level, scale = some.mean(dtype=np.float64), max(float(np.std(some, dtype=np.float64)), 1e-30)
+        gain, parts = (win / scale).astype(np.float32), sliding_window_view(data[i], length)[:: length // 2]
+        for k in range(0, count, _BATCH):  # in the cache, and in place: most of the time is that of the transforms
+            x = seg[: min(_BATCH, count - k)]
+            np.subtract(parts[k : k + _BATCH], level, out=x, casting="same_kind")
+            x *= gain
+            y = rfft(x, axis=1).view(np.float32)
+            y *= y
+            power[k : k + _BATCH] += y[:, ::2]
+            power[k : k + _BATCH] += y[:, 1::2]
     wide = power.astype(np.float64)
     return wide.mean(0), (wide**2).mean(0), rfftfreq(length, 1 / rate)
