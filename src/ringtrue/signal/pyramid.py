@@ -16,7 +16,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.signal.stream import Fir
 
-AT_ONCE = 1 << 21  # samples of all channels that are transformed together: they stay in the cache
+AT_ONCE = 1 << 20  # samples of all channels that are transformed together: they stay in the cache
 LOOKS = 48  # segments that `glance` takes
 
 
@@ -55,7 +55,7 @@ def segments(samples: int, blocks: int, lags: int, band: Fir, decimation: Fir) -
     lead = -(-(max(band.taps.size, decimation.taps.size) // 2 + 16) // factor) * factor
     beside = 2 * lead + lags
     block = -(-samples // blocks)
-    each = max(1, round(block / (4 * beside)))
+    each = max(1, round(block / (3 * beside)))
     hop = -(-block // (each * factor)) * factor
     size = factor * int(next_fast_len(-(-(hop + beside) // factor), real=True))
     return Segments(blocks, each, hop, lead, size, lags, factor)
@@ -89,8 +89,10 @@ class Signals:
         """(ch, stop − start) float32, zero beyond the ends."""
         a, b = max(start, 0), min(stop, self.samples)
         level = self.level[rows].astype(self.data.dtype)
+        if a >= b:
+            return np.zeros((level.size, stop - start), dtype=np.float32)
         out = np.empty((level.size, stop - start), dtype=np.float32)
-        out[:, : a - start], out[:, max(b - start, 0) :] = 0.0, 0.0
+        out[:, : a - start], out[:, b - start :] = 0.0, 0.0
         np.subtract(self.data[rows, a:b], level[:, None], out=out[:, a - start : b - start], casting="same_kind")
         return out
 
