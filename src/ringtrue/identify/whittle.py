@@ -217,8 +217,10 @@ class _Filter:
     leak: Float
 
 
-def _filter(b: SpectralBins, at: Int, f: Float, z: Float, psi: Complex, i: int, others: Int) -> _Filter:
+def _filter(b: SpectralBins, at: Int, half: float, psi: Complex, i: int, others: Int, near: Float, f: Float) -> _Filter:
     """The filter of mode `i` that passes least of the noise and of the `others` in the bins `at`.
+
+    `half` is its half bandwidth, Hz; `near` (bin, other) are the spectra of the others there.
 
     The noise is what no shape explains, away from the peak. All that lies there would not do: the mode's own skirts
     are in it, a motion of other modes in step with them would cancel them, and the peak would look too sharp.
@@ -226,7 +228,7 @@ def _filter(b: SpectralBins, at: Int, f: Float, z: Float, psi: Complex, i: int, 
     shapes = psi[:, [i, *others.tolist()]]
     u, s, _ = np.linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
     q = u[:, s > INDEPENDENT * s[0]]
-    off = at[np.abs(b.freqs[at] - f[i]) > 2.5 * z[i] * f[i]]
+    off = at[np.abs(b.freqs[at] - f[i]) > 2.5 * half]
     parts = np.array_split(off if off.size > 20 else at, 3)
     r = np.stack([b.cross[k].mean(0, dtype=np.complex128) for k in parts])
     out = np.eye(len(psi)) - q @ q.conj().T
@@ -237,8 +239,7 @@ def _filter(b: SpectralBins, at: Int, f: Float, z: Float, psi: Complex, i: int, 
         np.trace(b.cross[np.abs(b.freqs - f[k]).argmin()]).real / np.vdot(v, v).real
         for k, v in zip(others, psi.T[others], strict=True)
     ]
-    share = [_lorentz(b.freqs[at] / f[k], 1.0, z[k], b.duration * f[k]).level.mean() for k in others]
-    r_all = np.diag(noise.mean(0)) + NULL * (shapes[:, 1:] * (np.array(peak) * share)) @ shapes[:, 1:].conj().T
+    r_all = np.diag(noise.mean(0)) + NULL * (shapes[:, 1:] * (np.array(peak) * near.mean(0))) @ shapes[:, 1:].conj().T
     x = np.linalg.solve(r_all, psi[:, i])
     w = x / np.vdot(psi[:, i], x)
     ends = noise[[0, 2]] @ np.abs(w) ** 2 if q.shape[1] < len(psi) else np.full(2, np.nan)
@@ -292,17 +293,20 @@ def _prepare(b: SpectralBins, i: int, f: Float, z: Float, psi: Complex, slope: t
     if at.size < 30 or half < 1.5 * np.median(np.diff(b.freqs[at])):
         return None
     others = np.flatnonzero((np.abs(f - f[i]) < 2 * SPAN * f[i]) & (np.arange(f.size) != i))
-    k = _filter(b, at, f, z, psi, i, others)
-    power = np.maximum(((b.cross[at] @ k.weights) @ k.weights.conj()).real, 1e-300)
-    nu, few = b.freqs[at] / f[i], max(at.size // 10, 3)
+    nu, few, turns, place = b.freqs[at] / f[i], max(at.size // 10, 3), b.duration * f[i], f[others] / f[i]
+    near = np.empty((nu.size, others.size))
+    for k, (p, q) in enumerate(zip(place.tolist(), z[others].tolist(), strict=True)):  # neighbours
+        near[:, k] = _lorentz(nu, p, q, turns).level
+    own = _filter(b, at, half, psi, i, others, near, f)
+    # single precision, that of the spectra: to make them double takes longer than all else
+    w = own.weights.astype(np.complex64)
+    power = np.maximum(((b.cross[at[0] : at[-1] + 1] @ w) @ w.conj()).real.astype(np.float64), 1e-300)
     peak = np.median(power[np.argsort(np.abs(nu - 1))[: max(few, 5)]])
-    known = np.isfinite(k.noise)
-    ends = np.where(known, k.noise, np.array([np.median(power[:few]), np.median(power[-few:])]) / 2)
-    mean = np.array([0.0, np.log(z[i]), slope[0], *np.log([peak, *ends, *np.maximum(k.leak, 1e-6 * peak)])])
+    known = np.isfinite(own.noise)
+    ends = np.where(known, own.noise, np.array([np.median(power[:few]), np.median(power[-few:])]) / 2)
+    mean = np.array([0.0, np.log(z[i]), slope[0], *np.log([peak, *ends, *np.maximum(own.leak, 1e-6 * peak)])])
     # what the data do not show is held near what the filter is expected to pass: levels cannot be negative, so that
     # free ones take from the skirts of the mode on average, and with them from its damping
     loose = np.where(known, LEVEL, 3.0) ** -2
     prior = np.concatenate([[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LEVEL**-2)])
-    turns, place = b.duration * f[i], f[others] / f[i]
-    near = [_lorentz(nu, float(p), float(q), turns).level for p, q in zip(place, z[others], strict=True)]
-    return _Fit(nu, power, b.count[at], turns, place, np.reshape(near, (others.size, nu.size)).T, mean, prior)
+    return _Fit(nu, power, b.count[at], turns, place, near, mean, prior)
