@@ -108,16 +108,21 @@ def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:
     return pole, w @ band.deviation[at], (psi * (turn.conj() / np.abs(turn))) @ (share / share.sum()), best
 
 
-def _shape_deviation(band: BandPoles, k: int) -> Complex:
-    """Deviation (ch, block) of the shape of pole `k`, its largest component 1.
+def _shape_deviations(band: BandPoles, at: list[int]) -> Complex:
+    """Deviations (m, ch, block) of the shapes of the poles `at`, their largest component 1.
 
-    A little larger than that of the blocks: few of them know it badly, and 95 % are to lie within 1.96 of it.
+    A little larger than those of the blocks: few of them know it badly, and 95 % are to lie within 1.96 of it.
     """
-    sub, n = band.subspace, int(band.poles.order[k])
-    parts = transition(sub, n)
-    i = int(np.argmin(np.abs(parts[1] - np.exp(band.poles.pole[k] / sub.rate))))
-    d = var.shape_deviations(band.perturbations, parts, sub.u[: sub.channels, :n], i, sub.r[:n, :n])
-    return d * (stdtrit(d.shape[1] - 1, 0.975) / 1.96)
+    sub, p = band.subspace, band.poles
+    few = stdtrit(band.deviation.shape[1] - 1, 0.975) / 1.96
+    orders = {n: transition(sub, n) for n in np.unique(p.order[at]).tolist()}
+    out = np.empty((len(at), sub.channels, band.deviation.shape[1]), dtype=np.complex128)
+    for row, k in zip(out, at, strict=True):  # modes
+        n = int(p.order[k])
+        i = int(np.argmin(np.abs(orders[n][1] - np.exp(p.pole[k] / sub.rate))))
+        c, r = sub.u[: sub.channels, :n], sub.r[:n, :n]
+        row[:] = few * var.shape_deviations(band.perturbations, orders[n], c, i, r)
+    return out
 
 
 def candidates(band: BandPoles, least: int = 4) -> Candidates:
@@ -151,7 +156,7 @@ def _table(
     size = np.array([g.size for g in groups], dtype=np.int64)
     possible = (tried[:, None] >= first).sum(0) if m else size
     shape = np.stack([x[2] for x in means], axis=1) if m else np.empty((ch, 0), np.complex128)
-    d = np.stack([_shape_deviation(band, x[3]) for x in means]) if m else np.empty((0, ch, nb), np.complex128)
+    d = _shape_deviations(band, [x[3] for x in means])
     return Candidates(
         np.array([x[0] for x in means], dtype=np.complex128),
         np.stack([x[1] for x in means]) if m else np.empty((0, nb), np.complex128),
