@@ -36,6 +36,8 @@ class BandSums:
     ----------
     band : Band
     ssi : SsiCov
+    blocks : int
+        Blocks of one stretch.
     references, eyes : (ref,), (eye,) int64
         Channels of the correlations, and those of the spectra.
     scale : (ch,) float64
@@ -50,6 +52,7 @@ class BandSums:
 
     band: Band
     ssi: SsiCov
+    blocks: int
     references: Int
     eyes: Int
     scale: Float
@@ -71,17 +74,17 @@ class BandSums:
 
 
 def _joined(a: BandSums, b: BandSums) -> BandSums:
-    """Both; `a` gives its arrays away. Pairs of blocks are joined when they become many."""
-    parts = (*a.parts, *b.parts)
+    """Both; `a` gives its arrays away. Pairs of blocks are joined when they become many, and later ones are as long."""
+    parts, blocks = (*a.parts, *b.parts), a.blocks
     if sum(len(p) for p in parts) > MOST_BLOCKS:
-        r = np.concatenate(parts)
+        r, blocks = np.concatenate(parts), max(blocks // 2, 1)
         parts = (r[: len(r) // 2 * 2].reshape(-1, 2, *r.shape[1:]).mean(1),)
     x, y = a.spectra, b.spectra
     if x.freqs.shape != y.freqs.shape or not np.isclose(x.duration, y.duration):
-        return replace(a, parts=parts)
+        return replace(a, parts=parts, blocks=blocks)
     np.add(x.cross, y.cross, out=x.cross)  # in place: these are the largest arrays
     spectra = replace(x, count=x.count + y.count)
-    return replace(a, parts=parts, spectra=spectra, stretches=a.stretches + 1)
+    return replace(a, parts=parts, blocks=blocks, spectra=spectra, stretches=a.stretches + 1)
 
 
 def _filters(band: Band, last: bool) -> tuple[Fir, Fir]:
@@ -111,13 +114,13 @@ def begin(
     for band in bands:
         rows = int(np.clip(y.samples // 60, 10, ssi.block_rows))
         blocks = ssi.blocks or var.blocks_for(y.samples, 2 * rows - 1)
-        own = replace(ssi, block_rows=rows, blocks=blocks)
+        own = replace(ssi, block_rows=rows)
         high, down = _filters(band, band is bands[-1])
         cut = pyramid.segments(y.samples, blocks, 2 * rows - 1, high, down)
         scale, lagged = pyramid.glance(y, cut, high)
         refs = _spanning(lagged, MAX_REFERENCES) if references is None else references
         eyes = _spanning(lagged, SPECTRAL_CHANNELS)
-        got, y = _pass(BandSums(band, own, refs, eyes, scale, (), NOTHING, 0), y, band is bands[-1])
+        got, y = _pass(BandSums(band, own, blocks, refs, eyes, scale, (), NOTHING, 0), y, band is bands[-1])
         out.append(got)
     return out
 
@@ -142,7 +145,7 @@ def _at_first_rate(data: Any_, rate: float, bands: tuple[Band, ...]) -> Signals:
 def _pass(x: BandSums, y: Signals, last: bool) -> tuple[BandSums, Signals]:
     """The sums of one stretch at the rate of its band, and the signals of the next one."""
     high, down = _filters(x.band, last)
-    cut = pyramid.segments(y.samples, x.ssi.blocks, 2 * x.ssi.block_rows - 1, high, down)
+    cut = pyramid.segments(y.samples, x.blocks, 2 * x.ssi.block_rows - 1, high, down)
     r, lower = pyramid.run(y, cut, high, down, x.references)
     scale = x.scale.astype(np.float32)
     r /= scale[:, None] * scale[x.references]

@@ -1,0 +1,100 @@
+"""The pyramid of bands: what a pass gives, what is kept of many stretches, deviations and mixing of shapes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import oaconvolve
+
+from ringtrue.identify import variance as var
+from ringtrue.identify.bands import MOST_BLOCKS, begin, more
+from ringtrue.identify.mixing import unmix
+from ringtrue.identify.ssi import SsiCov
+from ringtrue.identify.whittle import SpectralBins
+from ringtrue.signal import pyramid
+from ringtrue.signal.preprocess import Band
+from ringtrue.signal.pyramid import Signals, segments
+from ringtrue.signal.stream import decimator, high_passer
+
+HIGH, DOWN = high_passer(4.0, 100.0), decimator(4)
+
+
+def filtered(y: np.ndarray, taps: np.ndarray) -> np.ndarray:
+    """(ch, sample) with the delay of a symmetric filter taken out."""
+    half = taps.size // 2
+    return oaconvolve(y, taps[None], axes=1)[:, half : half + y.shape[1]]
+
+
+@pytest.mark.parametrize("samples", [20_000, 19_937])
+def test_a_pass_gives_the_correlations_of_the_filtered_signals(samples):
+    y = np.random.default_rng(1).standard_normal((3, samples))
+    lags, refs = 20, np.array([0, 2])
+    cut = segments(samples, 4, lags, HIGH, DOWN)
+    r, lower = pyramid.run(Signals(y, np.zeros(3)), cut, HIGH, DOWN, refs)
+    # of the signal that leaves the filter on one side and of that which comes to it on the other
+    twice = filtered(filtered(np.pad(y, ((0, 0), (500, 500))), HIGH.taps), HIGH.taps)[:, 500:-500]
+    block = cut.each * cut.hop
+    for b in (0, 2):
+        t = np.arange(b * block, (b + 1) * block)
+        direct = np.stack([twice[:, t + k] @ y[refs][:, t].T for k in range(lags + 1)]) / block
+        assert np.abs(r[b] - direct).max() < 1e-4 * np.abs(direct).max()
+    assert lower == pytest.approx(filtered(y, DOWN.taps)[:, ::4], abs=1e-4)
+
+
+def test_a_part_beyond_the_end_is_empty():
+    s = Signals(np.ones((2, 10)), np.zeros(2))
+    assert (s.part(8, 12) == [[1, 1, 0, 0]] * 2).all()
+    assert (s.part(-2, 2) == [[0, 0, 1, 1]] * 2).all()
+    assert (s.part(15, 18) == 0).all()
+
+
+def test_many_stretches_keep_few_blocks_of_one_length():
+    y = np.random.default_rng(2).standard_normal((3, 4000))
+    sums = begin(y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None)
+    once = sums[0].r.mean(0)
+    for _ in range(22):
+        sums = more(sums, y, 100.0)
+    assert len(sums[0].r) == 23 <= MOST_BLOCKS
+    assert sums[0].blocks == 1
+    assert np.abs(sums[0].r - once).max() < 0.01
+    assert sums[0].stretches == 23
+
+
+def test_deviation_of_a_modulus_near_zero_and_far_from_it():
+    rng, n = np.random.default_rng(3), 20_000
+    psi = np.array([[1.0], [0.5], [0.0]], np.complex128)
+    noise = 0.01 * (rng.standard_normal((3, n)) + 1j * rng.standard_normal((3, n)))
+    noise[0] = 0.0
+    stated = var.modulus_std(psi, noise[None] / np.sqrt(n))[:, 0]
+    seen = np.sqrt(((np.abs(psi + noise) - np.abs(psi)) ** 2).mean(1))
+    assert stated[0] == 0.0
+    assert stated[1:] == pytest.approx(seen[1:], rel=0.03)
+
+
+def test_the_scale_of_a_shape_does_not_change_its_deviation():
+    rng = np.random.default_rng(4)
+    psi = rng.standard_normal((5, 2)) + 0.1j * rng.standard_normal((5, 2))
+    d = 0.01 * (rng.standard_normal((2, 5, 9)) + 1j * rng.standard_normal((2, 5, 9)))
+    turn = np.array([2.0, 3j])
+    turned = var.modulus_std(psi * turn, d * turn[:, None, None])
+    assert turned == pytest.approx(var.modulus_std(psi, d), rel=1e-12)
+    assert (turned.min(0) == 0).all()  # the largest component is held
+
+
+def test_shapes_of_a_close_pair_are_told_apart():
+    f, z = np.array([2.00, 2.04]), np.array([0.010, 0.012])
+    psi = np.array([[1.0, 0.4], [0.7, -1.0], [-0.2, 0.6], [0.5, 0.3]], np.complex128)
+    freqs = np.arange(1.5, 2.6, 0.0005)
+    nu = freqs[:, None] / f
+    q = np.abs(2 * z * nu**2 / (1 - nu**2 + 2j * z * nu)) ** 2
+    cross = np.einsum("ci,fi,di->fcd", psi, q, psi.conj()) + 1e-4 * np.eye(4)
+    bins = SpectralBins(freqs, np.full(freqs.size, 4.0), cross.astype(np.complex64), 2000.0)
+    mixed = psi @ np.array([[1.0, 0.1], [-0.08j, 1.0]])
+    found = unmix(bins, f, z, mixed, 4.0, prior=np.full((2, 2), 0.02))
+    found = unmix(bins, f, z, mixed, 4.0, prior=np.full((2, 2), 0.02), start=found.matrix)
+    out = mixed @ found.matrix
+    for k in range(2):
+        like = abs(np.vdot(psi[:, k], out[:, k])) ** 2 / (np.linalg.norm(psi[:, k]) * np.linalg.norm(out[:, k])) ** 2
+        was = abs(np.vdot(psi[:, k], mixed[:, k])) ** 2 / (np.linalg.norm(psi[:, k]) * np.linalg.norm(mixed[:, k])) ** 2
+        assert 1 - like < 0.05 * (1 - was)
+    assert (found.variance[[0, 1], [1, 0]] > 0).all()
