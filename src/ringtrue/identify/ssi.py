@@ -102,7 +102,7 @@ def decompose(h: Float, order: int) -> tuple[Float, Float, Float]:
     if j <= 4 * order:
         u, s, vt = svd(h, full_matrices=False)
         return u[:, :order], s[:order], vt[:order].T
-    size, v = eigsh(h.T @ h, order, v0=np.ones(j))
+    size, v = eigsh(h.T @ h, order, v0=np.ones(j), tol=1e-8)
     rank = np.argsort(-size, kind="stable")
     size, v = size[rank], v[:, rank]
     if size[-1] > 1e-10 * size[0]:

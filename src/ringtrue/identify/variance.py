@@ -64,11 +64,13 @@ def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations
     """Perturbations by the deviations `dr` (block, lag, ch, ref); `u` left vectors, `vs` = V S⁻¹, `q` of O's QR."""
     ch, nb, n = dr.shape[2], dr.shape[0], vs.shape[1]
     # a standard deviation needs no more than single precision, which halves the time
-    u32, vs32, q32 = (x.astype(np.float32) for x in (u.T, vs, q.T))
+    vs32, q32, r32, last32 = (x.astype(np.float32) for x in (vs, q.T, (q.T @ u[:-ch]).T, u[-ch:].T))
     t = np.empty((nb, rows * ch, n), dtype=np.float32)
     for b, view in enumerate(_block_rows(dr.astype(np.float32), rows)):  # the copies of one in memory at a time
         np.matmul(view, vs32, out=t[b].reshape(rows, ch, n))
-    return Perturbations(q32 @ t[:, :-ch], q32 @ t[:, ch:], t[:, :ch].copy(), u32 @ t)
+    up = q32 @ t[:, :-ch]
+    inner = r32 @ up + last32 @ t[:, -ch:]  # Uᵀ ΔO, as U without its last block row is Q R
+    return Perturbations(up, q32 @ t[:, ch:], t[:, :ch].copy(), inner)
 
 
 def _bilinear(left: Complex, mid: Any_, right: Complex) -> Complex:

@@ -13,6 +13,7 @@ from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.preprocess import detrend
+from ringtrue.signal.pyramid import Signals, detrended
 from ringtrue.signal.windows import step
 
 _BETWEEN = 2.1  # kurtosis: the geometric mean of 1.5 of a sine and 3 of random response
@@ -110,7 +111,8 @@ def steady_amplitudes(
     if not try_at.any():
         return tuple(out)
     n = int(next_fast_len(part.data.shape[1], real=True))
-    spectrum = rfft(detrend(part.data).astype(np.float32), n, axis=1)
+    x = Signals.of(part.data).part(0, part.data.shape[1])  # single precision without what it stands on
+    spectrum = rfft(detrended(x).data, n, axis=1)
     for k in np.flatnonzero(try_at).tolist():  # a few poles
         widths = [float(w) for w in width[k] * np.array([1.0, 2.0, 4.0]) if w < room[k]]
         bands = [_narrow(spectrum, n, part, float(f[k]), w) for w in widths]
