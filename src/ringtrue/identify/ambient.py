@@ -48,6 +48,7 @@ from ringtrue.identify.stabilise import (
     steady,
 )
 from ringtrue.identify.whittle import SpectralBins
+from ringtrue.signal.events import Events, find_events
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.preprocess import Band, Harmonic, harmonics, uncut, usable
 
@@ -177,15 +178,18 @@ def _candidates(sums: BandSums, r: Any_, weights: Float, choice: Choice | None) 
     return poles, table, picked
 
 
-def _band(sums: BandSums, settings: AmbientSettings, slope: tuple[float, float], choice: Choice | None) -> Found:
-    """Modes of one band."""
+def _band(
+    sums: BandSums, settings: AmbientSettings, slope: tuple[float, float], choice: Choice | None, driven: bool
+) -> Found:
+    """Modes of one band; `driven` by events: its spectra are not those of stationary noise."""
     r = sums.r
-    weights = loudness_weights(r, sums.references)
+    loudness = loudness_weights(r, sums.references)
+    weights = loudness * sums.share / (loudness @ sums.share)
     poles, table, picked = _candidates(sums, r, weights, choice)
     sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
     found = _found(sums, poles, table, sure, picked)
     at = np.array([i for _, i in select([found], settings.confidence_min)], dtype=np.int64)
-    if not at.size or not steady(weights):
+    if not at.size or driven or not steady(loudness):
         return found
     return _found(sums, poles, refined(table, at, sums.eyes, sums.bins, slope), sure, picked)
 
@@ -285,16 +289,18 @@ def identify_stretches(
     whole = uncut(good, states)  # an amplitude that is cut off looks steady
     lines = tuple(h for h in harmonics(whole, low=bands[-1].low) if h.frequency < bands[0].high) if whole else ()
     ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH)
-    sums = begin(good.data, good.rate, bands, ssi, refs)
+    heard = [find_events(good.data, good.rate)]
+    sums = begin(good.data, good.rate, bands, ssi, refs, heard[0])
     duration = good.duration
     for part in chain(() if second is None else (second,), coming):
         tell(0.0, f"filtering into bands, {duration:.4g} s done")
-        sums = _continued(sums, good, part)
+        heard.append(find_events(part.data, part.rate))
+        sums = _continued(sums, good, part, heard[-1])
         duration += part.duration
     found = []
     for k, x in enumerate(sums):
         tell((k + 1) / (len(bands) + 2), f"identifying {x.band.low:.3g} .. {x.band.high:.3g} Hz")
-        found.append(_band(x, settings, _slope(good), choice))
+        found.append(_band(x, settings, _slope(good), choice, any(e.driven for e in heard)))
     result = _assemble(good, found, lines, bands, settings, choice, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.reasons)
@@ -303,10 +309,18 @@ def identify_stretches(
     notes = tuple(f"channel {s.id}: {s.why}{'' if s.usable else '; left out'}" for s in states)
     if whole is None:
         notes += ("every channel is clipped: machines are not told from modes",)
-    return replace(result, notes=notes + result.notes)
+    return replace(result, notes=notes + _struck(heard) + result.notes)
 
 
-def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory) -> list[BandSums]:
+def _struck(heard: list[Events]) -> tuple[str, ...]:
+    if not (count := sum(e.count for e in heard)):
+        return ()
+    level = max(heard, key=lambda e: e.count).level
+    use = "excite the modes: the decays after them are used" if any(e.driven for e in heard) else "are left out"
+    return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest {use}",)
+
+
+def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory, events: Events) -> list[BandSums]:
     """The sums with one more stretch, unless it is too short for the lags of the lowest band."""
     part = coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
     if not np.isclose(part.rate, first.rate):
@@ -314,7 +328,7 @@ def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory) ->
     share = part.duration / first.duration
     if share < 0.5:  # edges of the filters would weigh too much
         return sums
-    out = more(sums, part.data, part.rate)
+    out = more(sums, part.data, part.rate, events)
     lost = np.asarray(~np.isfinite(out[0].parts[-1]).all((0, 1, 3)))
     if lost.any():
         bad = [c.id for c, x in zip(part.channels, lost, strict=True) if x]

@@ -17,6 +17,7 @@ from ringtrue.identify import variance as var
 from ringtrue.identify.ssi import MAX_REFERENCES, SsiCov
 from ringtrue.identify.whittle import RELATIVE, SpectralBins
 from ringtrue.signal import pyramid
+from ringtrue.signal.events import NONE, Events
 from ringtrue.signal.preprocess import Band
 from ringtrue.signal.pyramid import Signals
 from ringtrue.signal.stream import Fir, decimator, high_passer
@@ -44,6 +45,8 @@ class BandSums:
         Root mean squares of the first stretch.
     parts : tuple of (block, lag, ch, ref) float32
         Correlations of each stretch, in units of `scale`.
+    shares : tuple of (block,) float64
+        Share of the pairs of samples of each block that were used.
     spectra : SpectralBins
         Of the eyes, in units of `scale`, summed over the stretches.
     stretches : int
@@ -57,6 +60,7 @@ class BandSums:
     eyes: Int
     scale: Float
     parts: tuple[Any_, ...]
+    shares: tuple[Float, ...]
     spectra: SpectralBins
     stretches: int
 
@@ -64,6 +68,11 @@ class BandSums:
     def r(self) -> Any_:
         """(block, lag, ch, ref) float32 correlations."""
         return self.parts[0] if len(self.parts) == 1 else np.concatenate(self.parts)
+
+    @property
+    def share(self) -> Float:
+        """(block,) share of the pairs that were used."""
+        return np.concatenate(self.shares)
 
     @property
     def bins(self) -> SpectralBins:
@@ -75,16 +84,20 @@ class BandSums:
 
 def _joined(a: BandSums, b: BandSums) -> BandSums:
     """Both; `a` gives its arrays away. Pairs of blocks are joined when they become many, and later ones are as long."""
-    parts, blocks = (*a.parts, *b.parts), a.blocks
+    parts, shares, blocks = (*a.parts, *b.parts), (*a.shares, *b.shares), a.blocks
     if sum(len(p) for p in parts) > MOST_BLOCKS:
-        r, blocks = np.concatenate(parts), max(blocks // 2, 1)
-        parts = (r[: len(r) // 2 * 2].reshape(-1, 2, *r.shape[1:]).mean(1),)
+        r, share, blocks = np.concatenate(parts), np.concatenate(shares), max(blocks // 2, 1)
+        n = len(r) // 2
+        share = share[: 2 * n].reshape(n, 2)
+        each = (share / share.sum(1, keepdims=True)).astype(np.float32)
+        parts = (np.einsum("bpkij,bp->bkij", r[: 2 * n].reshape(n, 2, *r.shape[1:]), each),)
+        shares = (share.mean(1),)
     x, y = a.spectra, b.spectra
     if x.freqs.shape != y.freqs.shape or not np.isclose(x.duration, y.duration):
-        return replace(a, parts=parts, blocks=blocks)
+        return replace(a, parts=parts, shares=shares, blocks=blocks)
     np.add(x.cross, y.cross, out=x.cross)  # in place: these are the largest arrays
     spectra = replace(x, count=x.count + y.count)
-    return replace(a, parts=parts, blocks=blocks, spectra=spectra, stretches=a.stretches + 1)
+    return replace(a, parts=parts, shares=shares, blocks=blocks, spectra=spectra, stretches=a.stretches + 1)
 
 
 def _filters(band: Band, last: bool) -> tuple[Fir, Fir]:
@@ -99,6 +112,7 @@ def begin(
     bands: tuple[Band, ...],
     ssi: SsiCov,
     references: Int | None,
+    events: Events = NONE,
 ) -> list[BandSums]:
     """The bands of the first stretch `data` (ch, sample) at `rate` Hz.
 
@@ -108,6 +122,8 @@ def begin(
         `block_rows` is cut where samples are few; `blocks` 0 chooses.
     references : (ref,) int64
         None: each band chooses at most 8.
+    events : Events
+        Of this stretch.
     """
     y = _at_first_rate(data, rate, bands)
     out = []
@@ -120,18 +136,19 @@ def begin(
         scale, lagged = pyramid.glance(y, cut, high)
         refs = _spanning(lagged, MAX_REFERENCES) if references is None else references
         eyes = _spanning(lagged, SPECTRAL_CHANNELS)
-        got, y = _pass(BandSums(band, own, blocks, refs, eyes, scale, (), NOTHING, 0), y, band is bands[-1])
+        first = BandSums(band, own, blocks, refs, eyes, scale, (), (), NOTHING, 0)
+        got, y = _pass(first, y, events, band is bands[-1])
         out.append(got)
     return out
 
 
-def more(sums: list[BandSums], data: Any_, rate: float) -> list[BandSums]:
+def more(sums: list[BandSums], data: Any_, rate: float, events: Events = NONE) -> list[BandSums]:
     """The bands with one more stretch `data` (ch, sample) at `rate` Hz."""
     bands = tuple(x.band for x in sums)
     y = _at_first_rate(data, rate, bands)
     out = []
     for x in sums:
-        got, y = _pass(x, y, x is sums[-1])
+        got, y = _pass(x, y, events, x is sums[-1])
         out.append(_joined(x, got))
     return out
 
@@ -142,15 +159,17 @@ def _at_first_rate(data: Any_, rate: float, bands: tuple[Band, ...]) -> Signals:
     return pyramid.detrended(pyramid.lowered(y, decimator(factor))) if factor > 1 else y
 
 
-def _pass(x: BandSums, y: Signals, last: bool) -> tuple[BandSums, Signals]:
+def _pass(x: BandSums, y: Signals, events: Events, last: bool) -> tuple[BandSums, Signals]:
     """The sums of one stretch at the rate of its band, and the signals of the next one."""
     high, down = _filters(x.band, last)
     cut = pyramid.segments(y.samples, x.blocks, 2 * x.ssi.block_rows - 1, high, down)
-    r, lower = pyramid.run(y, cut, high, down, x.references)
+    keep = events.free(y.samples, x.band.rate, cut.lags)
+    share = pyramid.pairs(cut, y.samples, keep)[:, 0] / (cut.each * cut.hop)
+    r, lower = pyramid.run(y, cut, high, down, x.references, keep)
     scale = x.scale.astype(np.float32)
     r /= scale[:, None] * scale[x.references]
     spectra = _binned(y, x.eyes, x.band, 1 / scale[x.eyes])
-    return replace(x, parts=(r,), spectra=spectra, stretches=1), pyramid.detrended(lower)
+    return replace(x, parts=(r,), shares=(share,), spectra=spectra, stretches=1), pyramid.detrended(lower)
 
 
 def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:

@@ -134,7 +134,20 @@ def glance(signals: Signals, cut: Segments, band: Fir) -> tuple[Float, Float]:
     return np.sqrt(2 * power / some.size) / cut.size, lagged / (size[:, None] * size)
 
 
-def run(signals: Signals, cut: Segments, band: Fir, decimation: Fir, references: Int) -> tuple[Any_, Any_]:
+def pairs(cut: Segments, samples: int, keep: Any_ | None = None) -> Float:
+    """(block, lags + 1) pairs of samples of each block, those whose earlier one is kept (sample,)."""
+    block = cut.each * cut.hop
+    begin = np.arange(cut.blocks)[:, None] * block
+    if keep is None:
+        return np.asarray(np.clip(samples - np.arange(cut.lags + 1) - begin, 1, block), dtype=np.float64)
+    total = np.append(0.0, np.cumsum(keep, dtype=np.float64))
+    last = (np.minimum(begin + block, samples - np.arange(cut.lags + 1))).clip(0, samples)
+    return np.asarray(np.maximum(total[last] - total[np.minimum(begin, last)], 1.0))
+
+
+def run(
+    signals: Signals, cut: Segments, band: Fir, decimation: Fir, references: Int, keep: Any_ | None = None
+) -> tuple[Any_, Any_]:
     """One pass.
 
     Parameters
@@ -144,6 +157,8 @@ def run(signals: Signals, cut: Segments, band: Fir, decimation: Fir, references:
     band, decimation : Fir
         What makes the band of the signal, and what leads to the next rate.
     references : (ref,) int64
+    keep : (sample,) float32, optional
+        1 for each t that is used, 0 for others.
 
     Returns
     -------
@@ -165,13 +180,12 @@ def run(signals: Signals, cut: Segments, band: Fir, decimation: Fir, references:
             start = k * cut.hop
             x = signals.part(start - cut.lead, start - cut.lead + (count - 1) * cut.hop + cut.size)
             y = _spectra(x, cut, count)
-            cross += y @ _references(x, cut, count, references)
+            cross += y @ _references(x, cut, count, references, _kept(keep, start, count * cut.hop))
             if q > 1:
                 lower[:, start // q : (start + count * cut.hop) // q] = _decimated(y, cut, low)
         cross *= (gain**2)[:, None, None]
         r[b] = irfft(cross, cut.size, axis=0)[cut.lead : cut.lead + cut.lags + 1]
-    pairs = np.clip(n - np.arange(cut.lags + 1) - np.arange(cut.blocks)[:, None] * block, 1, block)
-    r /= pairs[:, :, None, None].astype(np.float32)
+    r /= pairs(cut, n, keep)[:, :, None, None].astype(np.float32)
     return r, lower[:, : -(-n // q)]
 
 
@@ -196,9 +210,20 @@ def _spectra(x: Any_, cut: Segments, count: int) -> Any_:
     return rfft(as_strided(x, (cut.size, len(x), count), strides), axis=0)
 
 
-def _references(x: Any_, cut: Segments, count: int, references: Int) -> Any_:
+def _kept(keep: Any_ | None, start: int, size: int) -> Any_ | None:
+    """The part of `keep`, zero beyond its end."""
+    if keep is None:
+        return None
+    out = np.zeros(size, dtype=np.float32)
+    part = keep[start : start + size]
+    out[: part.size] = part
+    return out
+
+
+def _references(x: Any_, cut: Segments, count: int, references: Int, keep: Any_ | None) -> Any_:
     """(freq, segment, ref) conjugate spectra of the samples of each segment that count."""
-    inner = x[references, cut.lead : cut.lead + count * cut.hop].reshape(references.size, count, cut.hop)
+    inner = x[references, cut.lead : cut.lead + count * cut.hop]
+    inner = (inner if keep is None else inner * keep).reshape(references.size, count, cut.hop)
     return np.ascontiguousarray(rfft(inner.transpose(2, 1, 0), cut.size, axis=0).conj())
 
 
