@@ -316,8 +316,8 @@ def _struck(heard: list[Events]) -> tuple[str, ...]:
     if not (count := sum(e.count for e in heard)):
         return ()
     level = max(heard, key=lambda e: e.count).level
-    use = "excite the modes: the decays after them are used" if any(e.driven for e in heard) else "are left out"
-    return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest {use}",)
+    use = "the decays after them are used" if any(e.driven for e in heard) else "no correlation reaches across them"
+    return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest (a jump, a blow): {use}",)
 
 
 def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory, events: Events) -> list[BandSums]:
