@@ -51,7 +51,7 @@ def _percent(x: float) -> str:
 
 def _regions(r: DampedRegions) -> Table:
     heads = ("|Region", "|Fields", "|", "Value", "σ", "Expected", "σ after / before")
-    unit = {"material": "loss factor", "joint": "loss factor", "dashpot": "dashpot"}
+    unit = {"material": "loss\u00a0factor", "joint": "loss\u00a0factor", "dashpot": "dashpot"}
     rows = []
     for i, name in enumerate(r.names):
         ratio = float(r.std[i] / r.expected_std[i]) if math.isfinite(r.expected_std[i]) else 0.0
