@@ -16,8 +16,9 @@ from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Targ
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_hybrid, expand_reduced
-from ringtrue.update.candidates import effects, generate
 from ringtrue.update.dense import DenseModel
+from ringtrue.update.effects import effects
+from ringtrue.update.generate import generate
 from ringtrue.update.objective import Target as Aim
 from ringtrue.update.pool import conflicts, of_parameter, screened
 from ringtrue.update.proposal import propose

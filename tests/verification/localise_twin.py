@@ -29,7 +29,9 @@ from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.parametric import BasisOptions, ReducedModel
-from ringtrue.update.candidates import Candidate, CandidateSettings, effective, generate, reduced_candidates
+from ringtrue.update.candidates import Candidate, CandidateSettings
+from ringtrue.update.effects import effective, reduced_candidates
+from ringtrue.update.generate import generate
 from ringtrue.update.objective import Target
 
 Array = npt.NDArray[np.float64]

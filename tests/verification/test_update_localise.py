@@ -12,7 +12,9 @@ from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.ports import ModesRequest
-from ringtrue.update.candidates import CandidateSettings, effective, elements_of, generate, membership
+from ringtrue.update.candidates import CandidateSettings, elements_of, membership
+from ringtrue.update.effects import effective
+from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import blind_cosines, clusters, cosines, identifiability
 from ringtrue.update.localise import element_errors, strain_energies
 from ringtrue.update.sparse import lasso_path

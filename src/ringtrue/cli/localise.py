@@ -23,16 +23,10 @@ from ringtrue.model.frames import positions
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.shapes.scale import realise_modes
-from ringtrue.update.candidates import (
-    UNITS,
-    Candidate,
-    CandidateSettings,
-    Dropped,
-    effective,
-    generate,
-    membership,
-    reduced_candidates,
-)
+from ringtrue.update.candidates import Candidate, CandidateSettings, membership
+from ringtrue.update.catalogue import UNITS
+from ringtrue.update.effects import Dropped, effective, reduced_candidates
+from ringtrue.update.generate import generate
 from ringtrue.update.localise import element_errors
 from ringtrue.update.objective import Target, match
 from ringtrue.update.pool import conflicts

@@ -23,15 +23,9 @@ from ringtrue.study.parametric import AtChannels
 from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.workbench import Workbench
-from ringtrue.update.candidates import (
-    LEAST,
-    Candidate,
-    CandidateSettings,
-    effects,
-    generate,
-    membership,
-    parameters,
-)
+from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
+from ringtrue.update.effects import LEAST, effects
+from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import identifiability
 from ringtrue.update.localise import NOISE, ElementErrors, expanded_errors, variation
 from ringtrue.update.objective import Target, match, residual

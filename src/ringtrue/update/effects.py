@@ -1,0 +1,110 @@
+"""Candidates held against the modes: what no mode strains or moves cannot be found from modes, and is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.observation import Observation
+from ringtrue.errors import UnsupportedError
+from ringtrue.fem.assembly import System
+from ringtrue.fem.derivatives import PowerTerm, bilinear, system_derivatives, terms
+from ringtrue.model.model import Model
+from ringtrue.reduce.parametric import BasisOptions, Progress, ReducedModel, observed_system, reduced_model
+from ringtrue.update.candidates import Candidate, parameters
+
+LEAST = 1e-5  # share of a mode's strain and kinetic energy below which a candidate does not change it
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """A candidate that is left out, and why."""
+
+    name: str
+    reason: str
+
+
+def effective(
+    model: Model,
+    system: System,
+    candidates: Sequence[Candidate],
+    values: Float,
+    vectors: Float,
+    least: float = LEAST,
+) -> tuple[tuple[Candidate, ...], tuple[Dropped, ...]]:
+    """Those candidates that change one of the modes, and those that do not.
+
+    Of a candidate that no mode strains or moves, ∂K φ = ∂M φ = 0: neither frequency nor shape depends on it.
+
+    Parameters
+    ----------
+    values : (m,) float64, (rad/s)²
+    vectors : (f, m) float64, unit modal mass
+    """
+    share = sum(np.abs(e) for e in effects(model, system, candidates, values, vectors))
+    most = np.asarray(share).max(axis=0, initial=0.0)
+    keep = tuple(c for c, size in zip(candidates, most.tolist(), strict=True) if size > least)
+    lost = tuple(
+        Dropped(c.name, f"no mode has more than {size:.1e} of its energy in {c.what}")
+        for c, size in zip(candidates, most.tolist(), strict=True)
+        if size <= least
+    )
+    return keep, lost
+
+
+def effects(
+    model: Model, system: System, candidates: Sequence[Candidate], values: Float, vectors: Float
+) -> tuple[Float, Float]:
+    """φᵀ(∂K/∂x)φ/λ and φᵀ(∂M/∂x)φ of each mode and candidate, (m, p) each; ∂ ln f/∂x is half their difference.
+
+    Parameters
+    ----------
+    values : (m,) float64, (rad/s)²
+    vectors : (f, m) float64, unit modal mass
+    """
+    lam = np.maximum(np.abs(values), 1e-6 * np.abs(values).max(initial=1e-300))
+    dk, dm = bilinear(model, [c.parameter for c in candidates], system, vectors[None], vectors)
+    return dk[0] / lam[:, None], dm[0]
+
+
+def reduced_candidates(
+    model: Model,
+    system: System,
+    candidates: Sequence[Candidate],
+    observation: Observation,
+    count: int,
+    *,
+    options: BasisOptions | None = None,
+    progress: Progress | None = None,
+) -> ReducedModel:
+    """A reduced model over all candidates, as the choice needs it: exact sensitivities at x = 0.
+
+    Away from there two simplifications hold, and an updating with the chosen parameters must follow: a dependence that
+    is no polynomial (the section of a beam with shear) goes on along its tangent, and the effects of two candidates on
+    the same field of an element add up instead of multiplying.
+    """
+    chosen = [c.parameter for c in candidates]
+    slopes = system_derivatives(model, chosen, system)
+    parts: list[tuple[PowerTerm, ...]] = []
+    for i, (c, slope) in enumerate(zip(candidates, slopes, strict=True)):
+        parts.append(_powers(model, c, system) or (PowerTerm(1, slope.stiffness, slope.mass),))
+        if progress is not None:
+            progress(0.5 * (i + 1) / len(chosen), "candidates")
+    affine = observed_system(
+        system.stiffness, system.mass, system.transform, parameters(candidates), parts, observation
+    )
+    told = None if progress is None else lambda f, t: progress(0.5 + 0.5 * f, t)
+    return reduced_model(affine, count, options=options, progress=told)
+
+
+def _powers(model: Model, candidate: Candidate, system: System) -> tuple[PowerTerm, ...]:
+    """The exact parts of a thickness or section; none where it is linear anyway, or no polynomial."""
+    if candidate.kind != "property":
+        return ()
+    try:
+        return terms(model, candidate.parameter, system)
+    except UnsupportedError:
+        return ()

@@ -1,0 +1,158 @@
+"""Candidate parameters from the cards of a deck, by material, property and group of springs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.parameters import Target
+from ringtrue.errors import InputError
+from ringtrue.fem.change import rows_of
+from ringtrue.model.model import Model, Table
+from ringtrue.update.candidates import (
+    Candidate,
+    CandidateSettings,
+    Kind,
+    Rows,
+    amount,
+    counted,
+    given_fields,
+    ids_of,
+    new_candidate,
+)
+from ringtrue.update.catalogue import MASSES, MATERIALS, SECTIONS, SPRINGS, Catalogue
+from ringtrue.update.regions import regions
+
+SAME = 1e-9  # relative distance of values that are one
+_ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "J": "JB", "NSM": "NSMB"}
+
+
+def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[Candidate, ...]:
+    """All candidates of a deck that an element uses, in the order material, property, region, spring, mass.
+
+    Of two that are the same fields of the same elements, the first is kept.
+
+    Raises
+    ------
+    InputError
+        If the deck gives none.
+    """
+    s = settings or CandidateSettings()
+    makers: dict[Kind, Callable[[Model, CandidateSettings], Iterator[Candidate]]] = {
+        "material": lambda m, s: _fields(m, s, "material", MATERIALS),
+        "property": lambda m, s: chain(_fields(m, s, "property", SECTIONS), _laminates(m, s)),
+        "region": regions,
+        "spring": lambda m, s: _grouped(m, s, "spring", SPRINGS),
+        "mass": lambda m, s: _grouped(m, s, "mass", MASSES),
+    }
+    found: dict[object, Candidate] = {}
+    for kind, make in makers.items():
+        if kind in s.kinds:
+            for c in make(model, s):
+                found.setdefault(_effect(c), c)
+    if not found:
+        raise InputError(f"no candidate of the kinds {', '.join(s.kinds)} in the deck")
+    return tuple(found.values())
+
+
+def _effect(c: Candidate) -> object:
+    """Equal for candidates that do the same."""
+    fields = frozenset((t.card, t.id, t.field) for t in c.parameter.targets)
+    return fields, c.parameter.substructures, c.elements
+
+
+def _fields(model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue) -> Iterator[Candidate]:
+    """One candidate a card and field."""
+    for card, entries in catalogue.items():
+        if card not in model:
+            continue
+        table = model[card]
+        for row, ident in enumerate(table.ids.tolist()):  # over cards, of which a deck has hundreds, not elements
+            rows = rows_of(model, Target(card, ident, ""))
+            if not rows:
+                continue
+            for fields, word, quantity in entries:
+                given = given_fields(table, row, fields)
+                if given:
+                    targets = [Target(card, ident, f) for f in given + _other_end(table, row, given)]
+                    name = f"{card} {ident} {given[0]}"
+                    what = f"{word} {amount(float(table[given[0]][row]), quantity, s)} of {counted(rows)}"
+                    yield new_candidate(s, kind, name, what, quantity, ids_of(model, rows), targets)
+
+
+def _other_end(table: Table, row: int, given: Sequence[str]) -> list[str]:
+    """End B of a PBEAM where it differs from end A; where it does not, it follows by itself."""
+    if table.card != "PBEAM":
+        return []
+    pairs = [(f, _ENDS[f]) for f in given if f in _ENDS]
+    return [b for a, b in pairs if table[b][row] != table[a][row] and table[b][row] != 0]
+
+
+def _laminates(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
+    """The thickness of all plies of a laminate, by one factor."""
+    for card in ("PCOMP", "PCOMPG"):
+        for row, ident in enumerate(model[card].ids.tolist() if card in model else []):
+            rows = rows_of(model, Target(card, ident, ""))
+            if rows:
+                t = model[card].ragged("T").row(row)
+                targets = [Target(card, ident, f"T{k + 1}") for k in range(t.size)]
+                what = f"thickness of all {t.size} plies of {counted(rows)}"
+                yield new_candidate(s, "property", f"{card} {ident} T", what, "length", ids_of(model, rows), targets)
+
+
+def _grouped(model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue) -> Iterator[Candidate]:
+    """One candidate for all cards of equal value (one make of spring), and one for each card by itself."""
+    for card, entries in catalogue.items():
+        if card not in model:
+            continue
+        table = model[card]
+        used = np.array([bool(rows_of(model, Target(card, i, ""))) for i in table.ids.tolist()], dtype=bool)
+        for fields, word, quantity in entries:
+            values = table[fields.split("+")[0]]
+            live = np.flatnonzero(used & np.isfinite(values) & (values != 0))
+            for group in _equal(values, live):
+                members = [[at] for at in group.tolist()] if group.size > 1 else []
+                for at in [group.tolist(), *members]:
+                    yield _group(model, s, kind, table, np.array(at), fields, word, quantity)
+
+
+def _equal(values: Float, live: Int) -> list[Int]:
+    """Rows of `live` whose values are the same, in the order of the rows."""
+    order = live[np.argsort(values[live], kind="stable")]
+    v = values[order]
+    cuts = np.flatnonzero(np.abs(np.diff(v)) > SAME * np.abs(v[1:])) + 1
+    groups = [np.sort(g) for g in np.split(order, cuts) if g.size]
+    return sorted(groups, key=lambda g: int(g[0]))
+
+
+def _group(
+    model: Model, s: CandidateSettings, kind: Kind, table: Table, at: Int, fields: str, word: str, quantity: str
+) -> Candidate:
+    ids = table.ids[at]
+    targets = [Target(table.card, int(table.ids[r]), f) for r in at.tolist() for f in given_fields(table, r, fields)]
+    rows: Rows = {}
+    for i in ids.tolist():
+        for c, more in rows_of(model, Target(table.card, i, "")).items():
+            rows[c] = np.union1d(rows.get(c, more), more)
+    lead = fields.split("+")[0]
+    field_name = "K" if fields.startswith("K1+") else lead
+    value = amount(float(table[lead][at[0]]), quantity, s)
+    each = " each" if ids.size > 1 else ""
+    name = f"{table.card} {_listed(ids)} {field_name}"
+    return new_candidate(
+        s, kind, name, f"{word} {value}{each} of {counted(rows)}", quantity, ids_of(model, rows), targets
+    )
+
+
+def _listed(ids: Int) -> str:
+    """`3`, `3-8`, or `3,5,9 (12 in all)`."""
+    ids = np.sort(ids)
+    if ids.size == 1:
+        return str(ids[0])
+    if ids[-1] - ids[0] == ids.size - 1:
+        return f"{ids[0]}-{ids[-1]}"
+    shown = ",".join(map(str, ids[:3].tolist()))
+    return shown if ids.size <= 3 else f"{shown},... ({ids.size} in all, to {ids[-1]})"
