@@ -19,22 +19,17 @@ from ringtrue.reduce.parametric import AffineSystem, reduced_model
 from ringtrue.update.dense import DenseModel, matrices_at
 from ringtrue.update.objective import Target, Weights, residual
 from ringtrue.update.residuals import (
-    AntiResonances,
     CrossOrthogonality,
     Eigenvalues,
     Frequencies,
-    Frf,
     Mac,
-    MassProperties,
-    RigidMass,
     Shapes,
-    StaticDeflections,
     Term,
     default_terms,
-    mass_properties,
     point,
-    zeros,
 )
+from ringtrue.update.residuals_frf import AntiResonances, Frf, zeros
+from ringtrue.update.residuals_static import MassProperties, RigidMass, StaticDeflections, mass_properties
 
 N = 9
 X = np.array([0.1, -0.2, 0.15, 0.05])
