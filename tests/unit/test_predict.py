@@ -25,19 +25,8 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.predict import _forces
 from ringtrue.update.dense import DenseModel
-from ringtrue.update.predict import (
-    Damping,
-    Output,
-    RegionDamping,
-    Rows,
-    RunUp,
-    Unbalance,
-    bands,
-    plane,
-    predict_modes,
-    run_up,
-    validated_band,
-)
+from ringtrue.update.harmonic import Damping, RegionDamping, Rows
+from ringtrue.update.predict import Output, RunUp, Unbalance, bands, plane, predict_modes, run_up, validated_band
 
 K, M, ZETA = 4e6, 100.0, 0.02
 F1 = float(np.sqrt(K / M) / (2 * np.pi))

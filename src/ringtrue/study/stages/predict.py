@@ -39,10 +39,11 @@ from ringtrue.study.stages.tune import target as rigid_target
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.damping_regions import matrices_of
+from ringtrue.update.harmonic import Damping, RegionDamping, Rows
 from ringtrue.update.kfold import discrepancy
 from ringtrue.update.plausible import plausibility
 from ringtrue.update.posterior import Posterior, laplace
-from ringtrue.update.predict import Damping, Output, RegionDamping, Rows, Unbalance, plane, run_up, validated_band
+from ringtrue.update.predict import Output, Unbalance, plane, run_up, validated_band
 from ringtrue.update.several import Configuration, Problem
 
 UNIT = {"SI": "m", "mm-t-s": "mm"}
