@@ -19,10 +19,11 @@ from ringtrue.model.ports import Linearisation
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.gauss_newton import update
 from ringtrue.update.objective import LOST, Target, Weights, comparable_criteria, objective, residual
+from ringtrue.update.quadratic import least_distance
 from ringtrue.update.residuals import Eigenvalues, Frequencies, Mac, Shapes
 from ringtrue.update.robust import Huber, Squares, Tukey
 from ringtrue.update.several import Configuration, Problem, held_to, joined, link_equal
-from ringtrue.update.trust import KINDS, Method, least_distance, solve, staged
+from ringtrue.update.trust import KINDS, Method, solve, staged
 
 TRUTH = np.array([0.4, -0.3, 0.2, -0.25])
 EXACT = 1e-4  # noise-free recovery; the weak prior pulls by this much at most
