@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -22,7 +21,6 @@ from ringtrue.shapes.mac import mac
 from ringtrue.update.harmonic import Damping, Ratios, RegionDamping, Rows, harmonic
 
 Progress = Callable[[float, str], None]
-Axis = Literal["X", "Y", "Z"]
 PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
 
 
