@@ -15,7 +15,8 @@ from scipy import linalg, sparse
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.derivatives import PowerTerm
-from ringtrue.reduce.parametric import AffineSystem, reduced_model
+from ringtrue.reduce.affine import AffineSystem
+from ringtrue.reduce.parametric import reduced_model
 from ringtrue.update.dense import DenseModel, matrices_at
 from ringtrue.update.objective import Target, Weights, residual
 from ringtrue.update.residuals import (

@@ -14,7 +14,8 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.derivatives import PowerTerm
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduce.parametric import AffineSystem, BasisOptions, reduced_model
+from ringtrue.reduce.affine import AffineSystem
+from ringtrue.reduce.parametric import BasisOptions, reduced_model
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.multistart import global_search, latin_hypercube, multi_start
 from ringtrue.update.objective import Target, Weights

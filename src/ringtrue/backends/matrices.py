@@ -21,7 +21,8 @@ from ringtrue.fem.assembly import System
 from ringtrue.fem.derivatives import PowerTerm
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModesRequest
-from ringtrue.reduce.parametric import AffineSystem, BasisOptions, ReducedModel, reduced_model
+from ringtrue.reduce.affine import AffineSystem
+from ringtrue.reduce.parametric import BasisOptions, ReducedModel, reduced_model
 
 KINDS = ("STIFFNESS", "MASS", "DAMPING")  # the cards that targets name; ids count from 1, the field is FACTOR
 SYMMETRIC = 1e-9  # relative; above this a matrix is refused

@@ -16,14 +16,9 @@ from ringtrue.fem.assembly import assemble
 from ringtrue.fem.derivatives import scaled, terms
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest
-from ringtrue.reduce.parametric import (
-    AffineSystem,
-    BasisOptions,
-    Progress,
-    ReducedModel,
-    observed_system,
-    reduced_model,
-)
+from ringtrue.reduce.affine import AffineSystem, observed_system
+from ringtrue.reduce.basis import Progress
+from ringtrue.reduce.parametric import BasisOptions, ReducedModel, reduced_model
 
 
 def at_factors(model: Model, parameters: ParameterSet, factors: Float) -> Model:

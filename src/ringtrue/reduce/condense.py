@@ -10,7 +10,8 @@ from scipy import linalg
 
 from ringtrue.core.arrays import Float
 from ringtrue.errors import InputError
-from ringtrue.reduce.parametric import Projection, ReducedModel
+from ringtrue.reduce.basis import Projection
+from ringtrue.reduce.parametric import ReducedModel
 
 
 def condensed(model: ReducedModel, points: Sequence[Float], size: int) -> ReducedModel:

@@ -7,90 +7,33 @@ Noor, Peters (1980) reduced basis with path derivatives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.eigen.derivatives import modal_coefficients
 from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes, frequencies
+from ringtrue.eigen.problem import frequencies
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
+from ringtrue.reduce.affine import AffineSystem
+from ringtrue.reduce.basis import (
+    Progress,
+    Projection,
+    compress,
+    orthonormal_part,
+    principal,
+    project,
+    static_sensitivities,
+)
 
-CHUNK = 32  # right-hand sides solved together
 AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
 MASSLESS = 1e-14  # θ = 1/(λ − σ), relative to the largest, from which on a vector of the basis has no mass
-Progress = Callable[[float, str], None]
-
-
-class Term(Protocol):
-    """A part of K and M that goes with a power of a parameter's factor."""
-
-    @property
-    def power(self) -> int: ...
-    @property
-    def stiffness(self) -> sparse.csr_array: ...
-    @property
-    def mass(self) -> sparse.csr_array: ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AffineSystem:
-    """K(a) and M(a) of a model, and where it is observed.
-
-    Attributes
-    ----------
-    stiffness, mass : (f, f) csr_array float64
-        At a = 1.
-    parameters : ParameterSet
-    terms : tuple (p,) of tuples of Term
-        For each parameter. Terms of different parameters must not share a product (the same field of the same
-        elements scaled by two parameters): that would not be affine.
-    observe : (channel, f) csr_array float64
-    """
-
-    stiffness: sparse.csr_array
-    mass: sparse.csr_array
-    parameters: ParameterSet
-    terms: tuple[tuple[Term, ...], ...]
-    observe: sparse.csr_array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "terms", tuple(tuple(t) for t in self.terms))
-        if len(self.terms) != len(self.parameters):
-            raise InputError(f"{len(self.parameters)} parameters, terms for {len(self.terms)}")
-
-    def at(self, factors: Float) -> tuple[sparse.csr_array, sparse.csr_array]:
-        """K and M at the factors a (p,)."""
-        k, m = self.stiffness, self.mass
-        for a, terms in zip(factors.tolist(), self.terms, strict=True):  # over parameters and their powers
-            for t in terms:
-                if a != 1.0:
-                    k = k + (a**t.power - 1.0) * t.stiffness
-                    m = m + (a**t.power - 1.0) * t.mass
-        return sparse.csr_array(k), sparse.csr_array(m)
-
-
-def observed_system(
-    stiffness: sparse.csr_array,
-    mass: sparse.csr_array,
-    transform: sparse.csr_array,
-    parameters: ParameterSet,
-    terms: Sequence[Sequence[Term]],
-    observation: Observation,
-) -> AffineSystem:
-    """The affine system of an assembled model; `transform` (full, f) goes from free to observed DOFs."""
-    if observation.matrix.shape[1] != transform.shape[0]:
-        raise InputError(f"the observation has {observation.matrix.shape[1]} DOFs, the model {transform.shape[0]}")
-    observe = sparse.csr_array(observation.matrix @ transform)
-    return AffineSystem(stiffness, mass, parameters, tuple(tuple(t) for t in terms), observe)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,127 +53,6 @@ class BasisOptions:
     extra: float = 1.3
     size: int = 320
     drop: float = 1e-5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Projection:
-    """The projected system.
-
-    Attributes
-    ----------
-    vectors : (f, r) float64
-        Orthonormal in the nominal energy K − σM.
-    stiffness, mass : (r, r) float64
-        At a = 1.
-    terms : tuple (p,) of tuples of (power, stiffness (r, r), mass (r, r))
-    observe : (channel, r) float64
-    """
-
-    vectors: Float
-    stiffness: Float
-    mass: Float
-    terms: tuple[tuple[tuple[int, Float, Float], ...], ...]
-    observe: Float
-
-    @property
-    def size(self) -> int:
-        """Number of vectors."""
-        return int(self.vectors.shape[1])
-
-
-def _project(system: AffineSystem, vectors: Float, old: Projection | None = None) -> Projection:
-    """Project on `vectors`; the leading ones are those of `old`, whose products are kept."""
-    n = 0 if old is None else old.size
-    fresh = vectors[:, n:]
-
-    def block(a: sparse.csr_array, kept: Float | None) -> Float:
-        rows = np.flatnonzero(np.diff(a.indptr))  # a region touches few DOFs
-        some = 2 * rows.size < a.shape[0]
-        right = vectors[rows].T @ (a[rows] @ fresh) if some else vectors.T @ (a @ fresh)
-        if kept is None:
-            return np.asarray((right + right.T) / 2)
-        corner = (right[n:] + right[n:].T) / 2
-        return np.block([[kept, right[:n]], [right[:n].T, corner]])
-
-    terms = tuple(
-        tuple(
-            (
-                t.power,
-                block(t.stiffness, None if old is None else old.terms[i][j][1]),
-                block(t.mass, None if old is None else old.terms[i][j][2]),
-            )
-            for j, t in enumerate(group)
-        )
-        for i, group in enumerate(system.terms)
-    )
-    return Projection(
-        vectors,
-        block(system.stiffness, None if old is None else old.stiffness),
-        block(system.mass, None if old is None else old.mass),
-        terms,
-        np.asarray(system.observe @ vectors),
-    )
-
-
-def _sensitivities(
-    pencil: Pencil,
-    modes: EigenModes,
-    system: AffineSystem,
-    at: Sequence[int],
-    count: int,
-    progress: Progress | None,
-) -> Float:
-    """(K − σM)⁻¹ (K_ij − λ_k M_ij) φ_k of the chosen parameters, free of the modes, scaled to the mode's energy."""
-    factor, phi, lam = pencil.at(modes.shift), modes.vectors, modes.values
-    mphi = pencil.mass @ phi
-    scale = 1 / np.sqrt(np.maximum(lam[:count] - modes.shift, np.abs(modes.shift)))
-    found = []
-    todo = [t for i in at for t in system.terms[i]]
-    for done, t in enumerate(todo):  # over parameters and their powers
-        load = (t.stiffness @ phi[:, :count] - (t.mass @ phi[:, :count]) * lam[:count]) * scale
-        load -= mphi @ (phi.T @ load)
-        parts = [factor.solve(load[:, s : s + CHUNK]) for s in range(0, count, CHUNK)]
-        x = np.concatenate(parts, axis=1)
-        found.append(x - phi @ (mphi.T @ x))
-        if progress is not None:
-            progress((done + 1) / len(todo), "static sensitivities")
-    return np.concatenate(found, axis=1) if found else np.zeros((pencil.size, 0))
-
-
-def _principal(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
-    """Principal directions of x in the energy K − σM, at most `most`, above `drop` of the largest, in their size."""
-    if not x.shape[1] or most <= 0:
-        return x[:, :0]
-    gram = x.T @ (energy @ x)
-    s, u = linalg.eigh((gram + gram.T) / 2)
-    keep = np.flatnonzero(s > drop**2 * s[-1])[::-1][:most]
-    return np.asarray(x @ u[:, keep])
-
-
-def _compress(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
-    """The principal directions of x, each of unit energy."""
-    x = _principal(energy, x, most, drop)
-    return np.asarray(x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x)))
-
-
-def _orthonormal(energy: sparse.csr_array, old: Float, x: Float) -> Float:
-    """Part of x outside `old`, orthonormal in the energy K − σM as `old` is; what is nearly inside is dropped.
-
-    Energy and not mass: a part too small to be seen in the mass may still be too stiff to be left out.
-    """
-    if not x.shape[1]:
-        return x
-    x = x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x))
-    for _ in range(2):
-        x = x - old @ (old.T @ (energy @ x))
-    s, u = linalg.eigh(x.T @ (energy @ x))
-    keep = s > 1e-13
-    q = x @ (u[:, keep] / np.sqrt(s[keep]))
-    for _ in range(2):  # what was kept may have been small
-        q = q - old @ (old.T @ (energy @ q))
-        s, u = linalg.eigh(q.T @ (energy @ q))
-        q = q @ (u / np.sqrt(s))
-    return np.asarray(q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -381,15 +203,15 @@ class ReducedModel:
     def augmented(self, vectors: Float) -> ReducedModel:
         """The same with more vectors (f, k) of the free DOFs in the basis: static answers to loads, say."""
         energy = sparse.csr_array(self.system.stiffness - self.shift * self.system.mass)
-        fresh = _orthonormal(energy, self.basis.vectors, np.asarray(vectors, dtype=np.float64))
-        return replace(self, basis=_project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis))
+        fresh = orthonormal_part(energy, self.basis.vectors, np.asarray(vectors, dtype=np.float64))
+        return replace(self, basis=project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis))
 
     def on(self, vectors: Float) -> ReducedModel:
         """The same model and parameters on another basis, independent vectors (f, r) of the free DOFs."""
         energy = sparse.csr_array(self.system.stiffness - self.shift * self.system.mass)
         root = linalg.cholesky(vectors.T @ (energy @ vectors), lower=True)
         fresh = np.asarray(linalg.solve_triangular(root, vectors.T, lower=True)).T
-        return replace(self, basis=_project(self.system, fresh), count=min(self.count, vectors.shape[1]))
+        return replace(self, basis=project(self.system, fresh), count=min(self.count, vectors.shape[1]))
 
     def enrich(
         self, x: Float, *, sensitivities: bool = False, progress: Progress | None = None
@@ -415,13 +237,13 @@ class ReducedModel:
         modes = solve_modes(pencil, self.count, shift=self.shift, progress=progress)
         fresh = modes.vectors
         if sensitivities:
-            s = _sensitivities(pencil, modes, self.system, self.active, self.count, progress)
+            s = static_sensitivities(pencil, modes, self.system, self.active, self.count, progress)
             there = sparse.csr_array(k - modes.shift * m)
-            fresh = np.hstack([fresh, _compress(there, s, 2 * self.count, 1e-4)])
+            fresh = np.hstack([fresh, compress(there, s, 2 * self.count, 1e-4)])
         pencil.close()
         energy = sparse.csr_array(self.system.stiffness - self.shift * self.system.mass)
-        fresh = _orthonormal(energy, self.basis.vectors, fresh)
-        basis = _project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis)
+        fresh = orthonormal_part(energy, self.basis.vectors, fresh)
+        basis = project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis)
         seen = np.asarray(self.system.observe @ modes.vectors)
         n = modes.values.size
         truth = Linearisation(
@@ -461,15 +283,15 @@ def reduced_model(
     block = max(1, AT_ONCE // max(n, 1))
     for first in range(0, len(system.parameters), block):  # principal directions of so many at a time
         some = range(first, min(first + block, len(system.parameters)))
-        x = np.hstack([x, _sensitivities(pencil, modes, system, some, n, progress)])
+        x = np.hstack([x, static_sensitivities(pencil, modes, system, some, n, progress)])
         if some.stop < len(system.parameters):
-            x = _principal(energy, x, most, options.drop)
-    x = _compress(energy, x, most, options.drop)
+            x = principal(energy, x, most, options.drop)
+    x = compress(energy, x, most, options.drop)
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)
-    vectors = np.hstack([base_modes, _orthonormal(energy, base_modes, x)])
+    vectors = np.hstack([base_modes, orthonormal_part(energy, base_modes, x)])
     every = tuple(range(len(system.parameters)))
     base = np.zeros(len(every))
-    model = ReducedModel(system, _project(system, vectors), pencil, modes.shift, n, every, base)
+    model = ReducedModel(system, project(system, vectors), pencil, modes.shift, n, every, base)
     for point in points:  # snapshots
         model, _ = model.enrich(point, progress=progress)
     return model

@@ -13,7 +13,8 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import NotConverged
 from ringtrue.fem.derivatives import terms
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduce.parametric import ReducedModel, observed_system, reduced_model
+from ringtrue.reduce.affine import observed_system
+from ringtrue.reduce.parametric import ReducedModel, reduced_model
 from ringtrue.study.opened import Opened, Progress
 
 CLOSE = 2e-3  # largest relative error of a frequency of the reduced model that is accepted

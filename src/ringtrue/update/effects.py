@@ -13,7 +13,9 @@ from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import System
 from ringtrue.fem.derivatives import PowerTerm, bilinear, system_derivatives, terms
 from ringtrue.model.model import Model
-from ringtrue.reduce.parametric import BasisOptions, Progress, ReducedModel, observed_system, reduced_model
+from ringtrue.reduce.affine import observed_system
+from ringtrue.reduce.basis import Progress
+from ringtrue.reduce.parametric import BasisOptions, ReducedModel, reduced_model
 from ringtrue.update.candidates import Candidate, parameters
 
 LEAST = 1e-5  # share of a mode's strain and kinetic energy below which a candidate does not change it

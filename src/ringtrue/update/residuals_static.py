@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from ringtrue.core.arrays import Any_, Float
-from ringtrue.reduce.parametric import AffineSystem
+from ringtrue.reduce.affine import AffineSystem
 from ringtrue.update.dense import matrices_at
 from ringtrue.update.residuals import NO_MODE, Block, Point, rows_block
 

@@ -1,0 +1,138 @@
+"""A reduced basis of an affine system: static sensitivities, their principal directions, and the projection on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, sparse
+
+from ringtrue.core.arrays import Float
+from ringtrue.eigen.factor import Pencil
+from ringtrue.eigen.problem import EigenModes
+from ringtrue.reduce.affine import AffineSystem
+
+CHUNK = 32  # right-hand sides solved together
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Projection:
+    """The projected system.
+
+    Attributes
+    ----------
+    vectors : (f, r) float64
+        Orthonormal in the nominal energy K − σM.
+    stiffness, mass : (r, r) float64
+        At a = 1.
+    terms : tuple (p,) of tuples of (power, stiffness (r, r), mass (r, r))
+    observe : (channel, r) float64
+    """
+
+    vectors: Float
+    stiffness: Float
+    mass: Float
+    terms: tuple[tuple[tuple[int, Float, Float], ...], ...]
+    observe: Float
+
+    @property
+    def size(self) -> int:
+        """Number of vectors."""
+        return int(self.vectors.shape[1])
+
+
+def project(system: AffineSystem, vectors: Float, old: Projection | None = None) -> Projection:
+    """Project on `vectors`; the leading ones are those of `old`, whose products are kept."""
+    n = 0 if old is None else old.size
+    fresh = vectors[:, n:]
+
+    def block(a: sparse.csr_array, kept: Float | None) -> Float:
+        rows = np.flatnonzero(np.diff(a.indptr))  # a region touches few DOFs
+        some = 2 * rows.size < a.shape[0]
+        right = vectors[rows].T @ (a[rows] @ fresh) if some else vectors.T @ (a @ fresh)
+        if kept is None:
+            return np.asarray((right + right.T) / 2)
+        corner = (right[n:] + right[n:].T) / 2
+        return np.block([[kept, right[:n]], [right[:n].T, corner]])
+
+    terms = tuple(
+        tuple(
+            (
+                t.power,
+                block(t.stiffness, None if old is None else old.terms[i][j][1]),
+                block(t.mass, None if old is None else old.terms[i][j][2]),
+            )
+            for j, t in enumerate(group)
+        )
+        for i, group in enumerate(system.terms)
+    )
+    return Projection(
+        vectors,
+        block(system.stiffness, None if old is None else old.stiffness),
+        block(system.mass, None if old is None else old.mass),
+        terms,
+        np.asarray(system.observe @ vectors),
+    )
+
+
+def static_sensitivities(
+    pencil: Pencil,
+    modes: EigenModes,
+    system: AffineSystem,
+    at: Sequence[int],
+    count: int,
+    progress: Progress | None,
+) -> Float:
+    """(K − σM)⁻¹ (K_ij − λ_k M_ij) φ_k of the chosen parameters, free of the modes, scaled to the mode's energy."""
+    factor, phi, lam = pencil.at(modes.shift), modes.vectors, modes.values
+    mphi = pencil.mass @ phi
+    scale = 1 / np.sqrt(np.maximum(lam[:count] - modes.shift, np.abs(modes.shift)))
+    found = []
+    todo = [t for i in at for t in system.terms[i]]
+    for done, t in enumerate(todo):  # over parameters and their powers
+        load = (t.stiffness @ phi[:, :count] - (t.mass @ phi[:, :count]) * lam[:count]) * scale
+        load -= mphi @ (phi.T @ load)
+        parts = [factor.solve(load[:, s : s + CHUNK]) for s in range(0, count, CHUNK)]
+        x = np.concatenate(parts, axis=1)
+        found.append(x - phi @ (mphi.T @ x))
+        if progress is not None:
+            progress((done + 1) / len(todo), "static sensitivities")
+    return np.concatenate(found, axis=1) if found else np.zeros((pencil.size, 0))
+
+
+def principal(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
+    """Principal directions of x in the energy K − σM, at most `most`, above `drop` of the largest, in their size."""
+    if not x.shape[1] or most <= 0:
+        return x[:, :0]
+    gram = x.T @ (energy @ x)
+    s, u = linalg.eigh((gram + gram.T) / 2)
+    keep = np.flatnonzero(s > drop**2 * s[-1])[::-1][:most]
+    return np.asarray(x @ u[:, keep])
+
+
+def compress(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
+    """The principal directions of x, each of unit energy."""
+    x = principal(energy, x, most, drop)
+    return np.asarray(x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x)))
+
+
+def orthonormal_part(energy: sparse.csr_array, old: Float, x: Float) -> Float:
+    """Part of x outside `old`, orthonormal in the energy K − σM as `old` is; what is nearly inside is dropped.
+
+    Energy and not mass: a part too small to be seen in the mass may still be too stiff to be left out.
+    """
+    if not x.shape[1]:
+        return x
+    x = x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x))
+    for _ in range(2):
+        x = x - old @ (old.T @ (energy @ x))
+    s, u = linalg.eigh(x.T @ (energy @ x))
+    keep = s > 1e-13
+    q = x @ (u[:, keep] / np.sqrt(s[keep]))
+    for _ in range(2):  # what was kept may have been small
+        q = q - old @ (old.T @ (energy @ q))
+        s, u = linalg.eigh(q.T @ (energy @ q))
+        q = q @ (u / np.sqrt(s))
+    return np.asarray(q)
