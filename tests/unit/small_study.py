@@ -28,7 +28,8 @@ from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.observe import observe
 from ringtrue.io.nastran.reader import read_deck
-from ringtrue.io.records import RecordChannel, write_record
+from ringtrue.io.record_layout import RecordChannel
+from ringtrue.io.records import write_record
 from ringtrue.model.frames import positions
 from ringtrue.model.ports import ModesRequest
 from ringtrue.virtual.logbook import write_sheet

@@ -11,7 +11,8 @@ import pytest
 from scipy.io import savemat
 
 from ringtrue.errors import DataError
-from ringtrue.io.records import RecordChannel, read_record, record_blocks, record_info, write_record
+from ringtrue.io.record_layout import RecordChannel
+from ringtrue.io.records import read_record, record_blocks, record_info, write_record
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
 data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"no reference data at {DATA}")

@@ -15,7 +15,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.files import existing
-from ringtrue.io.records import RecordChannel
+from ringtrue.io.record_layout import RecordChannel
 from ringtrue.io.si import to_si
 
 REQUIRED = ("point", "x", "y", "z")

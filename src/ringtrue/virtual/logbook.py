@@ -11,7 +11,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.testmodel import TestModel
-from ringtrue.io.records import RecordChannel
+from ringtrue.io.record_layout import RecordChannel
 from ringtrue.virtual.sensors import Sensor
 
 HEADER = (

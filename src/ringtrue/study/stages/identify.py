@@ -22,7 +22,8 @@ from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.merge import Contribution, merge_modes
 from ringtrue.identify.peaks import cmif
 from ringtrue.io.choices import read_choice
-from ringtrue.io.records import RecordChannel, read_record, record_info
+from ringtrue.io.record_layout import RecordChannel
+from ringtrue.io.records import read_record, record_info
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
