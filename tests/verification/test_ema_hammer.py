@@ -16,7 +16,8 @@ import pytest
 from ringtrue.core.modes import Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
-from ringtrue.identify.hammer import HammerModes, HammerResult, choose_bands, identify_hammer
+from ringtrue.identify.bands_hammer import choose_bands
+from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.lsfd import lsfd, noise, prepare, solve_shapes
 from ringtrue.identify.peaks import cmif
 from ringtrue.identify.plscf import Plscf, cluster_poles, plscf

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -17,29 +15,22 @@ from ringtrue.core.outcome import Outcome
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
+from ringtrue.identify.bands_hammer import band_candidates, choose_bands, line_step, merged
 from ringtrue.identify.choice_hammer import hand_poles
 from ringtrue.identify.deflate import missed, support
 from ringtrue.identify.frf_input import frf_notes, odd_channel, refuse_bad_frfs
 from ringtrue.identify.judge import Candidates, Verdict, judge
-from ringtrue.identify.lsfd import POWER, Lines, Noise, driving_pairs, lsfd, noise, prepare, synthesise_windowed
-from ringtrue.identify.peaks import cmif, count_peaks
-from ringtrue.identify.plscf import Clusters, Plscf, cluster_poles, order_range, plscf, pole_shapes
+from ringtrue.identify.lsfd import Lines, driving_pairs, lsfd, noise, prepare, synthesise_windowed
+from ringtrue.identify.peaks import cmif
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
-from ringtrue.shapes.mac import mac
 
-log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 
-RATIO = 1.8  # upper to lower edge of a band
-LEAST_LINES = 64
-MOST_PEAKS = 5
 TURNS = 6
 LAST_ITERATIONS = 60
 MOST_NEW = 6
-MOST_BANDS = 40
 MOST_BYTES = 2e9
-MOST_PRINCIPAL = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,10 +141,10 @@ def identify_hammer(
     found, diagrams = [], []
     for i, band in enumerate(bands):
         tell(0.05 + 0.55 * i / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
-        clusters, diagram = _band(used, sigma, curve, band, settings)
+        clusters, diagram = band_candidates(used, sigma, curve, band, settings.damping_max)
         found.append(clusters)
         diagrams.append(diagram)
-    candidates = _merge(found, _step(used), used.window_decay)
+    candidates = merged(found, line_step(used), used.window_decay)
     if not candidates.pole.size:
         raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz")
     if 16 * 6 * candidates.pole.size * used.freqs.size > MOST_BYTES:
@@ -170,28 +161,6 @@ def identify_hammer(
     odd = odd_channel(used, fit.refined.poles)
     notes = (*frf_notes(frfs), *((odd,) if odd else ()), *notes)
     return replace(_report(used, lines, fit, rejected, (low, high), tuple(diagrams), curve), notes=notes)
-
-
-def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[tuple[float, float], ...]:
-    """Overlapping bands, Hz: none spans more than RATIO, holds too few lines or too many peaks of the CMIF."""
-    step = float(freqs[1] - freqs[0])
-    low = max(low, float(freqs[0]))
-    all_peaks = np.sort(freqs[count_peaks(curve)])
-    most = max(MOST_PEAKS, all_peaks.size // MOST_BANDS)
-    edges = [high]
-    while edges[-1] > low * 1.05:
-        lower = min(edges[-1] / RATIO, edges[-1] - LEAST_LINES * step)
-        inside = all_peaks[(all_peaks < edges[-1]) & (all_peaks > lower)]
-        if inside.size > most:
-            cut = 0.5 * (inside[-most] + inside[-most - 1])
-            lower = max(lower, min(float(cut), edges[-1] - LEAST_LINES * step))
-        edges.append(lower if lower - low > LEAST_LINES / 2 * step else low)
-    edges = edges[::-1]
-    return tuple((_overlap(a, -0.15 * (b - a), freqs), _overlap(b, 0.15 * (b - a), freqs)) for a, b in pairwise(edges))
-
-
-def _overlap(edge: float, by: float, freqs: Float) -> float:
-    return float(np.clip(edge + by, freqs[0], freqs[-1]))
 
 
 def _limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
@@ -214,72 +183,6 @@ def _limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
 def _lines(frfs: FrfSet, low: float, high: float) -> FrfSet:
     at = (frfs.freqs >= low) & (frfs.freqs <= high) & (frfs.freqs > 0)
     return replace(frfs, data=frfs.data[at], freqs=frfs.freqs[at], coherence=frfs.coherence[at])
-
-
-def _step(frfs: FrfSet) -> float:
-    return float(frfs.freqs[1] - frfs.freqs[0])
-
-
-def _band(
-    frfs: FrfSet, sigma: Noise, curve: Float, band: tuple[float, float], settings: HammerModes
-) -> tuple[Clusters, StableDiagram]:
-    at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
-    n_in = frfs.data.shape[2]
-    lowest, highest = order_range(n_in, count_peaks(curve[at]).size, int(at.sum()))
-    most = settings.damping_max + frfs.window_decay / (2 * np.pi * band[0])
-    estimator = Plscf(lowest, highest, most)
-    white = frfs.data[at] / (np.median(sigma.line[at]) * sigma.response[:, None] * sigma.input)
-    strong = principal(white)
-    poles = plscf(strong, frfs.freqs[at], estimator)
-    alone = n_in == 1 and strong.shape[1] > 1 and len(poles) > 0
-    responses = pole_shapes(poles, strong, frfs.freqs[at], POWER[frfs.kind]) if alone else None
-    poles = replace(poles, shape=poles.shape * sigma.input[:, None])
-    clusters = cluster_poles(poles, _step(frfs), responses=responses)
-    db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
-    return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
-
-
-def principal(data: Complex) -> Complex:
-    """(freq, r, in) responses combined along the directions that stand out of the noise; `data` has noise of 1.
-
-    The combination is real, for the response space of real modes, and leaves r/out of the noise.
-    """
-    n_out = data.shape[1]
-    rows = data.transpose(1, 0, 2).reshape(n_out, -1)
-    values, vectors = np.linalg.eigh((rows @ rows.conj().T).real)
-    n = 2 * rows.shape[1]
-    edge = n * (1 + np.sqrt(n_out / n)) ** 2  # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
-    r = int(np.clip((values > 1.5 * edge).sum(), min(n_out, 4), MOST_PRINCIPAL))
-    return np.asarray(vectors[:, -r:].T @ data)
-
-
-def _merge(found: Sequence[Clusters], step: float, decay: float) -> Candidates:
-    """Candidates of all bands, the window out of the poles; of those seen twice, the one with less scatter."""
-    found = [c for c in found if c.pole.size]
-    if not found:
-        return Candidates(np.zeros(0, complex), np.zeros((0, 1), complex), np.zeros(0), np.zeros(0))
-    pole = np.concatenate([c.pole for c in found])
-    part = np.concatenate([c.participation.T for c in found])
-    support, scatter = np.concatenate([c.support for c in found]), np.concatenate([c.scatter for c in found])
-    band = np.repeat(np.arange(len(found)), [c.pole.size for c in found])
-    keep = np.ones(pole.size, dtype=bool)
-    rank = scatter + (1 - support)
-    far = _distance(pole, part, step)
-    for i, j in np.argwhere(np.triu(far < 1.5, 1)):  # a few pairs in the overlaps
-        if band[i] != band[j] and keep[i] and keep[j]:
-            keep[j if rank[i] <= rank[j] else i] = False
-    order = np.flatnonzero(keep)[np.argsort(np.abs(pole[keep]), kind="stable")]
-    true = np.minimum(pole.real + decay, -1e-4 * np.abs(pole)) + 1j * pole.imag
-    return Candidates(true, part, support, scatter).take(order)
-
-
-def _distance(pole: Complex, part: Complex, step: float) -> Float:
-    """(c, c) distances in half bandwidths, with 1 − MAC of the participation vectors (inputs above one)."""
-    width = 0.5 * np.sqrt(np.outer(pole.real, pole.real)) + 0.6 * np.pi * step
-    far = np.abs(pole[:, None] - pole) / width
-    if part.shape[1] > 1:
-        far = far + (1 - mac(part.T, part.T)) / 0.3
-    return np.asarray(far)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,114 @@
+"""Candidate poles of hammer FRFs band by band: the choice of bands, what stays in place in each, all of them merged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.signals import FrfSet
+from ringtrue.identify.judge import Candidates
+from ringtrue.identify.lsfd import POWER, Noise
+from ringtrue.identify.peaks import count_peaks
+from ringtrue.identify.plscf import Clusters, Plscf, cluster_poles, order_range, plscf, pole_shapes
+from ringtrue.identify.poles import StableDiagram
+from ringtrue.shapes.mac import mac
+
+RATIO = 1.8  # upper to lower edge of a band
+LEAST_LINES = 64
+MOST_PEAKS = 5
+MOST_BANDS = 40
+MOST_PRINCIPAL = 40
+
+
+def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[tuple[float, float], ...]:
+    """Overlapping bands, Hz: none spans more than RATIO, holds too few lines or too many peaks of the CMIF."""
+    step = float(freqs[1] - freqs[0])
+    low = max(low, float(freqs[0]))
+    all_peaks = np.sort(freqs[count_peaks(curve)])
+    most = max(MOST_PEAKS, all_peaks.size // MOST_BANDS)
+    edges = [high]
+    while edges[-1] > low * 1.05:
+        lower = min(edges[-1] / RATIO, edges[-1] - LEAST_LINES * step)
+        inside = all_peaks[(all_peaks < edges[-1]) & (all_peaks > lower)]
+        if inside.size > most:
+            cut = 0.5 * (inside[-most] + inside[-most - 1])
+            lower = max(lower, min(float(cut), edges[-1] - LEAST_LINES * step))
+        edges.append(lower if lower - low > LEAST_LINES / 2 * step else low)
+    edges = edges[::-1]
+    return tuple((_overlap(a, -0.15 * (b - a), freqs), _overlap(b, 0.15 * (b - a), freqs)) for a, b in pairwise(edges))
+
+
+def _overlap(edge: float, by: float, freqs: Float) -> float:
+    return float(np.clip(edge + by, freqs[0], freqs[-1]))
+
+
+def line_step(frfs: FrfSet) -> float:
+    """Distance of two lines, Hz."""
+    return float(frfs.freqs[1] - frfs.freqs[0])
+
+
+def band_candidates(
+    frfs: FrfSet, sigma: Noise, curve: Float, band: tuple[float, float], damping_max: float
+) -> tuple[Clusters, StableDiagram]:
+    """Poles of a band (Hz) that stay in place over the orders, damped up to a ratio, and the diagram of all poles."""
+    at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
+    n_in = frfs.data.shape[2]
+    lowest, highest = order_range(n_in, count_peaks(curve[at]).size, int(at.sum()))
+    most = damping_max + frfs.window_decay / (2 * np.pi * band[0])
+    estimator = Plscf(lowest, highest, most)
+    white = frfs.data[at] / (np.median(sigma.line[at]) * sigma.response[:, None] * sigma.input)
+    strong = principal(white)
+    poles = plscf(strong, frfs.freqs[at], estimator)
+    alone = n_in == 1 and strong.shape[1] > 1 and len(poles) > 0
+    responses = pole_shapes(poles, strong, frfs.freqs[at], POWER[frfs.kind]) if alone else None
+    poles = replace(poles, shape=poles.shape * sigma.input[:, None])
+    clusters = cluster_poles(poles, line_step(frfs), responses=responses)
+    db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
+    return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
+
+
+def principal(data: Complex) -> Complex:
+    """(freq, r, in) responses combined along the directions that stand out of the noise; `data` has noise of 1.
+
+    The combination is real, for the response space of real modes, and leaves r/out of the noise.
+    """
+    n_out = data.shape[1]
+    rows = data.transpose(1, 0, 2).reshape(n_out, -1)
+    values, vectors = np.linalg.eigh((rows @ rows.conj().T).real)
+    n = 2 * rows.shape[1]
+    edge = n * (1 + np.sqrt(n_out / n)) ** 2  # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
+    r = int(np.clip((values > 1.5 * edge).sum(), min(n_out, 4), MOST_PRINCIPAL))
+    return np.asarray(vectors[:, -r:].T @ data)
+
+
+def merged(found: Sequence[Clusters], step: float, decay: float) -> Candidates:
+    """Candidates of all bands, the window out of the poles; of those seen twice, the one with less scatter."""
+    found = [c for c in found if c.pole.size]
+    if not found:
+        return Candidates(np.zeros(0, complex), np.zeros((0, 1), complex), np.zeros(0), np.zeros(0))
+    pole = np.concatenate([c.pole for c in found])
+    part = np.concatenate([c.participation.T for c in found])
+    support, scatter = np.concatenate([c.support for c in found]), np.concatenate([c.scatter for c in found])
+    band = np.repeat(np.arange(len(found)), [c.pole.size for c in found])
+    keep = np.ones(pole.size, dtype=bool)
+    rank = scatter + (1 - support)
+    far = _distance(pole, part, step)
+    for i, j in np.argwhere(np.triu(far < 1.5, 1)):  # a few pairs in the overlaps
+        if band[i] != band[j] and keep[i] and keep[j]:
+            keep[j if rank[i] <= rank[j] else i] = False
+    order = np.flatnonzero(keep)[np.argsort(np.abs(pole[keep]), kind="stable")]
+    true = np.minimum(pole.real + decay, -1e-4 * np.abs(pole)) + 1j * pole.imag
+    return Candidates(true, part, support, scatter).take(order)
+
+
+def _distance(pole: Complex, part: Complex, step: float) -> Float:
+    """(c, c) distances in half bandwidths, with 1 − MAC of the participation vectors (inputs above one)."""
+    width = 0.5 * np.sqrt(np.outer(pole.real, pole.real)) + 0.6 * np.pi * step
+    far = np.abs(pole[:, None] - pole) / width
+    if part.shape[1] > 1:
+        far = far + (1 - mac(part.T, part.T)) / 0.3
+    return np.asarray(far)
