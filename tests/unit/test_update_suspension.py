@@ -17,7 +17,8 @@ import pytest
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError
 from ringtrue.update.objective import Target, Weights
-from ringtrue.update.suspension import RigidBody, tune
+from ringtrue.update.rigid_body import RigidBody
+from ringtrue.update.suspension import tune
 
 WEIGHTS = Weights(0.003, 0.05, 0.2)
 
