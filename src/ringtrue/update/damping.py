@@ -289,16 +289,7 @@ def refined(
     found = least_squares(value, inside, slope, (low / scale, high / scale), x_scale="jac", method="trf", xtol=1e-12)
     c = found.x * scale
     r, g = residual(c)
-    normal = (g.T @ g) * np.outer(scale, scale)
-    total = normal + np.diag((weight * scale) ** 2)
-    if np.linalg.matrix_rank(total) < c.size:
-        raise InputError("the data cannot tell the mechanisms apart: leave some out, or give them a prior std")
-    inverse = linalg.inv(total)
-    spent = float(np.trace(inverse @ normal))
-    s2 = max(float(r @ r) / max(r.size - spent, 1.0), least)
-    own = np.diag((weight * scale) ** 2)
-    covariance = inverse @ (s2 * normal + own) @ inverse * np.outer(scale, scale)
-    alone = np.sqrt((s2 if s2 > 0 else 1.0) / np.maximum(np.diag(normal) + np.diag(own), FAINT)) * scale
+    covariance, alone, s2 = _uncertainty(r, g, weight, scale, least)
     std = np.sqrt(np.diag(covariance))
     at = (c - low < EDGE * std + FAINT) | (high - c < EDGE * std + FAINT)
     c = np.where(c - low < FAINT * (std + scale), low, c)  # the search stays inside: a bound that holds is met
@@ -316,3 +307,26 @@ def refined(
         h,
         np.asarray(std / alone)[:k],
     )
+
+
+def _uncertainty(r: Float, g: Float, weight: Float, scale: Float, least: float) -> tuple[Float, Float, float]:
+    """Covariance (c, c), standard deviation of each as if it were alone (c,), and mean square of the residuals.
+
+    Parameters
+    ----------
+    r, g : (r,), (r, c) float64
+        Residuals and slopes at the end.
+    weight, scale : (c,) float64
+        1 over the prior standard deviations; size of each unknown.
+    least : float
+        Smallest mean square that is believed.
+    """
+    normal, own = (g.T @ g) * np.outer(scale, scale), np.diag((weight * scale) ** 2)
+    total = normal + own
+    if np.linalg.matrix_rank(total) < scale.size:
+        raise InputError("the data cannot tell the mechanisms apart: leave some out, or give them a prior std")
+    inverse = linalg.inv(total)
+    s2 = max(float(r @ r) / max(r.size - float(np.trace(inverse @ normal)), 1.0), least)
+    covariance = inverse @ (s2 * normal + own) @ inverse * np.outer(scale, scale)
+    alone = np.sqrt((s2 if s2 > 0 else 1.0) / np.maximum(np.diag(total), FAINT)) * scale
+    return np.asarray(covariance), np.asarray(alone), s2
