@@ -100,10 +100,6 @@ class ReducedModel:
             raise InputError(f"parameters {lost}: there are {len(self.system.parameters)}")
         return replace(self, active=tuple(active), base=self.base if base is None else np.array(base, dtype=float))
 
-    def with_count(self, count: int) -> ReducedModel:
-        """The same with another number of modes."""
-        return replace(self, count=min(count, self.basis.size))
-
     def full_vector(self, x: Float) -> Float:
         """x of all parameters (P,) from that of the active ones (p,)."""
         x = np.asarray(x, dtype=np.float64)
@@ -199,12 +195,6 @@ class ReducedModel:
                 r += (a**t.power - 1.0) * (t.stiffness @ phi - (t.mass @ phi) * lam)
         energy = np.einsum("ij,ij->j", r, self.pencil.at(self.shift).solve(r))
         return float(0.5 * np.max(energy / (lam - self.shift)))
-
-    def augmented(self, vectors: Float) -> ReducedModel:
-        """The same with more vectors (f, k) of the free DOFs in the basis: static answers to loads, say."""
-        energy = sparse.csr_array(self.system.stiffness - self.shift * self.system.mass)
-        fresh = orthonormal_part(energy, self.basis.vectors, np.asarray(vectors, dtype=np.float64))
-        return replace(self, basis=project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis))
 
     def on(self, vectors: Float) -> ReducedModel:
         """The same model and parameters on another basis, independent vectors (f, r) of the free DOFs."""

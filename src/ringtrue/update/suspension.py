@@ -107,13 +107,6 @@ class Suspended:
         """Of x, (p,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def probability(self, modes: int) -> Float:
-        """Of each pair, (test, modes)."""
-        out = np.zeros((len(self.best.pairs), modes))
-        for a in self.assignments:
-            out[a.pairs[:, 0], a.pairs[:, 1]] += a.weight
-        return out
-
     def ambiguity(self) -> tuple[str, ...]:
         """In words, which test modes could be another model mode and what would change; empty if it is sure."""
         if self.sure:
