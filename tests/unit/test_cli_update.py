@@ -57,7 +57,12 @@ def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path)
 
 @pytest.mark.parametrize(
     "words",
-    [("--method", "gauss-newton"), ("--prior", "evidence", "--loss", "huber"), ("--starts", "3", "--seed", "1")],
+    [
+        ("--method", "gauss-newton"),
+        ("--prior", "evidence", "--loss", "huber"),
+        ("--starts", "3", "--seed", "1"),
+        ("--residuals", "frequencies,mac"),
+    ],
 )
 def test_options_lead_to_the_same_factors(capsys: Capture, folder: Path, words: tuple[str, ...]) -> None:
     status, out, err = call(capsys, folder, *words, "--json", "-")
@@ -83,6 +88,8 @@ def test_checkpoint_is_kept_and_the_table_is_printed(capsys: Capture, folder: Pa
         (("--prior", "lcurve"), "did you mean 'l-curve'"),
         (("--loss", "l1"), "Allowed: huber, squares, tukey"),
         (("--leave-out", "12"), "modes 1 to 9"),
+        (("--residuals", "eigenvalues,shape"), "did you mean 'shapes'"),
+        (("--residuals", ","), "at least one of eigenvalues"),
         (("--starts", "3", "--checkpoint", "x.json"), "does not go with --starts"),
     ],
 )

@@ -29,7 +29,7 @@ from ringtrue.study.reference import measured_channels
 from ringtrue.update.multistart import latin_hypercube, multi_start
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.plausible import plausibility
-from ringtrue.update.residuals import Point
+from ringtrue.update.residuals import Eigenvalues, Frequencies, Mac, Point, Shapes, Term
 from ringtrue.update.robust import Huber, Loss, Squares, Tukey
 from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.trust import KINDS, Method, solve
@@ -39,6 +39,7 @@ from ringtrue.update.weights import RULES, regularised
 ABOVE = 1.5  # modes of the model up to here over the highest test mode
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
 STARTED = 30  # iterations of each of several starts
+RESIDUALS = ("eigenvalues", "frequencies", "shapes", "mac")
 LOSSES: dict[str, Loss] = {"squares": Squares(), "huber": Huber(), "tukey": Tukey()}
 Progress = Any
 
@@ -72,6 +73,9 @@ def update(
         float, typer.Option(metavar="%", help="Deviation of a frequency that the best model keeps.", min=1e-3)
     ] = 1.0,
     mac: Annotated[float, typer.Option(metavar="%", help="The same for 100 - MAC.", min=1e-3)] = 5.0,
+    residuals: Annotated[
+        str, typer.Option(metavar="LIST", help=f"What is compared, any of {', '.join(RESIDUALS)}.")
+    ] = "eigenvalues,shapes",
     starts: Annotated[int, typer.Option(metavar="N", help="Starts; the first is the deck as it is.", min=1)] = 1,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the starts.", min=0)] = 0,
     checkpoint: Annotated[
@@ -89,13 +93,14 @@ def update(
     asked = Asked(method, prior, loss, starts, seed, checkpoint)
     _check(asked)
     config = read_config(study)
+    terms = _terms(residuals, frequency / 100, mac / 100, config.update.shape_weight)
     if config.model is None or not config.candidate:
         raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
     with progress("updating") as show:
         show(0.0, "reading")
         model, target = read_deck(study.parent / config.model.deck), _target(config, test, leave_out, frequency, mac)
         show(0.1, "reduced basis")
-        problem = _problem(model, config, target[0], target[1])
+        problem = _problem(model, config, target[0], target[1], terms)
         before = problem.evaluate(np.zeros(problem.size)).points[0]
         done = _solved(replace(problem, loss=LOSSES[loss]), asked, lambda f, t: show(0.3 + 0.7 * f, t))
     written = _edited(model, config, done, folder)
@@ -150,12 +155,31 @@ def _target(
     return Target(modes.frequencies, shapes, relative, used, weights, gates), modes.channels
 
 
-def _problem(model: Model, config: StudyConfig, target: Target, channels: tuple[str, ...]) -> Problem:
+def _terms(text: str, frequency: float, mac: float, weight: float) -> tuple[Term, ...]:
+    """Residuals by name; `frequency` and `mac` relative, 1 sigma; `weight` of the shapes, none with 0."""
+    made: dict[str, Term] = {
+        "eigenvalues": Eigenvalues(frequency),
+        "frequencies": Frequencies(frequency, "log"),
+        "shapes": Shapes(mac, weight),
+        "mac": Mac(mac),
+    }
+    names = [t.strip() for t in text.split(",") if t.strip()]
+    for name in names:
+        if name not in made:
+            raise ConfigError(f"--residuals {name!r}{did_you_mean(name, list(made))}")
+    if not names:
+        raise ConfigError(f"--residuals {text!r}: at least one of {', '.join(made)}")
+    return tuple(made[n] for n in dict.fromkeys(names) if n != "shapes" or weight > 0)
+
+
+def _problem(
+    model: Model, config: StudyConfig, target: Target, channels: tuple[str, ...], terms: tuple[Term, ...]
+) -> Problem:
     """The reduced model of the deck at the channels of the test."""
     with EmbeddedSolver().open(model) as analysis:
         observation = at_dofs(channels, analysis.dofs)
         count = len(analysis.modes(ModesRequest(band=(-1.0, ABOVE * float(target.frequencies.max())))).modes)
-    return Problem((Configuration(reduced(model, config.candidates(), observation, count), target),))
+    return Problem((Configuration(reduced(model, config.candidates(), observation, count), target, terms),))
 
 
 def _solved(problem: Problem, asked: Asked, show: Progress) -> Verified:
