@@ -296,3 +296,69 @@ def test_damaged_archives_of_frfs(tmp_path: Path) -> None:
                 raw[at] = int(rng.integers(256))
         (tmp_path / "bad.npz").write_bytes(bytes(raw))
         takes(lambda: read_frfs(tmp_path / "bad.npz"))
+
+
+SIGNAL = np.random.default_rng(7).standard_normal((3, 500))  # (channel, sample), at 256 Hz
+TIMES = np.arange(500) / 256
+
+
+def _rows(times, delimiter=",", ending=""):
+    cells = ([t, *(f"{v:.9e}" for v in row)] for t, row in zip(times, SIGNAL.T, strict=True))
+    return "".join(delimiter.join(c) + ending + "\n" for c in cells)
+
+
+@pytest.mark.parametrize(
+    ("head", "body"),
+    [
+        ("Recorder 7\nRate;256\nTime;a;b;c\ns;m/s2;m/s²;m/s^2\n", _rows([f"{t:.9f}" for t in TIMES], ";")),
+        ("time;a;b;c;\n", _rows([f"{t:.9f}" for t in TIMES], ";", ";")),
+        ("Time (ms),a,b,c\n", _rows([f"{1e3 * t:.6f}" for t in TIMES])),
+        ("time,a,b,c\n", _rows([f"{t:.3f}" for t in TIMES])),  # milliseconds: uneven by rounding only
+        ("Timestamp,a,b,c\n", _rows([str(np.datetime64(round(t * 1e6), "us")) for t in TIMES])),
+        ("Timestamp,a,b,c\n", _rows([str(np.datetime64(round(t * 1e3), "ms")).replace("T", " ") for t in TIMES])),
+    ],
+    ids=["preamble-units", "ends-in-delimiter", "milliseconds", "rounded", "dates", "dates-rounded"],
+)
+def test_csv_of_loggers(tmp_path, head, body):
+    path = tmp_path / "r.csv"
+    path.write_text(head + body, encoding="utf-8")
+    got = read_record(path)
+    assert [c.id for c in got.channels] == ["a", "b", "c"]
+    assert got.rate == pytest.approx(256, rel=1e-3)
+    np.testing.assert_allclose(got.data, SIGNAL, rtol=1e-8)
+
+
+def test_csv_with_a_short_or_wrong_line_is_refused(tmp_path):
+    path = tmp_path / "r.csv"
+    for bad in ("a,b\n1,2\n3\n4,5\n", "a,b\n1,x\n3,4\n"):
+        path.write_text(bad)
+        with pytest.raises(DataError):
+            read_record(path, 10.0)
+
+
+@pytest.mark.parametrize("name", ["vectors", "time", "column", "column-and-rate"])
+def test_matlab_files_of_others(tmp_path, name):
+    vectors = {"acc1": SIGNAL[0], "acc2": SIGNAL[1], "acc3": SIGNAL[2]}
+    columns = np.vstack([TIMES, SIGNAL]).T
+    content = {
+        "vectors": {"t": TIMES, **vectors},
+        "time": {"x": SIGNAL.T, "time": TIMES[:, None]},
+        "column": {"x": columns},
+        "column-and-rate": {"x": columns, "Fs": 256.0},
+    }[name]
+    savemat(tmp_path / "r.mat", content)
+    got = read_record(tmp_path / "r.mat")
+    assert got.rate == pytest.approx(256)
+    np.testing.assert_allclose(got.data, SIGNAL)
+    if name == "vectors":
+        assert [c.id for c in got.channels] == list(vectors)
+
+
+def test_times_beside_or_within_an_array(tmp_path):
+    np.save(tmp_path / "r.npy", np.vstack([TIMES, SIGNAL]).T)
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["acc"], file["time"] = SIGNAL.T, TIMES
+    for name in ("r.npy", "r.h5"):
+        got = read_record(tmp_path / name)
+        assert got.rate == pytest.approx(256)
+        np.testing.assert_allclose(got.data, SIGNAL)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.mat5 import is_mat5, read_mat5
-from ringtrue.io.plain import RawTable, columns_first, named_rate, numbered
+from ringtrue.io.plain import TIME_NAMES, RawTable, columns_first, named_rate, numbered, time_rate, without_time
 from ringtrue.io.si import known
 
 _SIZE_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of level 4, by its precision
@@ -27,10 +28,10 @@ _BROKEN = (MatReadError, ValueError, OSError, TypeError, KeyError, IndexError, O
 
 
 def read_mat(path: Path) -> RawTable:
-    """The largest real 2-D variable of a MATLAB file, also within a structure.
+    """The largest real 2-D variable of a MATLAB file, also within a structure, or all vectors if that is one.
 
-    The rate comes from `fs`, `rate` or `dt`; names and units from cell arrays `channels` (or `names`, `labels`) and
-    `units` of as many texts as there are channels.
+    The rate comes from `fs`, `rate` or `dt`, a vector `t` or `time`, or a first column that rises in equal steps; names
+    and units from cell arrays `channels` (or `names`, `labels`) and `units` of as many texts as there are channels.
 
     Raises
     ------
@@ -41,11 +42,24 @@ def read_mat(path: Path) -> RawTable:
     arrays = [v for v in values.values() if isinstance(v, np.ndarray) and v.ndim == 2 and v.dtype.kind in "fiu"]
     if not arrays or max(a.size for a in arrays) < 2:
         raise DataError(f"{path}: no real 2-D variable; there are {', '.join(values) or 'none'}")
-    data = columns_first(max(arrays, key=lambda a: a.size), path)
-    blank = numbered(data, named_rate({k.rpartition(".")[2]: v for k, v in values.items()}))
-    names = _texts(values, _NAMES, data.shape[0]) or blank.names
-    units = tuple(known(u) for u in _texts(values, _UNITS, data.shape[0]) or blank.units)
-    return RawTable(data, blank.rate, names, units, blank.quantities)
+    short = {k.rpartition(".")[2]: v for k, v in values.items()}
+    largest = max(arrays, key=lambda a: a.size)
+    samples, rate = max(largest.shape), named_rate(short)
+    rate = time_rate(short, samples, path) if rate is None else rate
+    if min(largest.shape) == 1 and len(vectors := _vectors(values, samples)) > 1:
+        table = numbered(np.stack([np.ravel(v).astype(np.float64) for v in vectors.values()]), rate)
+        table = replace(table, names=tuple(vectors))
+    else:
+        table = without_time(numbered(columns_first(largest, path), rate), path)
+    names = _texts(values, _NAMES, table.data.shape[0]) or table.names
+    units = tuple(known(u) for u in _texts(values, _UNITS, table.data.shape[0]) or table.units)
+    return replace(table, names=names, units=units)
+
+
+def _vectors(values: Mapping[str, Any], samples: int) -> dict[str, Any]:
+    """Variables that hold a channel each: vectors of so many samples, times left out."""
+    found = {k: v for k, v in values.items() if getattr(v, "size", 0) == samples and v.dtype.kind in "fiu"}
+    return {k: v for k, v in found.items() if k.rpartition(".")[2].lower() not in TIME_NAMES}
 
 
 def _read_73(path: Path) -> dict[str, Any]:

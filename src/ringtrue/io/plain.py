@@ -17,11 +17,14 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.si import known
 
 _RATE_NAMES = ("rate", "fs", "sampling_rate", "sample_rate", "fsamp", "sr")
-_TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
+TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
 _CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
+_CLOCK = re.compile(r"(\d{4}[-/]\d\d?[-/]\d\d?[ T])?\d\d?:\d\d:\d\d([.,]\d*)?Z?$")
+_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0}
 _UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
 
 
@@ -69,7 +72,7 @@ def read_npy(path: Path) -> RawTable:
     if a.ndim not in (1, 2) or a.dtype.kind not in "fiu":
         raise DataError(f"{path}: array {a.shape} {a.dtype}; it must be (sample, channel) and real")
     data = np.array(np.atleast_2d(a.T), dtype=a.dtype if a.dtype.kind == "f" else np.float64, order="C")
-    return numbered(data, None)
+    return without_time(numbered(data, None), path)
 
 
 def h5_table(file: h5py.File, path: Path) -> tuple[h5py.Dataset, float | None]:
@@ -87,13 +90,18 @@ def h5_table(file: h5py.File, path: Path) -> tuple[h5py.Dataset, float | None]:
     check_stored(found[0], path)
     attrs = {k.lower(): v for o in (file, found[0].parent, found[0]) for k, v in o.attrs.items()}
     scalars = {k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1}
-    return found[0], named_rate({**scalars, **attrs})
+    rate = named_rate({**scalars, **attrs})
+    if rate is None:
+        beside = {k: v for k, v in found[0].parent.items() if isinstance(v, h5py.Dataset) and v.name != found[0].name}
+        times = {k: v[()] for k, v in beside.items() if v.size == max(found[0].shape) and k.lower() in TIME_NAMES}
+        rate = time_rate(times, max(found[0].shape), path)
+    return found[0], rate
 
 
 def read_h5_table(file: h5py.File, path: Path) -> RawTable:
     """The first 2-D data set of an HDF5 file of others."""
     data, rate = h5_table(file, path)
-    return numbered(columns_first(data[()], path), rate)
+    return without_time(numbered(columns_first(data[()], path), rate), path)
 
 
 def check_stored(data: h5py.Dataset, path: str | Path) -> None:
@@ -127,12 +135,57 @@ def read_csv(path: Path) -> RawTable:
     if not lines:
         raise DataError(f"{path}: empty, there are no samples")
     delimiter, comma = _dialect(lines[-1])
-    header = not _is_numbers(_cells(lines[0], delimiter), comma)
-    names = [x.strip() for x in _cells(lines[0], delimiter)] if header else []
-    data = numbers(lines[header:], delimiter, comma, path)
-    if names and len(names) != data.shape[0]:
-        raise DataError(f"{path}: {len(names)} names in the header, {data.shape[0]} columns")
-    return _with_time(data, names, path)
+    if delimiter != " " and lines[-1].rstrip(" ").endswith(delimiter):  # each line ends in a delimiter
+        lines = [x.rstrip(" ").removesuffix(delimiter) for x in lines]
+    width = len(_cells(lines[-1], delimiter))
+    head = [_cells(x, delimiter) for x in lines[: _head_rows(lines, delimiter, comma, width)]]
+    data = numbers(_clocked(lines[len(head) :], delimiter), delimiter, comma, path)
+    return _with_time(data, _titles(head, data.shape[0], path), path)
+
+
+def _head_rows(lines: Sequence[str], delimiter: str, comma: bool, width: int) -> int:
+    """How many lines stand above the samples: other numbers of cells than below, or not one number."""
+    for at, line in enumerate(lines):
+        cells = _cells(line, delimiter)
+        if len(cells) == width and any(_is_numbers([x], comma) for x in cells if x.strip()):
+            return at
+        if at and len(cells) > 1 and len(cells) != width and _is_numbers(cells, comma):
+            return at  # a line of samples that lacks some
+    return min(1, len(lines))
+
+
+def _titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
+    """Names of the columns from the lines above them; a line of units under the names is joined to them."""
+    if not head:
+        return []
+    rows = [[x.strip() for x in cells] for cells in head]
+    if len(head) == 1 and len(rows[0]) != width:
+        raise DataError(f"{path}: {len(rows[0])} names in the header, {width} columns")
+    fit = [r for r in rows if len(r) == width and width > 1] or [r for r in rows[-1:] if len(r) == width]
+    if len(fit) < 2 or not all(_is_unit(u.strip("[]()")) for u in fit[-1]):
+        return fit[-1] if fit else []
+    units = [u.strip("[]()").strip("-") for u in fit[-1]]
+    return [n if _UNIT.match(n) or not u else f"{n} [{u}]" for n, u in zip(fit[-2], units, strict=True)]
+
+
+def _is_unit(text: str) -> bool:
+    return text.lower() in ("", "-", *_SECONDS) or bool(known(text))
+
+
+def _clocked(lines: Sequence[str], delimiter: str) -> Sequence[str]:
+    """Lines whose first cells are dates or times of day, with seconds from the first one in their place."""
+    cut = [x.partition(delimiter) for x in lines] if delimiter != " " else []
+    if not cut or not _CLOCK.match(cut[0][0].strip(' "')):
+        return lines
+    texts = [x[0].strip(' "').replace("/", "-").replace(",", ".").removesuffix("Z") for x in cut]
+    day = "" if "-" in texts[0] else "2000-01-01T"
+    try:
+        t = np.array([day + x for x in texts], dtype="datetime64[ns]")
+    except ValueError:
+        return lines  # what is wrong is said where the numbers are read
+    seconds = (t - t[0]) / np.timedelta64(1, "s")
+    point = "," if delimiter != "," and "," in lines[-1] else "."
+    return [f"{s:.9f}".replace(".", point) + x[1] + x[2] for s, x in zip(seconds.tolist(), cut, strict=True)]
 
 
 def read_text(path: Path) -> str:
@@ -191,8 +244,10 @@ def numbers(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Fl
 
 
 def _with_time(data: Float, names: Sequence[str], path: Path) -> RawTable:
-    named = bool(names) and names[0].lower() in _TIME_NAMES
-    rate = _time_rate(data[0], named, path) if data.shape[0] > 1 or named else None
+    title = _UNIT.match(names[0]) if names else None
+    named = bool(names) and (names[0].lower() in TIME_NAMES or (title is not None and title[1].lower() in TIME_NAMES))
+    unit = _SECONDS.get(title[2].strip().lower(), 1.0) if title else 1.0
+    rate = _time_rate(data[0] * unit, named, path) if data.shape[0] > 1 or named else None
     if rate is not None:
         data, names = data[1:], names[1:]
     if not names:
@@ -215,7 +270,7 @@ def _time_rate(t: Float, named: bool, path: Path) -> float | None:
             raise DataError(f"{path}: the time column does not rise, or has fewer than 2 rows")
         return None
     mean = float(step.mean())
-    if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max():
+    if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max() and not _rounded(t):
         if named:
             at = int(np.abs(step - mean).argmax())
             raise DataError(
@@ -223,6 +278,34 @@ def _time_rate(t: Float, named: bool, path: Path) -> float | None:
             )
         return None
     return 1 / mean
+
+
+def _rounded(t: Float) -> bool:
+    """Whether the times are even ones, written with few decimals."""
+    line = np.polynomial.Polynomial.fit(np.arange(t.size), t, 1)(np.arange(t.size))
+    for digits in range(1, 7):
+        if np.abs(np.round(t, digits) - t).max() < 1e-9 * max(np.abs(t).max(), 1.0):
+            return bool(np.abs(t - line).max() <= 0.75 * 10.0**-digits)
+    return False
+
+
+def without_time(table: RawTable, path: Path) -> RawTable:
+    """A table without names whose first row is a time (it rises in equal steps): the rate in its place."""
+    rate = _time_rate(table.data[0], False, path) if table.data.shape[0] > 1 else None
+    if rate is None or rate <= 1 or table.data.shape[1] < 10:  # 1 Hz: the column may as well number the samples
+        return table
+    rest = numbered(table.data[1:], rate)
+    if table.rate is not None and abs(table.rate / rate - 1) > 1e-3:
+        raise DataError(f"{path}: a rate of {table.rate:g} Hz is named, but the first column, a time, says {rate:g} Hz")
+    return rest
+
+
+def time_rate(values: Mapping[str, Any], samples: int, path: Path) -> float | None:
+    """The rate (Hz) by a vector of so many times among named arrays (`t`, `time`), None if there is none."""
+    for name, v in values.items():
+        if name.lower() in TIME_NAMES and _is_real(v) and np.size(v) == samples:
+            return _time_rate(np.ravel(v).astype(np.float64), True, path)
+    return None
 
 
 def write_csv(path: str | Path, history: TimeHistory) -> None:

@@ -32,7 +32,7 @@ _UNITS: dict[str, tuple[Quantity, float, str]] = {
     "mv": ("unknown", 1e-3, "V"),
     "pa": ("unknown", 1.0, "Pa"),
 }
-_SAME = {"newton": "n", "newtons": "n", "volt": "v", "volts": "v", "m/s**2": "m/s^2", "m/s2": "m/s^2"}
+_SAME = {"newton": "n", "newtons": "n", "volt": "v", "volts": "v", "m/s**2": "m/s^2"}
 
 
 def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
@@ -52,7 +52,7 @@ def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
     if not text:
         default = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m", "force": "N"}
         return quantity or "unknown", 1.0, default.get(quantity, "")  # type: ignore[return-value]
-    text = _SAME.get(text, text)
+    text = _SAME.get(text, text[:-1] + "^2" if text.endswith("/s2") else text)
     if text not in _UNITS:
         raise DataError(f"unit {unit!r}{did_you_mean(text, _UNITS)}")
     kind, factor, si = _UNITS[text]
