@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import linalg, sparse
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Float, Int
 from ringtrue.errors import SingularModel
 
+Labels = Callable[[Int], list[str]]
+HINT = "look for a mechanism without mass or a DOF without stiffness there, and hold it or give it inertia"
 DENSE_SIZE = 400  # rows up to which the dense solution is used
 
 
-def spectrum(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> tuple[Float, Float]:
+def named_rows(rows: Int) -> list[str]:
+    """Names of rows that have no others."""
+    return [f"row {i}" for i in rows.tolist()]
+
+
+def spectrum(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float, labels: Labels = named_rows
+) -> tuple[Float, Float]:
     """All finite eigenpairs of K φ = λ M φ from M φ = θ (K − σM) φ, λ = σ + 1/θ; M may be singular.
 
     Parameters
@@ -19,6 +30,8 @@ def spectrum(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) 
     stiffness, mass : (f, f) csr_array float64
     shift : float
         σ below every λ, so that K − σM is positive definite.
+    labels : callable, optional
+        Names of rows for errors, (k,) int64 -> list of str.
 
     Returns
     -------
@@ -28,7 +41,7 @@ def spectrum(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) 
     Raises
     ------
     SingularModel
-        If K − σM is not positive definite.
+        If K − σM is not positive definite; the rows that move most are named.
     """
     k, m = stiffness.toarray(), mass.toarray()
     a = k - shift * m
@@ -37,10 +50,18 @@ def spectrum(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) 
     try:
         theta, y = linalg.eigh(m * scale, a * scale)
     except linalg.LinAlgError:
-        rows = [f"row {i}" for i in np.argsort(np.diag(a))[:3]]
-        raise SingularModel(rows, f"K - ({shift:.3g}) M is not positive definite") from None
+        why = f"K - ({shift:.3g}) M is not positive definite: {HINT}"
+        raise SingularModel(labels(_loose(a * scale, d)), why) from None
     theta, y = theta[::-1], y[:, ::-1]
     finite = theta > 1e-13 * theta[0]
     theta, y = theta[finite], y[:, finite]
     vectors = d[:, None] * y
     return shift + 1 / theta, vectors / np.sqrt(np.einsum("ij,ij->j", vectors, m @ vectors))
+
+
+def _loose(a: Float, d: Float) -> Int:
+    """Rows that move most where the scaled matrix has its lowest eigenvalue; at most six."""
+    lowest = linalg.eigh(a, subset_by_index=(0, 0))[1][:, 0]
+    moved = np.abs(d * lowest)
+    order = np.argsort(-moved, kind="stable")[:6]
+    return np.asarray(order[moved[order] > 0.1 * moved.max()])

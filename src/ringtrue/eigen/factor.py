@@ -7,7 +7,6 @@ resort (no inertia). `engines` holds them.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -15,17 +14,16 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.eigen import memory
+from ringtrue.eigen.dense import HINT, Labels, named_rows
 from ringtrue.eigen.engines import Engine, Method, choose
 from ringtrue.eigen.engines import factorise as engine
 from ringtrue.eigen.pattern import Pattern
 from ringtrue.errors import InputError, SingularModel
 
-Labels = Callable[[Int], list[str]]
 RESIDUAL_LIMIT = 1e-4  # of a probing solve (LDLᵀ without full pivoting reaches 1e-8 on ill-scaled shells)
 MASSLESS = 1e-9  # share of the usual mass of a DOF under which a motion counts as without mass
 NO_ENERGY = 1e-13  # of the energy that its DOFs would have alone: a motion is without stiffness
 LOST = 0.1  # error of a probing solve (solution of order 1) on perturbed pivots: they were zero
-HINT = "look for a mechanism without mass or a DOF without stiffness there, and hold it or give it inertia"
 log = logging.getLogger(__name__)
 
 
@@ -84,7 +82,7 @@ class Pencil:
         self.method, self._limit = choose(method, self.size), limit
         if self.method == "superlu":
             log.warning("neither pymklpardiso nor rslab is used: SuperLU is slower and cannot prove completeness")
-        self.labels: Labels = labels or (lambda rows: [f"row {i}" for i in rows.tolist()])
+        self.labels: Labels = labels or named_rows
         self._pattern = Pattern(self.stiffness, self.mass)
         self._m = self._pattern.entries(self.mass)
         self._factor: Engine | None = None

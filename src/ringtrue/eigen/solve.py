@@ -96,9 +96,9 @@ def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> Eige
 
 def _first_definite(pencil: Pencil, shift: float) -> tuple[Float, Float]:
     try:
-        return spectrum(pencil.stiffness, pencil.mass, shift)
+        return spectrum(pencil.stiffness, pencil.mass, shift, pencil.labels)
     except SingularModel:  # a free structure with a shift too near to zero, or a real mechanism
-        return spectrum(pencil.stiffness, pencil.mass, 1e3 * shift)
+        return spectrum(pencil.stiffness, pencil.mass, 1e3 * shift, pencil.labels)
 
 
 def _start_shift(pencil: Pencil) -> float:
