@@ -314,10 +314,11 @@ def _rows(times, delimiter=",", ending=""):
         ("time;a;b;c;\n", _rows([f"{t:.9f}" for t in TIMES], ";", ";")),
         ("Time (ms),a,b,c\n", _rows([f"{1e3 * t:.6f}" for t in TIMES])),
         ("time,a,b,c\n", _rows([f"{t:.3f}" for t in TIMES])),  # milliseconds: uneven by rounding only
+        ("time (ms),a,b,c\n", _rows([f"{1e3 * t:.3g}" for t in TIMES])),  # 996, 1e+03, 1e+03, 1.01e+03
         ("Timestamp,a,b,c\n", _rows([str(np.datetime64(round(t * 1e6), "us")) for t in TIMES])),
         ("Timestamp,a,b,c\n", _rows([str(np.datetime64(round(t * 1e3), "ms")).replace("T", " ") for t in TIMES])),
     ],
-    ids=["preamble-units", "ends-in-delimiter", "milliseconds", "rounded", "dates", "dates-rounded"],
+    ids=["preamble-units", "ends-in-delimiter", "milliseconds", "rounded", "three-digits", "dates", "dates-rounded"],
 )
 def test_csv_of_loggers(tmp_path, head, body):
     path = tmp_path / "r.csv"

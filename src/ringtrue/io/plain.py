@@ -265,7 +265,7 @@ def _with_time(data: Float, names: Sequence[str], path: Path) -> RawTable:
 def _time_rate(t: Float, named: bool, path: Path) -> float | None:
     """The rate of a time column; None if an unnamed column is not one."""
     step = np.diff(t)
-    if not step.size or not np.isfinite(step).all() or (step <= 0).any():
+    if not step.size or not np.isfinite(step).all() or (step < 0).any() or not ((step > 0).all() or _rounded(t)):
         if named:
             raise DataError(f"{path}: the time column does not rise, or has fewer than 2 rows")
         return None
@@ -283,9 +283,12 @@ def _time_rate(t: Float, named: bool, path: Path) -> float | None:
 def _rounded(t: Float) -> bool:
     """Whether the times are even ones, written with few decimals."""
     line = np.polynomial.Polynomial.fit(np.arange(t.size), t, 1)(np.arange(t.size))
-    for digits in range(1, 7):
-        if np.abs(np.round(t, digits) - t).max() < 1e-9 * max(np.abs(t).max(), 1.0):
-            return bool(np.abs(t - line).max() <= 0.75 * 10.0**-digits)
+    top = max(float(np.abs(t).max()), 1e-300)
+    decade = np.floor(np.log10(np.maximum(np.abs(t), 1e-12 * top) * (1 + 1e-12)))
+    units = [np.full(t.size, 10.0**-k) for k in range(1, 7)] + [10.0 ** (decade + 1 - k) for k in range(3, 10)]
+    for unit in units:  # so many decimals, or so many digits
+        if np.abs(np.round(t / unit) * unit - t).max() < 1e-9 * top and np.abs(t - line).max() <= 0.75 * unit.max():
+            return True
     return False
 
 
