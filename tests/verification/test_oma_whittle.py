@@ -7,6 +7,7 @@ Floor (Gersch 1974): σ_f/f = sqrt(ζ/(2π f T)), σ_ζ/ζ = sqrt(1/(2π ζ f T)
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 
 import numpy as np
@@ -117,3 +118,20 @@ def test_modes_that_move_in_step_keep_their_damping():
     assert np.isfinite(ratio).mean() > 0.9
     standard_error = np.nanstd(ratio) / np.sqrt(ratio.size)  # 0.9 %
     assert abs(np.nanmean(ratio) - 1) < 3 * standard_error
+
+
+def test_a_fit_that_knows_less_than_its_start_is_not_believed(monkeypatch):
+    """Shapes so alike that the filter of one mode takes what it should fit: the start stands."""
+    a, d = np.linalg.qr(np.random.default_rng(5).standard_normal((6, 2)))[0].T
+    here = sys.modules[__name__]
+    monkeypatch.setattr(here, "PHI", np.stack([a, 0.3 * (a + 0.01 * d)], axis=1))
+    monkeypatch.setattr(here, "F", np.array([5.0, 6.0]))
+    monkeypatch.setattr(here, "Z", np.array([0.01, 0.01]))
+    doubt, accepted = np.array([0.06, 0.06]), 0
+    for seed in range(6):
+        psi = PHI + 0.01 * np.random.default_rng(seed).standard_normal(PHI.shape)
+        fit = refine(spectral_bins(record(seed), RATE, (3.0, 9.0)), F, Z, psi, doubt=doubt)
+        stated = np.sqrt(fit.covariance[fit.ok, 1, 1])
+        assert (stated < 0.2).all()
+        accepted += stated.size
+    assert accepted

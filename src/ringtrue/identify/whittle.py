@@ -24,6 +24,7 @@ LEVEL = 1.5  # standard deviation of ln of the levels that noise and other modes
 INDEPENDENT = 0.03  # singular value of unit shapes, over the largest, below which a direction is not theirs
 NULL = 10.0  # weight of other modes over noise in the filter: they move in step with the mode, noise does not
 MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for instance
+BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is not believed
 ITERATIONS = 80
 HALVINGS = 8
 
@@ -266,10 +267,12 @@ def refine(
         Of the exponent of ω in the response: 4 for accelerations under a flat force, 2 for velocities, 0 for
         displacements.
     doubt : (m,) float64, optional
-        Relative standard deviation of `damping`; a fit that ends far beyond it has found something else. 0.2 if absent.
+        Relative standard deviation of `damping`; a fit that ends far beyond it has found something else, and one that
+        knows far less tells nothing: its filter took the mode with the others. 0.2 if absent.
     """
     m = frequency.size
-    reach = np.minimum(0.3 + 3 * (np.full(m, 0.2) if doubt is None else doubt), 0.9)  # of ln damping
+    start = np.full(m, 0.2) if doubt is None else doubt
+    reach = np.minimum(0.3 + 3 * start, 0.9)  # of ln damping
     f, z = frequency.copy(), damping.copy()
     cov, misfit, ok = np.full((m, 2, 2), np.nan), np.full(m, np.nan), np.zeros(m, dtype=np.bool_)
     for _ in range(2):
@@ -281,7 +284,8 @@ def refine(
             new_f, new_z = f0[i] * np.exp(theta[0]), np.exp(theta[1])
             near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002)
             near &= bool(abs(np.log(new_z / damping[i])) < reach[i])
-            if good and near and chi < MISFIT:
+            sharp = c[1, 1] * max(chi, 1.0) < (BLUR * start[i]) ** 2
+            if good and near and sharp and chi < MISFIT:
                 f[i], z[i], cov[i], misfit[i], ok[i] = new_f, new_z, c[:2, :2] * max(chi, 1.0), chi, True
     return Fitted(f, z, cov, misfit, ok)
 
