@@ -226,3 +226,16 @@ def test_free_beam_beyond_its_bending_modes() -> None:
     part, slope = frfs.data[near], np.linspace(0, 1, near.sum())[:, None, None]
     peak = frfs.freqs[near][np.abs(part - part[0] * (1 - slope) - part[-1] * slope).argmax(axis=0)]
     assert (np.abs(peak - 1376.8) < 2).mean() > 0.9
+
+
+@pytest.mark.parametrize("turned", [1, 3])
+def test_turned_hammers_are_said_and_cost_no_mode(turned):
+    frfs, phi = simulate(n_out=16, lines=1500)
+    sign = np.where(np.arange(3) < turned, -1.0, 1.0)
+    result = identify_hammer(replace(frfs, data=frfs.data * sign))
+    same(result, phi, 5e-3, 0.1, 0.99)
+    assert result.modes.norm is (Norm.MASS if turned < 3 else Norm.UNSCALED)
+    assert any("other way round" in n and frfs.inputs[0].id in n for n in result.notes)
+    if turned < 3:
+        scale = np.abs(result.modes.shapes).max(axis=0) / np.abs(phi).max(axis=0)
+        np.testing.assert_allclose(scale, 1, atol=0.05)

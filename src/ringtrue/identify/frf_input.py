@@ -7,12 +7,13 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Complex, Float
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
-from ringtrue.identify.lsfd import POWER
-from ringtrue.signal.frf_checks import check_driving_points
+from ringtrue.identify.lsfd import POWER, driving_pairs
+from ringtrue.signal.frf_checks import passive
 
 _SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite
 _ODD = 100.0  # times the level of the typical response
 _COHERENT = 0.5
+_TURNED = 0.8  # share of the power at a driving point that has the wrong sign
 _CURED = 0.3  # of the misfit of the residues may be left when one fault is undone
 _MISFIT = 1e-3  # share of the residues that no single shape explains, and that calls for a reason
 _MOST_TRIALS = 400_000
@@ -68,10 +69,16 @@ def frf_notes(frfs: FrfSet) -> tuple[str, ...]:
         typical = float(np.nanmedian(frfs.coherence))
         if typical < _COHERENT:
             out.append(f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise")
-    turned = [p.id for p in check_driving_points(frfs) if p.verdict == "flipped"]
-    if turned:
-        out.append(f"driving point {' '.join(turned)}: sensor or hammer is the other way round")
+    pairs, sound = driving_pairs(frfs), sound_pairs(frfs)
+    if turned := [frfs.inputs[i].id for o, i, sign in pairs if (o, i, sign) not in sound]:
+        rest = "" if sound else ": the modes are not scaled"
+        out.append(f"driving point {' '.join(turned)}: sensor or hammer is the other way round; not used{rest}")
     return tuple(out)
+
+
+def sound_pairs(frfs: FrfSet) -> list[tuple[int, int, float]]:
+    """(output, input, sign) of the driving points but for those that give power to the hammer: turned ones."""
+    return [(o, i, sign) for o, i, sign in driving_pairs(frfs) if sign * passive(frfs, o, i) > -_TURNED]
 
 
 def residues(frfs: FrfSet, poles: Complex) -> Complex:

@@ -18,9 +18,9 @@ from ringtrue.errors import DataError
 from ringtrue.identify.bands_hammer import band_candidates, choose_bands, line_step, merged
 from ringtrue.identify.choice_hammer import hand_poles
 from ringtrue.identify.deflate import missed, support
-from ringtrue.identify.frf_input import frf_notes, odd_channel, refuse_bad_frfs
+from ringtrue.identify.frf_input import frf_notes, odd_channel, refuse_bad_frfs, sound_pairs
 from ringtrue.identify.judge import Candidates, Verdict, judge
-from ringtrue.identify.lsfd import Lines, driving_pairs, lsfd, noise, prepare, synthesise_windowed
+from ringtrue.identify.lsfd import Lines, lsfd, noise, prepare, synthesise_windowed
 from ringtrue.identify.peaks import cmif
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
@@ -154,7 +154,7 @@ def identify_hammer(
         )
     tell(0.65, f"residues of {candidates.pole.size} candidates")
     lines = prepare(used, sigma)
-    search = _Search(lines, driving_pairs(used), settings, [d.poles for d in diagrams], used.window_decay, frfs.source)
+    search = _Search(lines, sound_pairs(used), settings, [d.poles for d in diagrams], used.window_decay, frfs.source)
     fit, rejected = _fit(search, candidates, tell)
     tell(0.95, "verdict")
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
@@ -296,7 +296,8 @@ def _report(
     curve: Float,
 ) -> HammerResult:
     fit, verdict = found.refined, found.verdict
-    model = lsfd(frfs, fit.poles, fit.participation, lines)
+    pairs = sound_pairs(frfs)
+    model = lsfd(frfs, fit.poles, fit.participation, lines, pairs)
     f = model.frequencies
     order = np.argsort(f, kind="stable")
     told = order[(f[order] >= band[0]) & (f[order] <= band[1])]
@@ -311,7 +312,6 @@ def _report(
         frfs.source or "hammer FRFs, pLSCF",
         verdict.confidence[told],
     )
-    pairs = driving_pairs(frfs) if norm is Norm.MASS else []
     shape = shape_deviations(lines, fit, pairs) * np.abs(model.shapes * alpha)
     std = Uncertainty(fit.std_frequency, fit.std_damping, shape, fit.factor).take(told)
     fitted = synthesise_windowed(model, lines)

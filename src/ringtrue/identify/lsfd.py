@@ -7,6 +7,7 @@ those of scalar functions 1/(s − λ_k): a few dozen columns, whatever the numb
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
 
 POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
+Pairs = Sequence[tuple[int, int, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,7 +172,9 @@ def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> tuple[
     return psi[:m].T, np.asarray(gain * lines.response[:, None] ** 2)
 
 
-def lsfd(frfs: FrfSet, poles: Complex, participation: Complex, lines: Lines | None = None) -> ModalModel:
+def lsfd(
+    frfs: FrfSet, poles: Complex, participation: Complex, lines: Lines | None = None, pairs: Pairs | None = None
+) -> ModalModel:
     """The modal model of given poles and participation vectors.
 
     Parameters
@@ -180,6 +184,8 @@ def lsfd(frfs: FrfSet, poles: Complex, participation: Complex, lines: Lines | No
     participation : (m, in) complex128
     lines : Lines, optional
         By default those of `prepare(frfs, noise(frfs))`.
+    pairs : sequence of (output, input, sign), optional
+        Driving points; by default all that the names of the channels tell.
 
     Returns
     -------
@@ -190,7 +196,8 @@ def lsfd(frfs: FrfSet, poles: Complex, participation: Complex, lines: Lines | No
     shapes, _ = solve_shapes(lines, poles, participation)
     rest = frfs.data - modal_part(lines, poles, shapes, participation)
     lower, upper = _residuals(rest, lines)
-    return normalise(ModalModel(poles, shapes, participation, lower, upper, frfs.outputs, frfs.inputs, frfs.kind))
+    model = ModalModel(poles, shapes, participation, lower, upper, frfs.outputs, frfs.inputs, frfs.kind)
+    return normalise(model, pairs)
 
 
 def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Complex) -> Complex:
@@ -254,9 +261,9 @@ def reciprocity(model: ModalModel) -> Float:
     return np.asarray(np.abs((part.conj() * psi).sum(axis=0)) ** 2 / np.where(size > 0, size, 1.0))
 
 
-def normalise(model: ModalModel) -> ModalModel:
+def normalise(model: ModalModel, pairs: Pairs | None = None) -> ModalModel:
     """Shapes of unit modal A where there are driving points, residue = φ φᵀ; else the model as it is."""
-    pairs = driving_pairs(model)
+    pairs = driving_pairs(model) if pairs is None else pairs
     if not pairs or not model.poles.size:
         return model
     o, i = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])

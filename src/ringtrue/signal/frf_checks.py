@@ -62,15 +62,19 @@ def check_driving_points(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
 
     Lines count by their size, so that the resonances decide, between `low` and `high` Hz.
     """
-    use = (frfs.freqs > max(low, 0.0)) & (frfs.freqs <= high)
-    y = mobility(frfs)[use]
     out = []
     for o, i in frfs.driving_points():
-        real = y[:, o, i].real
-        passive = float(real.sum() / max(float(np.abs(real).sum()), 1e-300))
-        verdict: Literal["ok", "flipped", "doubtful"] = "ok" if passive > _SURE else "doubtful"
-        out.append(DrivingPoint(frfs.inputs[i].id, passive, "flipped" if passive < -_SURE else verdict))
+        share = passive(frfs, o, i, low=low, high=high)
+        verdict: Literal["ok", "flipped", "doubtful"] = "ok" if share > _SURE else "doubtful"
+        out.append(DrivingPoint(frfs.inputs[i].id, share, "flipped" if share < -_SURE else verdict))
     return tuple(out)
+
+
+def passive(frfs: FrfSet, output: int, reference: int, *, low: float = 0.0, high: float = np.inf) -> float:
+    """Sum of the real part of a driving point's mobility over that of its size, -1 to 1, from `low` to `high` Hz."""
+    use = (frfs.freqs > max(low, 0.0)) & (frfs.freqs <= high)
+    real = mobility(frfs)[use, output, reference].real
+    return float(real.sum() / max(float(np.abs(real).sum()), 1e-300))
 
 
 def check_reciprocity(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -> tuple[Reciprocity, ...]:
