@@ -28,6 +28,7 @@ from ringtrue.identify.ambient_verdict import (
     select,
     settled,
     uncertainty,
+    unresolved,
 )
 from ringtrue.identify.bands import STEP, BandSums, begin, more
 from ringtrue.identify.choice import chosen, with_picks
@@ -383,6 +384,7 @@ def _assemble(
     by_hand = chosen(found, at, choice, history.source)
     found, at = by_hand.found, by_hand.rows
     left_out += by_hand.notes
+    left_out += unresolved(found, np.array([found[b].table.frequencies[i] for b, i in at] + known))
     shapes = [found[b].shape[:, i] for b, i in at]
     modes = ModeSet(
         np.array([found[b].table.frequencies[i] for b, i in at]),

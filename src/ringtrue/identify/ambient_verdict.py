@@ -15,6 +15,7 @@ from ringtrue.identify.stabilise import Candidates
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.preprocess import Harmonic
 
+PAIRED = 0.3  # share of the orders
 OVERTONE = 3e-3  # relative distance
 DOUBTFUL = 0.2  # confidence
 
@@ -84,6 +85,28 @@ def machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: floa
     narrow = zeta < max(2e-3, resolution / f)
     near = [h for h in lines if abs(h.frequency - f) < max(1.5 * resolution, 1e-3 * f)]
     return near[0] if narrow and near else None
+
+
+def unresolved(found: list[Found], told: Float) -> tuple[str, ...]:
+    """A note where most orders have two poles within half a bandwidth and no mode (`told`, Hz) is reported.
+
+    The shapes of a pair that the record cannot separate turn from order to order, so that neither becomes a mode.
+    """
+    near: list[tuple[float, int, int]] = []
+    for x in found:
+        order, tried = x.diagram.poles.order, np.unique(x.diagram.poles.order).size
+        for f, z in zip(x.table.frequencies, x.table.damping, strict=True):
+            group = np.flatnonzero(np.abs(x.table.frequencies - f) < z * f)
+            _, count = np.unique(order[np.isin(x.table.label, group)], return_counts=True)
+            lone = not (np.abs(told - f) < 2 * z * f).any()
+            if lone and group.size > 1 and (count > 1).sum() > PAIRED * tried:
+                near.append((float(f), int((count > 1).sum()), tried))
+    kept = [n for k, n in enumerate(near) if all(abs(n[0] / b[0] - 1) > 0.03 for b in near[:k])]
+    return tuple(
+        f"two poles near {f:.4g} Hz at {n} of {tried} orders, of shapes that turn from order to order: a pair of modes "
+        "closer than this record can separate; not reported"
+        for f, n, tried in kept
+    )
 
 
 def reason(c: Candidates, i: int) -> str:
