@@ -14,7 +14,8 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.eigen import memory
-from ringtrue.eigen.dense import HINT, Labels, named_rows
+from ringtrue.eigen.dense import HINT, named_rows
+from ringtrue.eigen.dense import Labels as Labels
 from ringtrue.eigen.engines import Engine, Method, choose
 from ringtrue.eigen.engines import factorise as engine
 from ringtrue.eigen.pattern import Pattern
