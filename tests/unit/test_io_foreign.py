@@ -331,7 +331,7 @@ def test_csv_of_loggers(tmp_path, head, body):
 
 def test_csv_with_a_short_or_wrong_line_is_refused(tmp_path):
     path = tmp_path / "r.csv"
-    for bad in ("a,b\n1,2\n3\n4,5\n", "a,b\n1,x\n3,4\n"):
+    for bad in ("a,b\n1,2\n3\n4,5\n", "a,b\n1,x\n3,4\n", ",\n,\n", "a;b;c\n1,5;2,5\n1;2;3\n"):
         path.write_text(bad)
         with pytest.raises(DataError):
             read_record(path, 10.0)

@@ -137,6 +137,8 @@ def read_csv(path: Path) -> RawTable:
     delimiter, comma = _dialect(lines[-1])
     if delimiter != " " and lines[-1].rstrip(" ").endswith(delimiter):  # each line ends in a delimiter
         lines = [x.rstrip(" ").removesuffix(delimiter) for x in lines]
+        if not lines[-1].strip(f" {delimiter}"):
+            raise DataError(f"{path}: the last line has no number: the file is empty or cut")
     width = len(_cells(lines[-1], delimiter))
     head = [_cells(x, delimiter) for x in lines[: _head_rows(lines, delimiter, comma, width)]]
     data = numbers(_clocked(lines[len(head) :], delimiter), delimiter, comma, path)
@@ -174,9 +176,9 @@ def _is_unit(text: str) -> bool:
 
 def _clocked(lines: Sequence[str], delimiter: str) -> Sequence[str]:
     """Lines whose first cells are dates or times of day, with seconds from the first one in their place."""
-    cut = [x.partition(delimiter) for x in lines] if delimiter != " " else []
-    if not cut or not _CLOCK.match(cut[0][0].strip(' "')):
+    if not lines or delimiter == " " or not _CLOCK.match(lines[0].partition(delimiter)[0].strip(' "')):
         return lines
+    cut = [x.partition(delimiter) for x in lines]
     texts = [x[0].strip(' "').replace("/", "-").replace(",", ".").removesuffix("Z") for x in cut]
     day = "" if "-" in texts[0] else "2000-01-01T"
     try:
