@@ -83,6 +83,95 @@ def _point(model: Candidates, target: Target, x: Float) -> Residual:
     return residual(target, model.linearise(x))
 
 
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """What sets are chosen by.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+        The candidates.
+    linearised : callable
+        Weighted residuals (r,) and their slopes (r, p) at x.
+    updated : callable
+        A short updating of some members from x; the others go to 0.
+    """
+
+    parameters: ParameterSet
+    linearised: Callable[[Float], tuple[Float, Float]]
+    updated: Callable[[Sequence[int], Float], Choice]
+
+    @classmethod
+    def of_model(cls, model: Candidates, target: Target) -> _Search:
+        """One deck and its test, by Gauss-Newton."""
+
+        def linearised(x: Float) -> tuple[Float, Float]:
+            r = _point(model, target, x)
+            return r.value, r.slope
+
+        return cls(model.parameters, linearised, lambda at, x: short_update(model, target, at, x))
+
+    @classmethod
+    def of_problem(cls, problem: Problem) -> _Search:
+        """Several configurations, none of their parameters linked."""
+
+        def updated(members: Sequence[int], x: Float) -> Choice:
+            names, at = problem.parameters.names, sorted(members)
+            done = solve(held_to(problem, [names[i] for i in at]), start=x[at], iterations=TURNS)
+            return Choice(np.array(members, dtype=np.int64), done.x, done.cost)
+
+        return cls(problem.parameters, lambda x: problem.weighted(problem.evaluate(x)), updated)
+
+    def promising(self, now: Choice, options: Sequence[list[int]]) -> list[list[int]]:
+        """The sets by J at the bounded minimum of its linearisation at a point, the lowest first."""
+        low, high = self.parameters.bounds()
+        w = 1 / self.parameters.std() ** 2
+        r, g = self.linearised(now.x)
+        values = []
+        for at in options:
+            gone = np.setdiff1d(np.flatnonzero(now.x), at)
+            value = r + g[:, gone] @ now.x[gone]  # what is not a member goes back to x = 0
+            values.append(predicted(g[:, at], value, now.x[at], w[at], low[at], high[at]))
+        return [options[i] for i in np.argsort(values, kind="stable").tolist()]
+
+    def grown(self, count: int, progress: Callable[[float, str], None] | None) -> Choice:
+        """Forward selection.
+
+        Raises
+        ------
+        InputError
+            If there are fewer candidates.
+        """
+        p = len(self.parameters)
+        if not 0 < count <= p:
+            raise InputError(f"choose {count} of {p} candidates: allowed are 1 to {p}")
+        now = Choice(np.zeros(0, dtype=np.int64), np.zeros(p), np.inf)
+        for k in range(count):
+            rest = np.setdiff1d(np.arange(p), now.members).tolist()
+            at = self.promising(now, [[*now.members.tolist(), c] for c in rest])[0]
+            now = self.updated(at, now.x)
+            if progress is not None:
+                progress((k + 1) / (count + 2), f"parameter {k + 1}: {self.parameters.names[at[-1]]}")
+        return now
+
+    def exchanged(self, now: Choice) -> Choice:
+        """With one member at a time exchanged while J falls."""
+        for _ in range(2 * now.members.size):
+            members = now.members.tolist()
+            rest = np.setdiff1d(np.arange(len(self.parameters)), members).tolist()
+            options = [[*(m for m in members if m != out), c] for out in members for c in rest]
+            trials = [self.updated(at, now.x) for at in self.promising(now, options)[:TRIALS]]
+            better = min(trials, key=lambda c: c.value, default=now)
+            if better.value >= (1 - GAIN) * now.value:
+                return now
+            now = better
+        return now
+
+
+def _different(sets: Sequence[Int]) -> list[list[int]]:
+    return [s.tolist() for s in {tuple(sorted(s.tolist())): s for s in sets}.values()]
+
+
 def best_subset(
     model: Candidates, target: Target, count: int, progress: Callable[[float, str], None] | None = None
 ) -> Choice:
@@ -93,59 +182,12 @@ def best_subset(
     InputError
         If there are fewer candidates.
     """
-    p = len(model.parameters)
-    if not 0 < count <= p:
-        raise InputError(f"choose {count} of {p} candidates: allowed are 1 to {p}")
-    low, high = model.parameters.bounds()
-    w = 1 / model.parameters.std() ** 2
-    now = Choice(np.zeros(0, dtype=np.int64), np.zeros(p), np.inf)
-    for k in range(count):
-        r = _point(model, target, now.x)
-        rest = np.setdiff1d(np.arange(p), now.members)
-        trial = []
-        for c in rest.tolist():
-            at = [*now.members.tolist(), c]
-            trial.append(predicted(r.slope[:, at], r.value, now.x[at], w[at], low[at], high[at]))
-        best = int(rest[int(np.argmin(trial))])
-        now = short_update(model, target, [*now.members.tolist(), best], now.x)
-        if progress is not None:
-            progress((k + 1) / (count + 2), f"parameter {k + 1}: {model.parameters.names[best]}")
+    first, near = _Search.of_model(model, target), _Search.of_model(model, target.doubting())
+    now = first.grown(count, progress)
     sensitive = weighted_sensitivities(model, target)
-    starts = [now.members, orthogonal(sensitive, count), largest(sensitive, count)]
-    unique = {tuple(sorted(s.tolist())): s for s in starts}
-    near = target.doubting()
-    found = []
-    for s in unique.values():
-        rough = short_update(model, target, s.tolist(), np.zeros(p))
-        found.append(_exchange(model, near, short_update(model, near, s.tolist(), rough.x)))
-    return min(found, key=lambda c: c.value)
-
-
-def _exchange(model: Candidates, target: Target, now: Choice) -> Choice:
-    """Exchange one member at a time while J falls."""
-    p = len(model.parameters)
-    low, high = model.parameters.bounds()
-    w = 1 / model.parameters.std() ** 2
-    for _ in range(2 * now.members.size):
-        r = _point(model, target, now.x)
-        options = []
-        for out in now.members.tolist():
-            stay = [m for m in now.members.tolist() if m != out]
-            for c in np.setdiff1d(np.arange(p), now.members).tolist():
-                at = [*stay, c]
-                # taking `out` away means going back to x = 0 there
-                value = r.value + r.slope[:, out] * now.x[out]
-                options.append((predicted(r.slope[:, at], value, now.x[at], w[at], low[at], high[at]), at))
-        options.sort(key=lambda o: o[0])
-        better = None
-        for _, at in options[:TRIALS]:
-            trial = short_update(model, target, at, np.where(np.isin(np.arange(p), at), now.x, 0.0))
-            if trial.value < (1 - GAIN) * now.value and (better is None or trial.value < better.value):
-                better = trial
-        if better is None:
-            return now
-        now = better
-    return now
+    starts = _different([now.members, orthogonal(sensitive, count), largest(sensitive, count)])
+    rough = [(s, first.updated(s, np.zeros(now.x.size)).x) for s in starts]
+    return min((near.exchanged(near.updated(s, x)) for s, x in rough), key=lambda c: c.value)
 
 
 def joint_subset(
@@ -166,54 +208,10 @@ def joint_subset(
     InputError
         If there are fewer candidates.
     """
-    p = len(problem.parameters)
-    if not 0 < count <= p:
-        raise InputError(f"choose {count} of {p} candidates: allowed are 1 to {p}")
-    now = Choice(np.zeros(0, dtype=np.int64), np.zeros(p), np.inf)
-    for k in range(count):
-        rest = np.setdiff1d(np.arange(p), now.members).tolist()
-        (_, at), *_ = _promising(problem, now, [[*now.members.tolist(), c] for c in rest])
-        now = _joint_update(problem, at, now.x)
-        if progress is not None:
-            progress((k + 1) / (count + 2), f"parameter {k + 1}: {problem.parameters.names[at[-1]]}")
-    unique = {tuple(sorted(s.tolist())): s for s in (now.members, *starts)}
-    found = [_joint_exchange(problem, _joint_update(problem, s.tolist(), np.zeros(p))) for s in unique.values()]
+    search = _Search.of_problem(problem)
+    now = search.grown(count, progress)
+    found = [search.exchanged(search.updated(s, np.zeros(now.x.size))) for s in _different([now.members, *starts])]
     return min(found, key=lambda c: c.value)
-
-
-def _joint_update(problem: Problem, members: Sequence[int], x: Float) -> Choice:
-    """A short updating of some members from x; the others go to 0."""
-    names, at = problem.parameters.names, sorted(members)
-    done = solve(held_to(problem, [names[i] for i in at]), start=x[at], iterations=TURNS)
-    return Choice(np.array(members, dtype=np.int64), done.x, done.cost)
-
-
-def _promising(problem: Problem, now: Choice, options: Sequence[Sequence[int]]) -> list[tuple[float, list[int]]]:
-    """J at the bounded minimum of its linearisation at a point for each set, the lowest first."""
-    low, high = problem.parameters.bounds()
-    w = 1 / problem.parameters.std() ** 2
-    r, g = problem.weighted(problem.evaluate(now.x))
-    out = []
-    for at in map(list, options):
-        gone = np.setdiff1d(np.flatnonzero(now.x), at)
-        value = r + g[:, gone] @ now.x[gone]  # what is not a member goes back to x = 0
-        out.append((predicted(g[:, at], value, now.x[at], w[at], low[at], high[at]), at))
-    return sorted(out, key=lambda o: o[0])
-
-
-def _joint_exchange(problem: Problem, now: Choice) -> Choice:
-    """Exchange one member at a time while J falls."""
-    p = len(problem.parameters)
-    for _ in range(2 * now.members.size):
-        members = now.members.tolist()
-        rest = np.setdiff1d(np.arange(p), members).tolist()
-        options = [[*(m for m in members if m != out), c] for out in members for c in rest]
-        trials = [_joint_update(problem, at, now.x) for _, at in _promising(problem, now, options)[:TRIALS]]
-        better = min(trials, key=lambda c: c.value, default=now)
-        if better.value >= (1 - GAIN) * now.value:
-            return now
-        now = better
-    return now
 
 
 def weighted_sensitivities(model: Candidates, target: Target) -> Float:
