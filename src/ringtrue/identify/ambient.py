@@ -49,7 +49,7 @@ from ringtrue.identify.stabilise import (
     steady,
 )
 from ringtrue.identify.whittle import SpectralBins
-from ringtrue.signal.events import Events, find_events
+from ringtrue.signal.events import NONE, Events, find_events
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.preprocess import Band, Harmonic, harmonics, uncut, usable
 
@@ -295,8 +295,8 @@ def identify_stretches(
     duration = good.duration
     for part in chain(() if second is None else (second,), coming):
         tell(0.0, f"filtering into bands, {duration:.4g} s done")
-        heard.append(find_events(part.data, part.rate))
-        sums = _continued(sums, good, part, heard[-1])
+        sums, events = _continued(sums, good, part)
+        heard.append(events)
         duration += part.duration
     found = []
     for k, x in enumerate(sums):
@@ -321,20 +321,21 @@ def _struck(heard: list[Events]) -> tuple[str, ...]:
     return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest (a jump, a blow): {use}",)
 
 
-def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory, events: Events) -> list[BandSums]:
-    """The sums with one more stretch, unless it is too short for the lags of the lowest band."""
+def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory) -> tuple[list[BandSums], Events]:
+    """The sums with one more stretch and its events, unless it is too short for the lags of the lowest band."""
     part = coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
     if not np.isclose(part.rate, first.rate):
         raise DataError(f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
     share = part.duration / first.duration
     if share < 0.5:  # edges of the filters would weigh too much
-        return sums
+        return sums, NONE
+    events = find_events(part.data, part.rate)
     out = more(sums, part.data, part.rate, events)
     lost = np.asarray(~np.isfinite(out[0].parts[-1]).all((0, 1, 3)))
     if lost.any():
         bad = [c.id for c, x in zip(part.channels, lost, strict=True) if x]
         raise DataError(f"{coming.source}: channels {' '.join(bad[:8])} fail later in the record; leave them out")
-    return out
+    return out, events
 
 
 def _references(history: TimeHistory, names: tuple[str, ...]) -> Int | None:

@@ -10,11 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
-from scipy.linalg import qr
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.identify import variance as var
-from ringtrue.identify.ssi import MAX_REFERENCES, SsiCov
+from ringtrue.identify.ssi import MAX_REFERENCES, SsiCov, spanning
 from ringtrue.identify.whittle import RELATIVE, SpectralBins
 from ringtrue.signal import pyramid
 from ringtrue.signal.events import NONE, Events
@@ -134,8 +133,8 @@ def begin(
         high, down = _filters(band, band is bands[-1])
         cut = pyramid.segments(y.samples, blocks, 2 * rows - 1, high, down)
         scale, lagged = pyramid.glance(y, cut, high)
-        refs = _spanning(lagged, MAX_REFERENCES) if references is None else references
-        eyes = _spanning(lagged, SPECTRAL_CHANNELS)
+        refs = spanning(lagged, MAX_REFERENCES) if references is None else references
+        eyes = spanning(lagged, SPECTRAL_CHANNELS)
         first = BandSums(band, own, blocks, refs, eyes, scale, (), (), NOTHING, 0)
         got, y = _pass(first, y, events, band is bands[-1])
         out.append(got)
@@ -209,11 +208,3 @@ def _sub_band(y: Any_, first: int, unit: Any_) -> tuple[Float, Float, Any_]:
 def span(band: Band) -> tuple[float, float]:
     """Frequencies of the spectra, Hz: a little more than the band."""
     return max(0.7 * band.low, 0.02 * band.rate), min(1.15 * band.high, 0.4 * band.rate)
-
-
-def _spanning(lagged: Float, most: int) -> Int:
-    """(k,) int64 channels that span the motion best: all, or `most` by pivoted QR of the correlations at lag 1."""
-    if len(lagged) <= most:
-        return np.arange(len(lagged), dtype=np.int64)
-    _, pivots = qr(lagged, mode="r", pivoting=True)
-    return np.sort(np.asarray(pivots[:most], dtype=np.int64))

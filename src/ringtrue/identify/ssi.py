@@ -187,7 +187,13 @@ def choose_references(data: Float, scale: Float, most: int = MAX_REFERENCES) -> 
     """(ref,) int64 channels that span the motion best: all, or `most` by pivoted QR of the correlation at lag 1."""
     if len(data) <= most:
         return np.arange(len(data), dtype=np.int64)
-    lagged = data[:, 1:] @ data[:, :-1].T / (scale[:, None] * scale)
+    return spanning(data[:, 1:] @ data[:, :-1].T / (scale[:, None] * scale), most)
+
+
+def spanning(lagged: Float, most: int) -> Int:
+    """(k,) int64 channels that span the motion best: all, or `most` by pivoted QR of the correlations at lag 1."""
+    if len(lagged) <= most:
+        return np.arange(len(lagged), dtype=np.int64)
     _, pivots = qr(lagged, mode="r", pivoting=True)
     return np.sort(np.asarray(pivots[:most], dtype=np.int64))
 
@@ -207,29 +213,17 @@ def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> t
     DataError
         If the record is too short for the lags.
     """
-    blocks = settings.blocks or var.blocks_for(data.shape[1], 2 * settings.block_rows - 1)
+    lags = 2 * settings.block_rows - 1
+    blocks = settings.blocks or var.blocks_for(data.shape[1], lags)
     scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
     refs = choose_references(data, scale) if references is None else references
-    r = stretch(data, settings, blocks, refs, scale)
-    return r, loudness_weights(r, refs), scale
-
-
-def stretch(data: Float, settings: SsiCov, blocks: int, references: Int, scale: Float) -> Float:
-    """Correlations (block, lag, ch, ref) of one stretch `data` (ch, sample) of a record, divided by `scale` (ch,).
-
-    Raises
-    ------
-    DataError
-        If the stretch is too short for the lags.
-    """
-    lags = 2 * settings.block_rows - 1
     if data.shape[1] < 4 * lags:
         raise DataError(
             f"{data.shape[1]} samples are too few for {settings.block_rows} block rows; needed are {4 * lags}"
         )
-    r, _ = block_correlations(data, references, lags, block_bounds(data.shape[1], blocks))
-    r /= scale[:, None] * scale[references]
-    return r
+    r, _ = block_correlations(data, refs, lags, block_bounds(data.shape[1], blocks))
+    r /= scale[:, None] * scale[refs]
+    return r, loudness_weights(r, refs), scale
 
 
 def loudness_weights(r: Float, references: Int) -> Float:
