@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes
+from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes, paired_shapes, turning
 from ringtrue.errors import ConfigError, InputError
 
 CHANNELS = tuple("abcdefghij")
@@ -73,6 +73,25 @@ def test_rotated_pair_beside_a_third_close_mode() -> None:
     assert p.a.tolist() == p.b.tolist() == [0, 1, 2]
     assert p.subspace.tolist() == [True, True, False]
     np.testing.assert_allclose(p.mac, 1.0, rtol=1e-9)
+
+
+def test_pair_that_is_close_in_the_test_alone() -> None:
+    """The model has the two modes 4 % apart; the test has them 0.3 % apart, and mixed."""
+    phi = sines(4)
+    c, s = np.cos(np.pi / 5), np.sin(np.pi / 5)
+    mixed = phi.copy()
+    mixed[:, 1:3] = phi[:, 1:3] @ np.array([[c, -s], [s, c]])
+    a, b = modes([10, 20, 20.06, 40], mixed), modes([10, 19.5, 20.3, 40], phi, Norm.MASS)
+    p = pair_modes(a, b)
+    assert p.a.tolist() == p.b.tolist() == [0, 1, 2, 3]
+    assert p.subspace.tolist() == [False, True, True, False]
+    np.testing.assert_allclose(p.mac, 1.0, rtol=1e-9)
+    test, model = paired_shapes(a, b, p)
+    np.testing.assert_allclose(test, model, atol=1e-9)
+    turn = turning(a, b, p)
+    np.testing.assert_allclose(turn.T @ turn, np.eye(4), atol=1e-12)
+    far = pair_modes(modes([10, 20, 24, 40], mixed), b)
+    assert not far.subspace.any()
 
 
 def test_close_modes_that_match_one_to_one_are_not_rotated() -> None:

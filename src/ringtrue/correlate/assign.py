@@ -118,7 +118,7 @@ class Scores:
     error : (ma, mb) float64
         (f_B − f_A)/f_A.
     groups_b : tuple of tuple of int
-        Close groups of B.
+        Close groups of B, those that close modes of A mix among them.
     """
 
     mac: Float
@@ -138,9 +138,12 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
     single = mac(a, b)
     scale = np.maximum(np.abs(fa), np.finfo(float).tiny)[:, None]
     error = (fb[None, :] - fa[:, None]) / scale
-    groups_b = close_groups(fb, settings.close, settings.largest_group)
     merged = single.copy()
     groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
+    groups_b = close_groups(fb, settings.close, settings.largest_group)
+    for ga in (g for g in groups_a if g.size > 1):
+        share = np.where((np.abs(error[ga]) <= settings.frequency_gate).any(axis=0), subspace_mac(b, a[:, ga]), 0.0)
+        groups_b = _joined(groups_b, _mixed(single[ga], share, settings), settings.largest_group)
     for gb in (np.array(g) for g in groups_b if len(g) > 1):
         share = subspace_mac(a, b[:, gb])  # no rotation inside the group reaches more
         gains = np.asarray(share > single[:, gb].max(axis=1) + SOFT - TIE)
@@ -151,6 +154,27 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
             if gains[these].any():
                 _merge(merged, single, error, these, gb, a, b, settings)
     return Scores(single, merged, error, groups_b)
+
+
+def _mixed(single: Float, share: Float, settings: PairingSettings) -> Int:
+    """The modes of B that a group of close modes of A mixes; none where single shapes match one to one.
+
+    How close modes share two shapes is decided by perturbations as small as their distance: it differs between two
+    sets whose frequencies differ by more, whichever of the two has them close.
+    """
+    best = np.argsort(-share, kind="stable")[: single.shape[0]]
+    best = best[share[best] >= settings.mac_gate]
+    rows, cols = linear_sum_assignment(-single[:, best])
+    return best if (single[:, best][rows, cols] < settings.distinct).any() else best[:0]
+
+
+def _joined(groups: tuple[tuple[int, ...], ...], members: Int, largest: int) -> tuple[tuple[int, ...], ...]:
+    """The groups with those of `members` made one, unless that is more than `largest` modes."""
+    touched = [g for g in groups if np.isin(g, members).any()]
+    one = tuple(sorted(j for g in touched for j in g))
+    if len(touched) < 2 or len(one) > largest:
+        return groups
+    return (*(g for g in groups if g not in touched), one)
 
 
 def _merge(

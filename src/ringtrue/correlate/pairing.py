@@ -13,7 +13,7 @@ from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.pairing import Pairing
 from ringtrue.correlate.assign import NO_LOCKS, Locks, PairingSettings, Scores, assign, scores
 from ringtrue.errors import InputError
-from ringtrue.shapes.subspace import close_groups, rotation
+from ringtrue.shapes.subspace import rotation
 
 __all__ = [
     "CorrelationRow",
@@ -106,7 +106,7 @@ def paired_shapes(
     """
     b = b if b.channels == a.channels else b.rows(a.channels)
     left, right = a.shapes[:, pairing.a], np.array(b.shapes[:, pairing.b])
-    for group in close_groups(b.frequencies, settings.close, settings.largest_group):
+    for group in _groups(a, b, settings):
         at = np.flatnonzero(np.isin(pairing.b, group) & pairing.subspace)
         if at.size:
             space = b.shapes[:, list(group)]
@@ -136,7 +136,7 @@ def turning(
     b = b if b.channels == a.channels else b.rows(a.channels)
     kind = np.result_type(a.shapes, b.shapes, np.float64)
     out = np.eye(len(b), dtype=kind)
-    for group in close_groups(b.frequencies, settings.close, settings.largest_group):
+    for group in _groups(a, b, settings):
         at = np.flatnonzero(np.isin(pairing.b, group) & pairing.subspace)
         if not at.size:
             continue
@@ -145,6 +145,10 @@ def turning(
         rest = linalg.null_space(turn.conj().T) if turn.shape[1] < len(group) else turn[:, :0]
         out[np.ix_(list(group), columns)] = np.concatenate([turn, rest], axis=1)
     return out
+
+
+def _groups(a: ModeSet, b: ModeSet, settings: PairingSettings) -> tuple[tuple[int, ...], ...]:
+    return scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings).groups_b
 
 
 def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
