@@ -27,6 +27,9 @@ LAUNCH = (
 )
 
 
+PATIENCE = 300.0  # s: says that something hangs, not that the machine is busy
+
+
 def find() -> str | None:
     """Path of a Chromium, None where there is none."""
     return next((p for p in map(shutil.which, NAMES) if p), None)
@@ -50,7 +53,7 @@ class Page:
         if self.session:
             message["sessionId"] = self.session
         os.write(self.to, json.dumps(message).encode() + b"\0")
-        end = time.monotonic() + 60
+        end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             answer = self._read(end - time.monotonic())
             if answer.get("id") == self.last:
@@ -76,7 +79,7 @@ class Page:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def until(self, expression: str, seconds: float) -> bool:
+    def until(self, expression: str, seconds: float = PATIENCE) -> bool:
         """Whether the expression becomes true in time."""
         end = time.monotonic() + seconds
         while not self.evaluate(expression):

@@ -42,7 +42,7 @@ def test_a_click_makes_a_choice(tmp_path: Path) -> None:
     click = "document.getElementById('figure-0').emit('plotly_click', {points: [{customdata: [%s, %d]}]})"
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=path.as_uri())
-        assert page.until("document.querySelectorAll('.main-svg').length > 0", 60)
+        assert page.until("document.querySelectorAll('.main-svg').length > 0")
         for f, order in (("2.9", 2), ("3.05", 0), ("3.1", 20), ("3.1", 20)):
             page.evaluate(click % (f, order))
         text = page.evaluate("document.getElementById('choice').textContent")
@@ -76,7 +76,7 @@ def test_modes_through_time_are_drawn(tmp_path: Path) -> None:
     path.write_text(tracking_page("days", tracked, fits, there, ["a <note>"]))
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=path.as_uri())
-        assert page.until("document.querySelectorAll('.main-svg').length >= 6", 60)
+        assert page.until("document.querySelectorAll('.main-svg').length >= 6")
         assert page.evaluate("document.getElementById('figure-2').data.length") == 6
         assert page.evaluate("document.querySelector('li').textContent") == "a <note>"
         assert page.complaints() == []

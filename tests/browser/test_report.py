@@ -144,7 +144,7 @@ COLORS = """[...document.querySelectorAll('.view > .stage > canvas')].map(c => {
 
 @needs_browser
 def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromium.Page) -> None:
-    assert page.until(DRAWN, 120), page.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]") or page.complaints()
+    assert page.until(DRAWN), page.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]") or page.complaints()
     assert page.evaluate("window.ringtrueExpected") == page.evaluate(
         "document.querySelectorAll('[data-plot], [data-view]').length"
     )
@@ -156,14 +156,14 @@ def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromi
 
 @needs_browser
 def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
-    assert page.until(DRAWN, 120)
+    assert page.until(DRAWN)
     colors = page.evaluate(COLORS)
     assert len(colors) == 5
     assert min(colors) > 20
     page.evaluate("document.getElementById('shapes').scrollIntoView({behavior: 'instant'})")
     image = "document.querySelector('#shapes canvas').toDataURL().slice(-4000)"
     first = page.evaluate(image)
-    assert page.until(f"({image}) !== {first!r}", 20)
+    assert page.until(f"({image}) !== {first!r}")
     page.evaluate(
         "(() => { const s = document.querySelectorAll('#shapes select')[1]; s.selectedIndex = 3; s.onchange(); })()"
     )
@@ -173,7 +173,7 @@ def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
 
 @needs_browser
 def test_fits_the_paper(page: chromium.Page) -> None:
-    assert page.until(DRAWN, 120)
+    assert page.until(DRAWN)
     pdf = page.call("Page.printToPDF", preferCSSPageSize=True, printBackground=True, transferMode="ReturnAsStream")
     assert pdf["stream"]
     page.call("IO.close", handle=pdf["stream"])
