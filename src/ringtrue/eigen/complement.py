@@ -10,7 +10,7 @@ until all seem to be small enough; then they are computed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
@@ -28,7 +28,8 @@ DROP = 0.9  # share of the residual allowed to a column that a block may leave o
 MARGIN = 0.93  # of the residual allowed, for one that is estimated
 LEAST = 1e-5  # share of the largest eigenvalue of a projection that one below zero may have by rounding
 MANY = 400  # columns that pay for a factorisation at a better shift
-PIECE = 2**21  # numbers in an array of right-hand sides
+PIECE = 5 * 2**19  # numbers in an array of right-hand sides: memory of less than 32 MB is used again
+EIGHT = 8  # of them that MKL takes at a time
 _MORE = "compute more modes above those whose derivatives are needed"
 
 Loads = Callable[[slice], Float]  # forces (k, f) of some columns
@@ -183,16 +184,15 @@ class Complement:
     def solved(self, loads: Loads, x: Float, inner: Fields) -> Float:
         """Write x = A⁻¹ loads (k, f) and its fields in the complement; its coefficients along the modes (n, k).
 
-        In pieces: memory of less than 32 MB is used again, larger pieces are mapped anew each time.
+        In pieces of like size: larger ones than PIECE would be mapped anew each time.
         """
-        part, piece = np.empty((self._known.count, len(x))), max(PIECE // max(self.pencil.size, 1), 32)
-        for start in range(0, len(x), piece):
-            cut = slice(start, start + piece)
+        part = np.empty((self._known.count, len(x)))
+        for cut in _pieces(len(x), max(PIECE // max(self.pencil.size, 1), 32)):
             x[cut] = self.pencil.at(self.shift).solve(loads(cut).T).T
             fields = self.inertia.fields(x[cut])
             part[:, cut] = self._known.dot(fields)
             fields.add(-part[:, cut], self._known)
-            inner.put(start, fields)
+            inner.put(cut.start, fields)
         return part
 
     def _room(self, columns: int) -> tuple[Float, Fields, _Space]:
@@ -216,10 +216,10 @@ class Complement:
             rough = folded[at] * delta[at, None] + space.sketch(y[:, at], delta[at])
             gram, limit = rough @ rough.T, MARGIN * allowed[at]
             if (np.diag(gram) <= limit**2).all():
+                size = self.inertia.squares(x, at, delta[at], *space.change(y[:, at], delta[at]))
+                at = at[~(size <= allowed[at] ** 2)]
                 gram = self.inertia.gram(x, at, delta[at], *space.change(y[:, at], delta[at]))
                 limit = allowed[at]
-                left = ~(np.diag(gram) <= limit**2)
-                at, gram, limit = at[left], gram[left][:, left], limit[left]
             turn = _principal(gram, limit)
             if not at.size or space.size + turn.shape[1] > space.room:
                 break
@@ -244,6 +244,13 @@ def _principal(gram: Float, allowed: Float) -> Float:
     left = np.sqrt(np.cumsum((s * u * u)[:, ::-1], axis=1)).max(axis=0, initial=0.0)[::-1]
     rank = int((left > DROP).sum())
     return np.asarray(u[:, :rank] / np.sqrt(s[:rank]) / allowed[:, None])
+
+
+def _pieces(count: int, most: int) -> Iterator[slice]:
+    """Slices of like size, a multiple of EIGHT, that are about `most` at most and cover the count."""
+    step = EIGHT * -(-count // (EIGHT * max(-(-count // most), 1)))
+    for start in range(0, count, max(step, 1)):
+        yield slice(start, min(start + step, count))
 
 
 def _bordered(old: Float, new: Float) -> Float:

@@ -203,6 +203,7 @@ class Pardiso:
         for i, value in _IPARM.items():
             self._solver.set_iparm(i, value)
         self._solver.set_pattern(ia=pattern.indptr.astype(np.int64), ja=pattern.indices.astype(np.int64), n=self._rows)
+        memory.trim()
         with self._calls():
             self._solver.run_phase(11)
         memory.require(self.bytes, f"the factorisation of {self._rows} DOFs", limit)

@@ -126,13 +126,24 @@ class Inertia:
         return out
 
     def gram(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Float:
-        """Products of the forces of some of x, each times a factor, + Σ cᵀy; their diagonal is squared 2-norms."""
+        """Products of the forces of some of x, each times a factor, + Σ cᵀy."""
         out = np.zeros((at.size, at.size))
+        for forces in self._forces(x, at, factor, *terms):
+            out += forces @ forces.T
+        return out
+
+    def squares(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Float:
+        """Squared 2-norms of the same, the diagonal of `gram`."""
+        out = np.zeros(at.size)
+        for forces in self._forces(x, at, factor, *terms):
+            out += np.einsum("ij,ij->i", forces, forces)
+        return out
+
+    def _forces(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Iterator[Float]:
         for t in tiles(self._rows.size):
             forces = x.loaded[:, t][at] * factor[:, None]
             for c, y in terms:
                 forces += c.T @ y.loaded[:, t]
             if self._root is not None:
                 forces *= self._root[t]
-            out += forces @ forces.T
-        return out
+            yield forces

@@ -156,9 +156,9 @@ class Krylov:
 
     def vectors(self, theta: Float, y: Float) -> Float:
         """Purified Ritz vectors OP·V·y/θ, from the recurrence: no further solve."""
-        last = self.coupling.shape[1]
-        q = self.basis[:, self.held : self.held + self.coupling.shape[0]]
-        return np.asarray(self.basis[:, : self.held] @ y + q @ (self.coupling @ y[self.held - last :] / theta))
+        last, n = self.coupling.shape[1], self.held + self.coupling.shape[0]
+        both = np.vstack([y, self.coupling @ y[self.held - last :] / theta])
+        return np.asarray(self.basis[:, :n] @ both)
 
     def restart(self, keep: int) -> None:
         """Thick restart: V becomes its best `keep` Ritz vectors; Q stays."""

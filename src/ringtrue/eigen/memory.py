@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from pathlib import Path
@@ -54,6 +55,16 @@ def require(needed: int, what: str, limit: int | None = None) -> None:
             needed=needed,
             available=there,
         )
+
+
+def trim() -> None:
+    """Give memory that was freed back to the system, where the C library can (glibc).
+
+    What assembly frees stays with the heap of Python, and the solver, which maps its own, cannot use it.
+    """
+    release = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if release is not None:
+        release(0)
 
 
 def _machine() -> int:

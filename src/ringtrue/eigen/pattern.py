@@ -16,7 +16,9 @@ def upper(a: sparse.csr_array) -> sparse.csr_array:
     row = np.repeat(np.arange(a.shape[0], dtype=a.indices.dtype), np.diff(a.indptr))
     keep = a.indices >= row
     del row
-    ends = np.concatenate([[0], np.cumsum(keep)])[a.indptr]
+    ends = np.zeros(keep.size + 1, dtype=a.indptr.dtype)
+    np.cumsum(keep, out=ends[1:])
+    ends = ends[a.indptr]
     return sparse.csr_array((a.data[keep], a.indices[keep], ends), shape=a.shape)
 
 
