@@ -69,7 +69,7 @@ def check_deck(model: Model, units: str = "", *, unsupported: Sequence[str] = ()
     checks = [*lost, *_unconnected(model)]
     if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
         checks += [*check_geometry(model), *_coincident(model), *check_units(model, units)]
-    checks += [*_unused(model), *check_materials(model), *edge_findings(model)]
+    checks += [*_unused(model), *_unchosen(model), *check_materials(model), *edge_findings(model)]
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
     return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), tuple(unsupported), found)
@@ -151,6 +151,15 @@ def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool
         for k, (a, b) in enumerate(pairs.tolist()):  # over the few coincident pairs
             out[k] = out[k] or bool(members.get(a, set()) & members.get(b, set()))
     return out
+
+
+def _unchosen(model: Model) -> Iterator[Finding]:
+    """Supports and equations of a deck whose case control takes none of them."""
+    for name, chosen, cards in (("SPC", model.case.spc, ("SPC", "SPC1")), ("MPC", model.case.mpc, ("MPC",))):
+        for card in cards:
+            if not chosen and card in model and len(model[card]):
+                rows = np.arange(len(model[card]))
+                yield at_rows(model, card, rows, "warning", f"it holds nothing: case control chooses no {name}")
 
 
 def _unused(model: Model) -> list[Finding]:

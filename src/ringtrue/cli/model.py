@@ -74,7 +74,7 @@ def check(deck: Deck, json: Json = None) -> int:
     summary: dict[str, Any] = {"deck": str(deck), "cards": dict(found.cards), "kept": dict(found.model.kept)}
     summary["unsupported"] = dict(found.unsupported)
     try:
-        summary |= _rigid(found, findings) if sound else {}
+        summary |= _rigid(found, findings) if sound and "GRID" in found.model and len(found.model["GRID"]) else {}
     except RingtrueError as e:  # the rest of the check is worth more than the mass
         findings.append(Finding("error", str(e)))
     summary["findings"] = [{"severity": f.severity, "text": f.text, "file": f.file, "line": f.line} for f in findings]
@@ -95,7 +95,7 @@ def _findings(found: Survey) -> list[Finding]:
 
 
 def _lost(fault: DeckError) -> Finding:
-    place = f"{fault.path}:{fault.line}: "
+    place = f"{fault.path}:{fault.line}: " if fault.line else f"{fault.path}: "
     return Finding("error", str(fault).removeprefix(place), str(fault.path), fault.line or 0)
 
 
@@ -132,7 +132,8 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
     for card, place in summary["unsupported"].items():
         out.print(f"unsupported {card}: {place}", markup=False, highlight=False, soft_wrap=True)
     for f in summary["findings"]:
-        place = f"{f['file']}:{f['line']}: " if f["file"] else ""
+        line = f":{f['line']}" if f["line"] else ""
+        place = f"{f['file']}{line}: " if f["file"] else ""
         out.print(f"{f['severity']}: {place}{f['text']}", markup=False, highlight=False, soft_wrap=True)
     if not summary["findings"] and not summary["unsupported"]:
         out.print("no findings", highlight=False)

@@ -257,13 +257,10 @@ def _mpc(m: Mesh) -> Equations:
 
 
 def _sets(m: Mesh, add: str, sid: int) -> Int:
-    """A set id and those that an SPCADD or MPCADD of that id unites."""
-    out = np.array([sid])
-    if sid and add in m.model:
-        t = m.model[add]
-        rows = np.flatnonzero(t["SID"] == sid)
-        out = np.concatenate([out, *(t.ragged("S").row(int(i)) for i in rows)])
-    return np.unique(out[out > 0])
+    """A set id, or those that an SPCADD or MPCADD of that id unites; it goes before a set of its own number."""
+    rows = np.flatnonzero(m.model[add]["SID"] == sid) if add in m.model else np.empty(0, dtype=np.int64)
+    united = [m.model[add].ragged("S").row(i) for i in rows.tolist()]
+    return np.unique(np.concatenate(united) if united else [sid] if sid else np.empty(0, dtype=np.int64))
 
 
 _RIGID = {"RBAR": _rbar, "RBE1": _rbe1, "RBE2": _rbe2, "RBE3": _rbe3}

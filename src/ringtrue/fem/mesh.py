@@ -98,9 +98,9 @@ def mesh(model: Model) -> Mesh:
     Raises
     ------
     DeckError
-        If there is no GRID, an id occurs twice, or a frame is absent.
+        If there is neither GRID nor scalar point, an id occurs twice, or a frame is absent.
     """
-    if "GRID" not in model or not len(model["GRID"]):
+    if "GRID" not in model or not (len(model["GRID"]) or scalar_points(model).size):
         raise DeckError("the deck has no GRID")
     ids, count = np.unique(model["GRID"].ids, return_counts=True)
     if (count > 1).any():

@@ -12,7 +12,14 @@ from ringtrue.model.model import CaseControl
 
 _COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?\s*=\s*(.*?)\s*", re.I | re.S)
 _SUBCASE = re.compile(r"\s*SUBC\w*", re.I)
-_NAMES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC", "TEMPERATURE")
+_CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC")
+STIFFENING = {  # commands that bring in stiffness which is not read, and how the names of their cards begin
+    "TEMPERATURE": ("MATT",),
+    "BGSET": ("BGSET", "BGADD"),
+    "BCSET": ("BCTSET", "BCTADD"),
+    "BCONTACT": ("BCBODY", "BCTABL"),
+}
+_NAMES = (*_CHOICES, *STIFFENING)
 _SHORT = {
     "METH": "METHOD",
     "TITL": "TITLE",

@@ -92,14 +92,19 @@ class _Reading:
                 self.pieces.append(_Piece(number, line + data.count(b"\n", a, b), memoryview(b"\n")))
 
     def _locate(self, quoted: bytes, path: Path, line: int) -> Path:
-        text = b"".join(part.strip() for part in quoted.splitlines()).decode("utf-8", "surrogateescape")
-        name = Path(text.strip().replace("\\", "/"))
-        tried = [path.parent / name, self.main.parent / name]
+        names = [Path(n) for n in _spellings(quoted)]
+        tried = [folder / name for name in names for folder in (path.parent, self.main.parent)]
         for candidate in tried:
             if candidate.is_file():
                 return candidate.resolve()
         places = ", ".join(dict.fromkeys(str(t) for t in tried))
         raise DeckError(f"the included file is not there; looked for {places}", path=path, line=line, card="INCLUDE")
+
+
+def _spellings(quoted: bytes) -> list[str]:
+    """What a name may be that is broken over lines: put together as it is, or with one blank where it was broken."""
+    parts = [part.strip().decode("utf-8", "surrogateescape") for part in quoted.splitlines()]
+    return list(dict.fromkeys(glue.join(parts).strip().replace("\\", "/") for glue in ("", " ")))
 
 
 def _text(path: Path) -> bytes:

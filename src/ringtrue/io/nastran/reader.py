@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.io.nastran.case import case_control, commands, params, value
+from ringtrue.io.nastran.case import STIFFENING, case_control, commands, params, value
+from ringtrue.io.nastran.constraint_sets import only_sets, unclear_sets
 from ringtrue.io.nastran.deck import load
 from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written_out
 from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.special import EXPAND
-from ringtrue.io.nastran.tables import fault, make_table
+from ringtrue.io.nastran.tables import empty, fault, make_table
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, is_unsupported
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.model.references import Missing, missing, unused
@@ -66,6 +67,8 @@ def read_deck(path: str | Path) -> Model:
     model, skipped = _model(found)
     for card, (why, place) in skipped.items():
         raise UnsupportedCard(card, path=place[0], line=place[1], why=why)
+    for wrong in unclear_sets(model, chosen=bool(deck.top)):
+        raise wrong
     idle = unused(model)
     for fault_ in missing(model):
         if not np.isin(fault_.rows, idle.get(fault_.reference.card, ())).all():  # Nastran, too, leaves these alone
@@ -84,31 +87,37 @@ def survey(path: str | Path) -> Survey:
     deck = load(path)
     found = cards(deck)
     unsupported = {}
-    warm = "TEMPERATURE" in commands(deck.top)
+    more = _stiffening(found)
     if deck.superelements:
         unsupported["BEGIN SUPER"] = f"{deck.files[deck.superelements[0]]}:{deck.superelements[1]}"
     names, first, count = found.kinds()
     for name, at in zip(names.tolist(), first.tolist(), strict=True):
-        if _stops(name.decode(), warm):
+        if _stops(name.decode(), more):
             unsupported[name.decode()] = "{}:{}".format(*found.place(at))
     model, skipped = _model(found)
     unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
-    faults = tuple(_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported)))
-    return Survey(
-        model, {n.decode(): c for n, c in zip(names.tolist(), count.tolist(), strict=True)}, unsupported, faults
-    )
+    faults = [_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported))]
+    faults += unclear_sets(model, chosen=bool(deck.top))
+    counts = {n.decode(): c for n, c in zip(names.tolist(), count.tolist(), strict=True)}
+    return Survey(model, counts, unsupported, tuple(faults))
 
 
-def _stops(name: str, warm: bool) -> bool:
-    """Whether a card must not be passed over; `warm`: case control chooses temperatures, which MATT1 to MATT9 need."""
-    return name not in EXPAND and (is_unsupported(name) or name[0] == "/" or (warm and name.startswith("MATT")))
+def _stiffening(found: Cards) -> tuple[str, ...]:
+    """How the names of cards begin that carry stiffness because case control chooses them: glue, contact, MATT1."""
+    chosen = commands(found.deck.top)
+    return tuple(start for command, names in STIFFENING.items() if command in chosen for start in names)
+
+
+def _stops(name: str, more: tuple[str, ...]) -> bool:
+    """Whether a card must not be passed over; `more`: beginnings of names that case control makes count."""
+    return name not in EXPAND and (is_unsupported(name) or name[0] == "/" or name.startswith(more))
 
 
 def _refuse(found: Cards) -> None:
     names, first, _ = found.kinds()
     stopping = [(at, name.decode()) for at, name in zip(first.tolist(), names.tolist(), strict=True)]
-    warm = "TEMPERATURE" in commands(found.deck.top)
-    stopping = sorted((at, name) for at, name in stopping if _stops(name, warm))
+    more = _stiffening(found)
+    stopping = sorted((at, name) for at, name in stopping if _stops(name, more))
     if stopping:
         at, name = stopping[0]
         path, line = found.place(at)
@@ -155,9 +164,12 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     for default in DEFAULTS:
         tables |= fill(default, tables, found)
     tables |= implied_points(tables)
+    if "SPOINT" in tables and "GRID" not in tables:  # springs and masses between scalar points alone
+        tables["GRID"] = empty("GRID")
     tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
     if "SPC1" in tables:
         tables["SPC1"] = _without_gaps(tables, found)
+    case = case if found.deck.top else only_sets(case, tables)
     return Model(tables, _params(found), case, found.deck.files, kept), skipped
 
 

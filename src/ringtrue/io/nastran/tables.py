@@ -48,6 +48,14 @@ def make_table(cards: Cards, name: str) -> Table:
     return Table(name, made, file, line)
 
 
+def empty(name: str) -> Table:
+    """A table without rows of a card that has no list."""
+    kinds = {"i": np.int64, "f": np.float64, "s": np.str_}
+    specs = [s for s in columns(name) if not s.blank]
+    none = np.empty(0, dtype=np.int64)
+    return Table(name, {s.name: np.empty(0, dtype=kinds[s.kind]) for s in specs}, none, none)
+
+
 def _joined(parts: Sequence[NDArray[Any] | Ragged], order: Int) -> NDArray[Any] | Ragged:
     plain = [p for p in parts if not isinstance(p, Ragged)]
     if plain:

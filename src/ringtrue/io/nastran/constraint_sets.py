@@ -1,0 +1,51 @@
+"""Which SPC and MPC sets hold: those of case control, or the only ones of a deck that has none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ringtrue.errors import DeckError
+from ringtrue.model.model import CaseControl, Model, Table
+
+_KINDS = {"SPC": ("SPCADD", ("SPC", "SPC1")), "MPC": ("MPCADD", ("MPC",))}
+
+
+def sets(tables: Mapping[str, Table], kind: str) -> list[int]:
+    """Ids that case control may name, ascending."""
+    add, own = _KINDS[kind]
+    found = [tables[c].ids for c in (add, *own) if c in tables]
+    return np.unique(np.concatenate(found)).tolist() if found else []
+
+
+def only_sets(case: CaseControl, tables: Mapping[str, Table]) -> CaseControl:
+    """The choice of a deck without case control: its only SPC and MPC set, or the one that unites others."""
+    chosen = {}
+    for kind, (add, _) in _KINDS.items():
+        united = np.unique(tables[add].ids).tolist() if add in tables else []
+        every = united or sets(tables, kind)
+        chosen[kind.lower()] = every[0] if len(every) == 1 else 0
+    return replace(case, **chosen)
+
+
+def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
+    """What is wrong with the choice of sets.
+
+    Parameters
+    ----------
+    chosen : bool
+        Whether the deck has case control.
+    """
+    out = []
+    for kind in _KINDS:
+        there, asked = sets(model.tables, kind), int(getattr(model.case, kind.lower()))
+        names = ", ".join(map(str, there))
+        where = model.files[0] if model.files else None
+        if asked and there and asked not in there:
+            out.append(DeckError(f"case control asks for {kind} = {asked}; the deck has {names}", path=where))
+        elif not asked and not chosen and there:
+            why = f"without case control, which of the {kind} sets {names} holds? Write {kind} = n above BEGIN BULK"
+            out.append(DeckError(why, path=where))
+    return out

@@ -1,0 +1,93 @@
+"""What case control chooses, what holds without it, and files that are put together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.checks.deck import check_deck
+from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.fem.assembly import assemble
+from ringtrue.io.nastran.reader import read_deck, survey
+from ringtrue.model.ports import ModesRequest
+
+SPRING = "GRID,1,,,,,,23456\nCONM2,2,1,,4.\nCELAS2,3,9.,1,1\n"
+
+
+def write(folder: Path, text: str, name: str = "main.bdf") -> Path:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def frequencies(path: Path) -> list[float]:
+    with EmbeddedSolver().open(read_deck(path)) as analysis:
+        return [float(f) for f in analysis.modes(ModesRequest(4)).modes.frequencies]
+
+
+def test_a_file_name_broken_at_a_blank(tmp_path: Path) -> None:
+    write(tmp_path, SPRING, "nodes of/the wing.bdf")
+    path = write(tmp_path, "INCLUDE 'nodes of/the\n  wing.bdf'\n")
+    assert frequencies(path) == pytest.approx([1.5 / (2 * np.pi)])
+
+
+def test_scalar_points_alone_are_a_model(tmp_path: Path) -> None:
+    """Two masses 2 and 1 on springs 50 to ground and 100 between them."""
+    path = write(tmp_path, "SPOINT,1,2\nCELAS2,1,100.,1,,2\nCELAS4,2,50.,1\nCMASS4,3,2.,1\nCMASS2,4,1.,2\n")
+    lam = np.linalg.eigvals(np.array([[75.0, -50.0], [-100.0, 100.0]]))
+    assert frequencies(path) == pytest.approx(np.sqrt(np.sort(lam)) / (2 * np.pi))
+
+
+SETS = "GRID,1\nCONM2,2,1,,4.\nCELAS2,3,9.,1,1\nSPC1,5,2356,1\nSPC,6,1,4,0.\n"
+
+
+@pytest.mark.parametrize(
+    ("case", "more", "held"),
+    [
+        ("SPC = 5\nBEGIN BULK\n", "", {2, 3, 5, 6}),
+        ("SPC = 8\nBEGIN BULK\n", "SPCADD,8,5,6\n", {2, 3, 4, 5, 6}),
+        ("", "SPCADD,8,5,6\n", {2, 3, 4, 5, 6}),
+        ("SPC = 5\nBEGIN BULK\n", "SPCADD,5,6\n", {4}),  # goes before the set of its own number
+    ],
+)
+def test_sets_that_hold(tmp_path: Path, case: str, more: str, held: set[int]) -> None:
+    system = assemble(read_deck(write(tmp_path, "PARAM,AUTOSPC,NO\n" + case + SETS + more)))
+    assert set(range(1, 7)) - set(system.free.direction.tolist()) == held
+
+
+def test_the_only_sets_hold_without_case_control(tmp_path: Path) -> None:
+    """A spring of 9 on a mass of 4, which moves twice as far as the spring."""
+    deck = "GRID,1\nGRID,2\nCONM2,2,2,,4.\nCELAS2,3,9.,1,1\nSPC1,5,23456,1,2\nMPC,7,2,1,1.,1,1,-2.\n"
+    assert frequencies(write(tmp_path, deck)) == pytest.approx([0.75 / (2 * np.pi)])
+
+
+def test_sets_that_are_not_clear_are_refused(tmp_path: Path) -> None:
+    both = write(tmp_path, SETS)
+    with pytest.raises(DeckError, match="which of the SPC sets 5, 6 holds"):
+        read_deck(both)
+    assert [str(f) for f in survey(both).faults] == [str(both) + ": " + _UNCLEAR]
+    with pytest.raises(DeckError, match="asks for SPC = 9; the deck has 5, 6"):
+        read_deck(write(tmp_path, "SPC = 9\nBEGIN BULK\n" + SETS))
+
+
+_UNCLEAR = "without case control, which of the SPC sets 5, 6 holds? Write SPC = n above BEGIN BULK"
+
+
+def test_sets_that_nothing_chooses_are_told(tmp_path: Path) -> None:
+    model = read_deck(write(tmp_path, "CEND\nMETHOD = 1\nBEGIN BULK\n" + SETS))
+    told = [f.text for f in check_deck(model).findings if "case control chooses no SPC" in f.text]
+    assert len(told) == 2
+
+
+@pytest.mark.parametrize(
+    ("command", "card"), [("BGSET = 1", "BGSET,1,2,3"), ("BCSET = 1", "BCTSET,1,2,3"), ("BCONTACT = 1", "BCBODY1,1")]
+)
+def test_glue_and_contact_that_are_chosen_stop(tmp_path: Path, command: str, card: str) -> None:
+    bulk = "BEGIN BULK\n" + SPRING + card + "\n"
+    assert read_deck(write(tmp_path, "CEND\n" + bulk)).kept == {card.split(",")[0]: 1}
+    with pytest.raises(UnsupportedCard, match=rf"main\.bdf:7: {card.split(',')[0]}"):
+        read_deck(write(tmp_path, f"CEND\n{command}\n" + bulk))
