@@ -22,12 +22,14 @@ def sets(tables: Mapping[str, Table], kind: str) -> list[int]:
 
 def only_sets(case: CaseControl, tables: Mapping[str, Table]) -> CaseControl:
     """The choice of a deck without case control: its only SPC and MPC set, or the one that unites others."""
-    chosen = {}
-    for kind, (add, _) in _KINDS.items():
-        united = np.unique(tables[add].ids).tolist() if add in tables else []
-        every = united or sets(tables, kind)
-        chosen[kind.lower()] = every[0] if len(every) == 1 else 0
-    return replace(case, **chosen)
+    return replace(case, spc=_only(tables, "SPC"), mpc=_only(tables, "MPC"))
+
+
+def _only(tables: Mapping[str, Table], kind: str) -> int:
+    add = _KINDS[kind][0]
+    united: list[int] = np.unique(tables[add].ids).tolist() if add in tables else []
+    every = united or sets(tables, kind)
+    return every[0] if len(every) == 1 else 0
 
 
 def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
