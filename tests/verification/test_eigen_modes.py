@@ -126,6 +126,19 @@ def test_band(ends):
     assert "Sturm" in got.proof
 
 
+@pytest.mark.parametrize("mesh", [5, 14])
+def test_a_band_from_zero_has_the_rigid_modes(mesh):
+    """They stand a little below zero by rounding, here on purpose; dense for the small mesh."""
+    k, m = plate(mesh, mesh)
+    elastic = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)[3]
+    got = solve_modes(
+        Pencil(sparse.csr_array(k - 1e-7 * elastic * m), m), band=(0.0, 1.1 * np.sqrt(elastic) / 2 / np.pi)
+    )
+    assert np.allclose(got.values[:3] / elastic, -1e-7, atol=2e-8)
+    assert got.values[3] == pytest.approx(elastic, rel=1e-6)
+    assert got.complete
+
+
 def test_repeatable():
     k, m = plate(12, 12)
     a, b = (solve_modes(Pencil(k, m), 12) for _ in range(2))

@@ -88,10 +88,15 @@ def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> Eige
     if band is None:
         at = np.arange(min(count, values.size))
     else:
-        at = np.flatnonzero((values >= eigenvalue(band[0])) & (values <= eigenvalue(band[1])))
+        at = np.flatnonzero((values >= _low(band)) & (values <= eigenvalue(band[1])))
     values, vectors, residuals, orthogonality = polish(pencil.stiffness, pencil.mass, values[at], vectors[:, at])
     proof = f"all eigenvalues of the {pencil.size} DOFs were computed"
     return EigenModes(values, vectors, residuals, orthogonality, True, proof, shift)
+
+
+def _low(band: tuple[float, float]) -> float:
+    """The lowest eigenvalue of a band; one from 0 Hz takes rigid-body modes along, which may stand a little below."""
+    return eigenvalue(band[0]) if band[0] > 0 else -np.inf
 
 
 def _first_definite(pencil: Pencil, shift: float) -> tuple[Float, Float]:
@@ -230,7 +235,7 @@ def _band(
     shift: float | None,
     progress: Callable[[float, str], None] | None,
 ) -> EigenModes:
-    low, high = eigenvalue(band[0]), eigenvalue(band[1])
+    low, high = _low(band), eigenvalue(band[1])
     _say(progress, pencil)
     top = _counted(pencil, high, 1)
     bottom = _counted(pencil, low, -1) if band[0] > 0 else _Count(0, -np.inf)

@@ -16,7 +16,7 @@ from ringtrue.model.model import Model
 
 @dataclass(frozen=True, slots=True)
 class ModesRequest:
-    """The lowest `count` modes, or all in `band` (Hz) if that is given."""
+    """The lowest `count` modes, or all in `band` (Hz) if that is given; from 0 on with the rigid-body modes."""
 
     count: int = 20
     band: tuple[float, float] | None = None
