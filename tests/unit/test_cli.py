@@ -127,6 +127,12 @@ def test_modes_of_a_deck(deck: Path, capsys: Capture) -> None:
     assert "3 modes" in out
 
 
+def test_modes_that_the_deck_asks_for(tmp_path: Path, capsys: Capture) -> None:
+    springs = "".join(f"CELAS4,{i},{i}.,{i}\nCMASS4,{10 + i},1.,{i}\n" for i in range(1, 10))
+    (tmp_path / "d.bdf").write_text(f"CEND\nMETHOD = 4\nBEGIN BULK\nEIGRL,4,,,3\n{springs}")
+    assert len(parsed(capsys, "modes", tmp_path / "d.bdf")["modes"]) == 3
+
+
 def test_json_goes_to_a_file_whole(deck: Path, tmp_path: Path, capsys: Capture) -> None:
     assert call(capsys, "modes", deck, "-n", 2, "--json", tmp_path / "m.json")[0] == 0
     assert len(json.loads((tmp_path / "m.json").read_text())["modes"]) == 2

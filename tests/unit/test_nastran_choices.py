@@ -12,6 +12,7 @@ from ringtrue.checks.deck import check_deck
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.nastran.reader import read_deck, survey
+from ringtrue.model.method import asked_modes
 from ringtrue.model.ports import ModesRequest
 
 SPRING = "GRID,1,,,,,,23456\nCONM2,2,1,,4.\nCELAS2,3,9.,1,1\n"
@@ -91,3 +92,34 @@ def test_glue_and_contact_that_are_chosen_stop(tmp_path: Path, command: str, car
     assert read_deck(write(tmp_path, "CEND\n" + bulk)).kept == {card.split(",")[0]: 1}
     with pytest.raises(UnsupportedCard, match=rf"main\.bdf:7: {card.split(',')[0]}"):
         read_deck(write(tmp_path, f"CEND\n{command}\n" + bulk))
+
+
+CHAIN = "SPOINT,1,THRU,9\n" + "".join(
+    f"CELAS4,{i},{1e4 * i * i},{i}\nCMASS4,{10 + i},1.,{i}\n" for i in range(1, 10)
+)  # oscillators of 100 i rad/s
+UNIT = 50 / np.pi
+
+
+@pytest.mark.parametrize(
+    ("card", "wanted"),
+    [
+        ("EIGRL,7,,,3", [1, 2, 3]),
+        (f"EIGRL,7,{1.5 * UNIT},{5.5 * UNIT}", [2, 3, 4, 5]),
+        (f"EIGRL,7,{1.5 * UNIT},,3", [2, 3, 4]),
+        (f"EIGRL,7,{-1.0},{4.5 * UNIT},9,,,,MAX", [1, 2, 3, 4]),
+        (f"EIGRL,7,{1.5 * UNIT},1.+9,3\n+,NUMS=2", [2, 3, 4]),
+        (f"EIGR,7,LAN,{1.5 * UNIT},{3.5 * UNIT}", [2, 3]),
+        (f"EIGR,7,SINV,0.,{8.5 * UNIT},,4\n+,MAX", [1, 2, 3, 4]),
+        ("EIGRL,7", None),
+        ("EIGRL,8,,,3", None),
+    ],
+)
+def test_the_modes_that_the_method_asks_for(tmp_path: Path, card: str, wanted: list[int] | None) -> None:
+    model = read_deck(write(tmp_path, f"CEND\nMETHOD = 7\nBEGIN BULK\n{card}\n{CHAIN}"))
+    asked = asked_modes(model)
+    assert (asked is None) == (wanted is None)
+    if asked and wanted:
+        with EmbeddedSolver().open(model) as analysis:
+            found = asked.of(analysis)
+        assert found.modes.frequencies / UNIT == pytest.approx(wanted)
+        assert found.residuals.size == len(wanted)

@@ -19,6 +19,7 @@ from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.nastran.reader import Survey, read_deck, survey
+from ringtrue.model.method import asked_modes
 from ringtrue.model.ports import ModesRequest
 
 Deck = Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")]
@@ -29,7 +30,9 @@ Json = Annotated[
 
 def modes(
     deck: Deck,
-    n: Annotated[int, typer.Option("-n", help="The lowest N modes.", min=1)] = 20,
+    n: Annotated[
+        int | None, typer.Option("-n", help="The lowest N modes; else what EIGRL or EIGR asks for, else 20.", min=1)
+    ] = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="All modes from F0 to F1, Hz.")] = None,
     solver_name: Annotated[
         str, typer.Option("--solver", help="The engine: embedded, mystran, nastran, slepc or a plug-in.")
@@ -48,8 +51,9 @@ def modes(
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
         show(0.2, "solving")
+        asked = asked_modes(model) if n is None and band is None else None
         with engine.open(model) as analysis:
-            result = analysis.modes(ModesRequest(n, band))
+            result = asked.of(analysis) if asked else analysis.modes(ModesRequest(n or 20, band))
     if json:
         write_json(modes_to_json(result.modes) | {"complete": result.complete, "proof": result.proof}, json)
     if json != "-":

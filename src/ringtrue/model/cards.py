@@ -76,7 +76,8 @@ SPC1    SID C:s *G
 SPCADD  SID *S
 MPCADD  SID *S
 NSMADD  SID *S
-EIGRL   SID V1:f=nan V2:f=nan ND MSGLVL MAXSET SHFSCL:f NORM:s
+EIGRL   SID V1:f=nan V2:f=nan ND MSGLVL MAXSET SHFSCL:f NORM:s _ _ _ _ _ _ _ _
+EIGR    SID METHOD:s F1:f=nan F2:f=nan NE ND _ _ NORM:s G C
 """
 
 SPECIAL = {

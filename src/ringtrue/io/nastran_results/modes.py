@@ -62,9 +62,8 @@ def read_nastran_modes(path: str | Path, model: Model | None = None, *, mass_nor
 
 
 def asks_for_unit_mass(model: Model) -> bool:
-    """Whether the deck's EIGRL scales the shapes to unit modal mass, as it does if it says nothing."""
-    if "EIGRL" not in model:
-        return False
-    table = model["EIGRL"]
-    chosen = table["NORM"][table["SID"] == model.case.method] if model.case.method else table["NORM"]
-    return bool(chosen.size and all(str(n).upper() in ("", "MASS") for n in chosen))
+    """Whether the deck's EIGRL or EIGR scales the shapes to unit modal mass, as it does if it says nothing."""
+    tables = [model[card] for card in ("EIGRL", "EIGR") if card in model]
+    named = [t["NORM"][(t["SID"] == model.case.method) | (model.case.method == 0)].tolist() for t in tables]
+    chosen = [str(n).upper() for names in named for n in names]
+    return bool(chosen) and all(n in ("", "MASS") for n in chosen)

@@ -1,0 +1,50 @@
+"""What the deck itself asks for: the EIGRL or EIGR that case control names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.model.model import Model
+from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
+
+_LIMITS = {"EIGRL": ("V1", "V2"), "EIGR": ("F1", "F2")}
+FIRST = 40  # modes asked for at first where a deck limits both their number and their frequency
+
+
+@dataclass(frozen=True, slots=True)
+class AskedModes:
+    """The lowest `count` modes (0: all) of those between `low` and `high`, Hz; -inf and inf where open."""
+
+    low: float
+    high: float
+    count: int
+
+    def of(self, analysis: Analysis) -> ModesResult:
+        """The modes of an analysis; it is asked for more until they are enough or pass the upper limit."""
+        if not self.count:
+            return analysis.modes(ModesRequest(band=(max(self.low, -1.0), self.high)))
+        wanted = min(self.count, FIRST) if np.isfinite(self.high) else self.count
+        while True:
+            found = analysis.modes(ModesRequest(wanted))
+            f = found.modes.frequencies
+            at = np.flatnonzero((f >= self.low) & (f <= self.high))[: self.count]
+            if at.size == self.count or (f > self.high).any() or f.size < wanted:
+                modes, residuals = found.modes.take(at), found.residuals[at]
+                return ModesResult(modes, residuals, found.complete, found.proof, found.orthogonality)
+            wanted = min(2 * wanted, wanted + self.count - at.size)
+
+
+def asked_modes(model: Model) -> AskedModes | None:
+    """By the method that case control names, or the only one of a deck that names none; None where none asks."""
+    rows = [(card, i) for card in _LIMITS if card in model for i in range(len(model[card]))]
+    if model.case.method:
+        rows = [(card, i) for card, i in rows if model[card].ids[i] == model.case.method]
+    if len(rows) != 1:
+        return None
+    card, i = rows[0]
+    table = model[card]
+    low, high = (float(table[name][i]) for name in _LIMITS[card])
+    asked = AskedModes(low if low > 0 else -np.inf, np.inf if np.isnan(high) else high, int(table["ND"][i]))
+    return asked if asked.count > 0 or max(asked.low, 0.0) < asked.high < np.inf else None
