@@ -15,6 +15,7 @@ from eigen_shell import parameters, shell
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.backends.nastran import NastranSolver, nastran_command, nastran_make, sensitivity_deck
+from ringtrue.backends.nastran_design import design_cards
 from ringtrue.backends.runner_deck import modes_deck
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
@@ -152,6 +153,49 @@ def test_fields_that_sol_200_has_not() -> None:
     for target, why in ((Target("GRID", 3, "X3"), "cannot be a design variable"), (Target("PSHELL", 1, "NSM"), "is 0")):
         with pytest.raises(UnsupportedError, match=why):
             sensitivity_deck(model, stub(), ParameterSet((Parameter("p", (target,)),)), 3, grids)
+
+
+CARDS = """MAT8,8,1.+11,1.+10,.3,5.+9
+PCOMP,9
++,8,.1,30.,,8,.2,60.
+PSHELL,10,8,.1,8,1.2,,.8
+PELAS,11,5.,.1
+PMASS,12,3.
+PBUSH,13,K,1.
++,,GE,.1
+PDAMP,14,2.
+PVISC,15,1.,2.
+CONROD,16,1,2,17,.1
+MAT1,17,1.,,.3
+GRID,1
+GRID,2,,1.
+CONM1,18,1,,2.
+"""
+
+
+@pytest.mark.parametrize(
+    ("target", "head"),
+    [
+        (Target("MAT8", 8, "G12"), "DVMREL1 1 MAT8 8 G12"),
+        (Target("PCOMP", 9, "T2"), "DVPREL1 1 PCOMP 9 T2"),
+        (Target("PCOMP", 9, "THETA1"), "DVPREL1 1 PCOMP 9 THETA1"),
+        (Target("PSHELL", 10, "I12T3"), "DVPREL1 1 PSHELL 10 6"),
+        (Target("PSHELL", 10, "TST"), "DVPREL1 1 PSHELL 10 8"),
+        (Target("PELAS", 11, "K"), "DVPREL1 1 PELAS 11 3"),
+        (Target("PMASS", 12, "M"), "DVPREL1 1 PMASS 12 3"),
+        (Target("PBUSH", 13, "GE"), "DVPREL1 1 PBUSH 13 GE1"),
+        (Target("PDAMP", 14, "B"), "DVPREL1 1 PDAMP 14 3"),
+        (Target("PVISC", 15, "CR"), "DVPREL1 1 PVISC 15 4"),
+        (Target("CONROD", 16, "A"), "DVCREL1 1 CONROD 16 A"),
+        (Target("CONM1", 18, "M11"), "DVCREL1 1 CONM1 18 M11"),
+    ],
+)
+def test_names_of_design_fields(tmp_path: Path, target: Target, head: str) -> None:
+    """A name that begins with a digit may stand by its field number only (Quick Reference Guide, DVPREL1)."""
+    (tmp_path / "m.bdf").write_text(CARDS)
+    _, cards = design_cards(read_deck(tmp_path / "m.bdf"), ParameterSet((Parameter("p", (target,)),)))
+    relation = next(line for line in cards.splitlines() if line.startswith("DV") and "REL1" in line)
+    assert " ".join(relation.replace("*", " ").split()) == head
 
 
 def test_decks_parse_in_pynastran(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ derivative to the factor and a normalised matrix equals the plain one. Cards: MS
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +15,7 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import ParameterSet, Target
 from ringtrue.errors import SolverFailed, UnsupportedError
+from ringtrue.fem.kinds import MATERIALS
 from ringtrue.io.nastran.bulk_special import large_card
 from ringtrue.io.nastran.writer import Value, format_card
 from ringtrue.io.nastran_results.sensitivity import Sensitivities
@@ -27,11 +30,17 @@ _PROPERTIES = {
     "PSHELL": ("T", "I12T3", "TST", "NSM", "Z1", "Z2"),
     "PELAS": ("K", "GE"),
     "PBUSH": (*(f"{k}{i}" for k in "KB" for i in range(1, 7)), "GE"),
-    "PBEAM": ("A", "I1", "I2", "I12", "J", "NSM", "AB", "I1B", "I2B", "I12B", "JB", "NSMB"),
+    "PBEAM": ("A", "I1", "I2", "I12", "J", "NSM", "AB", "I1B", "I2B", "I12B", "JB", "NSMB", "K1", "K2"),
+    "PCOMP": ("Z0", "NSM", "GE"),
+    "PMASS": ("M",),
     "PDAMP": ("B",),
     "PVISC": ("CE", "CR"),
 }
 _ELEMENTS = {
+    "CONROD": ("A", "J", "NSM"),
+    **dict.fromkeys(("CBAR", "CBEAM"), ("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")),
+    "CBUSH": ("S", "S1", "S2", "S3"),
+    "CONM1": tuple(f"M{i}{j}" for i in range(1, 7) for j in range(1, i + 1)),
     "CONM2": ("M", "X1", "X2", "X3", "I11", "I21", "I22", "I31", "I32", "I33"),
     "CELAS2": ("K", "GE"),
     "CELAS4": ("K",),
@@ -40,9 +49,17 @@ _ELEMENTS = {
     "CDAMP2": ("B",),
     "CDAMP4": ("B",),
 }
-_NAMES = {
-    ("PSHELL", "I12T3"): "12I/T**3",
-    ("PSHELL", "TST"): "TS/T",
+_PLY = re.compile(r"(T|THETA)\d+")
+_NAMES: Mapping[tuple[str, str], str | int] = {  # by number where the name begins with a digit or has no one spelling
+    ("PSHELL", "I12T3"): 6,
+    ("PSHELL", "TST"): 8,
+    ("PELAS", "K"): 3,
+    ("PELAS", "GE"): 4,
+    ("PDAMP", "B"): 3,
+    ("PVISC", "CE"): 3,
+    ("PVISC", "CR"): 4,
+    ("PMASS", "M"): 3,
+    ("PBUSH", "GE"): "GE1",
     **{("PBEAM", f): f"{f}(A)" for f in ("A", "I1", "I2", "I12", "J", "NSM")},
     **{("PBEAM", f"{f}B"): f"{f}(B)" for f in ("A", "I1", "I2", "I12", "J", "NSM")},
 }
@@ -89,9 +106,9 @@ def _fields(model: Model, parameters: ParameterSet, derived: Int) -> list[_Field
 def _relation(number: int, field: _Field, lower: float, upper: float) -> str:
     """DVPREL1, DVMREL1 or DVCREL1: value = C0 + Σ nominal·x, equal to the nominal value at x = 1."""
     t = field.target
-    if t.card == "MAT1":
+    if t.card in MATERIALS:
         kind = "DVMREL1"
-    elif t.field in _PROPERTIES.get(t.card, ()):
+    elif t.field in _PROPERTIES.get(t.card, ()) or (t.card == "PCOMP" and _PLY.fullmatch(t.field)):
         kind = "DVPREL1"
     elif t.field in _ELEMENTS.get(t.card, ()):
         kind = "DVCREL1"
