@@ -181,3 +181,33 @@ def test_broken_files(tmp_path: Path) -> None:
             read_matrices(tmp_path / name)
     with pytest.raises(DataError, match="no such file"):
         read_matrices(tmp_path / "absent.mat")
+
+
+def test_matrices_in_a_structure(tmp_path: Path) -> None:
+    scipy_io.savemat(tmp_path / "m.mat", {"model": {"K": SPARSE, "part": {"M": A}, "name": "x"}})
+    _same(tmp_path / "m.mat", "model.K")
+    _same(tmp_path / "m.mat", "model.part.M")
+    scipy_io.savemat(tmp_path / "none.mat", {"text": "x"})
+    with pytest.raises(DataError, match="no matrix in it"):
+        read_matrices(tmp_path / "none.mat")
+
+
+def test_formats_without_a_count(tmp_path: Path) -> None:
+    one_a_line = _harwell("RUA", sparse.csc_array(A)).splitlines()[:3]
+    a = sparse.csc_array(A)
+    numbers = [f"{x + 1:14d}" for x in (*a.indptr, *a.indices)] + [f"{x:25.18E}" for x in a.data]
+    text = "\n".join([*one_a_line, f"{'(I14)':16s}{'(1I14)':16s}{'(E25.18)':20s}", *numbers, ""])
+    (tmp_path / "a.matrix").write_text(text)
+    _same(tmp_path / "a.matrix", "a")
+
+
+def test_a_mass_without_its_massless_rows(tmp_path: Path) -> None:
+    (tmp_path / "k.mtx").write_text("1,1,1,1,2.\n2,1,1,1,-1.\n2,1,2,1,1.\n")
+    (tmp_path / "m.mtx").write_text("2,1,2,1,5.\n")
+    k, m = read_matrices(tmp_path / "k.mtx"), read_matrices(tmp_path / "m.mtx")
+    assert k.dofs is not None
+    np.testing.assert_array_equal(m.over(k.dofs).toarray(), [[0, 0], [0, 5]])
+    assert m.over(3).shape == (3, 3)
+    assert m.dofs is not None
+    with pytest.raises(DataError, match="1 of its 2 rows are not among the 1"):
+        k.over(m.dofs)

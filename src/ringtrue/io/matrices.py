@@ -23,7 +23,7 @@ from ringtrue.io.files import existing
 from ringtrue.io.op4 import read_op4
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_FORTRAN = re.compile(r"\((?:\d*P,?)?(\d+)\s*[IEDFG](\d+)(?:\.\d+)?(?:E\d+)?\)", re.IGNORECASE)
+_FORTRAN = re.compile(r"\((?:\d*P,?)?(\d*)\s*[IEDFG](\d+)(?:\.\d+)?(?:E\d+)?\)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +56,34 @@ class MatrixFile:
             raise DataError(f"no matrix {name!r}{did_you_mean(name, self.matrices)}")
         return self.matrices[name]
 
+    def over(self, rows: DofSet | int, name: str = "") -> sparse.csr_array:
+        """A matrix over the rows of another, zero where it has none, as a mass whose file leaves out massless DOFs.
+
+        Parameters
+        ----------
+        rows : DofSet or int
+            The names of the rows, or their number where the file has no names.
+        name : str
+            May be left out where there is one matrix.
+
+        Raises
+        ------
+        DataError
+            If the file has rows that are not among `rows`, or several matrices and no name is given.
+        """
+        if not name and len(self.matrices) != 1:
+            raise DataError(f"which of the matrices {', '.join(self.matrices) or 'none'}?")
+        a = self[name or next(iter(self.matrices))].tocoo()
+        if isinstance(rows, DofSet):
+            if self.dofs is None:
+                raise DataError("this file has no names of rows; give their number")
+            at, n = rows.find(self.dofs.node, self.dofs.direction), len(rows)
+        else:
+            at, n = np.arange(max(a.shape)), rows
+        if (lost := (at < 0) | (at >= n)).any():
+            raise DataError(f"{int(lost.sum())} of its {at.size} rows are not among the {n} of the other matrix")
+        return sparse.csr_array((a.data, (at[a.row], at[a.col])), shape=(n, n))
+
 
 def read_matrices(path: str | Path) -> MatrixFile:
     """Read a file of matrices; the kind is told by its ending and first bytes.
@@ -82,7 +110,10 @@ def read_matrices(path: str | Path) -> MatrixFile:
     kind = kinds.get(path.suffix.lower())
     if kind is None:
         raise DataError(f"{path}: matrices in a {path.suffix or 'nameless'} file{did_you_mean(path.suffix, kinds)}")
-    return kind(path)
+    found = kind(path)
+    if not (found.matrices or found.arrays):
+        raise DataError(f"{path}: no matrix in it")
+    return found
 
 
 def _one(path: Path, matrix: sparse.csr_array, dofs: DofSet | None = None) -> MatrixFile:
@@ -96,13 +127,15 @@ def _matlab(path: Path) -> MatrixFile:
         raise DataError(f"{path}: not a MATLAB file: {e}") from e
     matrices: dict[str, sparse.csr_array] = {}
     arrays: dict[str, Any_] = {}
-    for name, value in found.items():
-        if name.startswith("__"):
-            continue
-        if isinstance(value, (sparse.coo_array, sparse.csc_array)):
+    todo = [(name, value) for name, value in found.items() if not name.startswith("__")]
+    while todo:
+        name, value = todo.pop(0)
+        if sparse.issparse(value):
             matrices[name] = sparse.csr_array(value)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fciu":
             _sort(name, value, matrices, arrays)
+        elif isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:  # a structure
+            todo += [(f"{name}.{key}", value[key].reshape(-1)[0]) for key in value.dtype.names]
     return MatrixFile(matrices, arrays)
 
 
@@ -206,7 +239,7 @@ def _harwell_boeing(path: Path) -> MatrixFile:
 
 def _formats(line: str) -> list[tuple[int, int]]:
     """(numbers a line, width) of pointers, indices and values."""
-    found = [(int(n), int(w)) for n, w in _FORTRAN.findall(line)]
+    found = [(int(n or 1), int(w)) for n, w in _FORTRAN.findall(line)]
     if len(found) < 2:
         raise ValueError(f"formats {line!r}")
     return [*found, (1, 1)][:3]
