@@ -106,6 +106,19 @@ def test_projected_and_full_modes_agree(held):
         held.damped_modes(request, problem="exact")
 
 
+def test_complex_modes_of_a_free_structure_are_elastic():
+    """Rigid-body motions do not oscillate: both ways leave them out and give as many others as are asked for."""
+    model = shell(6, 4)
+    system = assemble(model)
+    damped = replace(system, structural=sparse.csr_array(0.02 * system.stiffness))
+    analysis = EmbeddedAnalysis(model, damped)
+    real = analysis.modes(ModesRequest(12)).modes.frequencies[6:]
+    for problem in ("projected", "full"):
+        modes = analysis.damped_modes(ModesRequest(6), problem=problem).modes
+        assert np.allclose(modes.frequencies, real * (1 + 0.02**2) ** 0.25, rtol=1e-6)
+        assert np.allclose(modes.damping, np.sin(np.arctan(0.02) / 2), rtol=1e-4)
+
+
 @pytest.mark.parametrize("kind", ["receptance", "accelerance"])
 def test_superposition_with_residual_vectors_is_the_direct_solution(held, kind):
     """From 0 Hz to the 15th of 24 modes, dashpots and loss factor included."""

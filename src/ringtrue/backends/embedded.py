@@ -32,6 +32,7 @@ from ringtrue.model.ports import ModesRequest, ModesResult
 
 Progress = Callable[[float, str], None]
 Kind = Literal["receptance", "mobility", "accelerance"]
+STILL = 12  # modes that do not oscillate, for which the basis of complex modes is widened
 LOCAL = 200  # DOFs with dashpots, up to which each gets a residual vector
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 
@@ -182,13 +183,18 @@ class EmbeddedAnalysis:
             count = int((self.eigen(ModesRequest(request.count)).frequencies <= request.band[1]).sum()) or 1
             while self.eigen(ModesRequest(count)).frequencies[-1] <= request.band[1] and count < self.pencil.size:
                 count *= 2
-        real = self.eigen(ModesRequest(min(int(np.ceil(extra * count)) + 2, self.pencil.size)))
-        values, vectors = real.values, real.vectors
-        loads = self._damper_loads()
-        if loads.shape[1]:
-            values, vectors = residual_vectors(self.pencil, real, loads)
-        d, h = damped.project(vectors, self.system.viscous, self.system.structural)
-        return vectors, damped.complex_modes(values, d, h)
+        size = int(np.ceil(extra * count)) + 2
+        while True:
+            real = self.eigen(ModesRequest(min(size, self.pencil.size)))
+            values, vectors = real.values, real.vectors
+            loads = self._damper_loads()
+            if loads.shape[1]:
+                values, vectors = residual_vectors(self.pencil, real, loads)
+            found = damped.complex_modes(values, *damped.project(vectors, self.system.viscous, self.system.structural))
+            missing = count - found.poles.size  # rigid-body motions and what is damped too much to oscillate
+            if missing <= 0 or size >= min(self.pencil.size, extra * count + STILL):
+                return vectors, found
+            size += missing
 
     def _damper_loads(self) -> Float:
         """Unit loads (f, k) along the DOFs that dashpots touch, none if they are too many to be local."""

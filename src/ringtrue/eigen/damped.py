@@ -19,6 +19,8 @@ from ringtrue.errors import InputError, NotConverged
 
 REPEATED = 1e-8  # poles closer than this are made A-orthogonal as a group
 REACH = 0.58  # radius around the shift, in upper ends, that holds all poles with a damping ratio up to 0.3
+SWING = 0.01  # share of |s| that Im(s) must pass: damping ratios up to 0.99995 count as oscillation
+STILL = 1e-10  # share of the largest λ of the basis under which |s|² is a rigid-body motion, which does not oscillate
 ROUNDS = 5  # searches for more poles, each with twice as many
 
 
@@ -112,7 +114,7 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20, to
         count *= 2
     else:
         raise NotConverged(f"{count} poles around {shift:.4g} rad/s do not reach {upper:.4g} rad/s")
-    at = np.flatnonzero((s.imag > 0.01 * np.abs(s)) & (np.abs(s) <= upper) & (s.imag > 1e-5 * upper))
+    at = np.flatnonzero((s.imag > SWING * np.abs(s)) & (np.abs(s) <= upper) & (s.imag > 1e-5 * upper))
     at = at[np.argsort(np.abs(s[at]), kind="stable")]
     s, shapes = s[at], _unit_modal_a(s[at], shapes[:, at], system.viscous, system.mass)
     return FullModes(ComplexModes(s, shapes), system.residuals(s, shapes), shift, radius)
@@ -152,7 +154,7 @@ def project(phi: Float, viscous: sparse.csr_array | None, structural: sparse.csr
 
 
 def complex_modes(values: Float, viscous: Float, structural: Float | None = None) -> ComplexModes:
-    """Complex modes in the basis of n mass-normalised real modes.
+    """Complex modes in the basis of n mass-normalised real modes, without those that do not oscillate.
 
     Parameters
     ----------
@@ -172,8 +174,8 @@ def complex_modes(values: Float, viscous: Float, structural: Float | None = None
     stiffness = np.diag(values) + (1j * structural if structural.any() else 0.0)
     zero, eye = np.zeros((n, n)), np.eye(n)
     s, y = linalg.eig(np.block([[zero, eye], [-stiffness, -viscous]]))
-    scale = np.sqrt(np.abs(values).max(initial=0.0))
-    at = np.flatnonzero(s.imag > 1e-10 * max(scale, np.finfo(float).tiny))
+    scale = max(np.sqrt(np.abs(values).max(initial=0.0)), np.finfo(float).tiny)
+    at = np.flatnonzero((s.imag > SWING * np.abs(s)) & (np.abs(s) > np.sqrt(STILL) * scale))
     at = at[np.argsort(np.abs(s[at]), kind="stable")]
     return ComplexModes(s[at], _unit_modal_a(s[at], y[:n, at], viscous, None))
 

@@ -130,7 +130,7 @@ def _matlab(path: Path) -> MatrixFile:
     todo = [(name, value) for name, value in found.items() if not name.startswith("__")]
     while todo:
         name, value = todo.pop(0)
-        if sparse.issparse(value):
+        if isinstance(value, (sparse.coo_array, sparse.csc_array)):
             matrices[name] = sparse.csr_array(value)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fciu":
             _sort(name, value, matrices, arrays)
