@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ringtrue.errors import UnsupportedCard
 from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
-from ringtrue.io.nastran.sections import SECTIONS
+from ringtrue.io.nastran.sections import FALLBACK, SECTIONS
 from ringtrue.model.cards import columns
 from ringtrue.model.model import Ragged, Table
 
@@ -106,7 +106,10 @@ def _section(r: Reader, at: int) -> tuple[dict[str, float], int]:
         why = f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
         raise UnsupportedCard(c.name, path=r.files[c.file], line=c.line, why=why)
     count, section = SECTIONS[kind]
-    dims = [r.real(at + k, f"DIM{k + 1}") for k in range(count)]
+    dims: list[float] = []
+    for k in range(count):
+        other = FALLBACK.get(kind, {}).get(k)
+        dims.append(r.real(at + k, f"DIM{k + 1}", None if other is None else dims[other]))
     try:
         values = section(*dims)
     except ValueError as e:

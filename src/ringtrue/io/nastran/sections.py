@@ -7,9 +7,11 @@ along the force.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import pi
 from types import MappingProxyType
+
+import numpy as np
 
 Properties = dict[str, float]
 
@@ -243,6 +245,57 @@ def _hat_centre(h: float, a: float, c: float) -> float:
     return (h * above + a * web) / (2 * lip + above)
 
 
+def _hat1(width: float, height: float, top: float, t: float, base: float) -> Properties:
+    """A hat of thickness DIM4 and width DIM3 at its top, on a plate of DIM1 x DIM5; shear centre as in `_box1`."""
+    clear = height - base - t
+    _positive(clear, top - 2 * t, width - top, t, base)
+    side, brim = (top - t) / 2, (width - top) / 2
+    parts = (
+        (width, base, 0.0, base / 2),
+        (top, t, 0.0, height - t / 2),
+        *((t, clear, sign * side, base + clear / 2) for sign in (-1, 1)),
+        *((brim, t, sign * (top + brim) / 2, base + t / 2) for sign in (-1, 1)),
+    )
+    values, _ = _rectangles(*parts)
+    area, h = values["A"], height - (t + base) / 2
+    cell = _cells([(2 * side * h, 2 * (side + h) / t + 2 * side / base)])
+    lips = 2 * brim * (t + base) ** 3 / 3
+    return values | {"J": cell + lips, "K1": 2 * clear * t / area, "K2": (top * t + width * base) / area}
+
+
+def _dbox(
+    width: float, height: float, middle: float, left: float, web: float, right: float, *plates: float
+) -> Properties:
+    """Two cells: DIM3 from the left side to the middle of the web, DIM7 to DIM10 top and bottom, left then right."""
+    cells = (  # clear and middle width, left end of the plates, outer wall, top, bottom
+        (middle - left - web / 2, middle - left / 2, left, left, *plates[:2]),
+        (width - middle - right - web / 2, width - middle - right / 2, middle + web / 2, right, *plates[2:]),
+    )
+    parts = [(t, height, z, height / 2) for t, z in ((left, left / 2), (web, middle), (right, width - right / 2))]
+    loops, depths = [], []
+    for clear, wide, z, wall, top, bottom in cells:
+        _positive(clear, height - top - bottom, wall, web, top, bottom)
+        parts += [(clear, top, z + clear / 2, height - top / 2), (clear, bottom, z + clear / 2, bottom / 2)]
+        depths.append(height - (top + bottom) / 2)
+        loops.append((wide * depths[-1], wide / top + wide / bottom + depths[-1] / wall))
+    shared = sum(depths) / 2 / web
+    values, _ = _rectangles(*parts)
+    return values | {
+        "J": _cells([(a, around + shared) for a, around in loops], shared),
+        "K1": (left + web + right) * height / values["A"],
+        "K2": sum(b * h for b, h, _, _ in parts[3:]) / values["A"],
+    }
+
+
+def _cells(cells: Sequence[tuple[float, float]], shared: float = 0.0) -> float:
+    """Bredt's torsion constant of one or two cells: area and ∮ ds/t of each, and ∫ ds/t of the wall between them."""
+    flow = np.diag([around for _, around in cells])
+    if len(cells) > 1:
+        flow[0, 1] = flow[1, 0] = -shared
+    area = np.array([a for a, _ in cells])
+    return float(4 * area @ np.linalg.solve(flow, area))
+
+
 def _hexa(point: float, width: float, height: float) -> Properties:
     """DIM1 the width of each pointed side, DIM2 the whole width; torsion of a solid after Saint-Venant."""
     middle = width - 2 * point
@@ -263,6 +316,9 @@ def _tube2(outer: float, wall: float) -> Properties:
     return _tube(outer, outer - wall)
 
 
+FALLBACK: Mapping[str, Mapping[int, int]] = MappingProxyType(  # a blank dimension (from 0) is that of another
+    {"DBOX": {4: 3, 5: 3, 6: 3, 7: 3, 8: 5, 9: 5}}
+)
 SECTIONS: Mapping[str, tuple[int, Callable[..., Properties]]] = MappingProxyType(
     {
         "ROD": (1, _rod),
@@ -284,6 +340,8 @@ SECTIONS: Mapping[str, tuple[int, Callable[..., Properties]]] = MappingProxyType
         "L": (4, _l),
         "Z": (4, _z),
         "HAT": (4, _hat),
+        "HAT1": (5, _hat1),
+        "DBOX": (10, _dbox),
         "HEXA": (3, _hexa),
     }
 )
