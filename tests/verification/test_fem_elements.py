@@ -13,6 +13,7 @@ from fem_cases import cards, grid, model, modes, pshell, ragged, shells, square,
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DeckError
 from ringtrue.fem.assembly import System, assemble
+from ringtrue.fem.mesh import isotropic
 from ringtrue.model.model import Model, Table
 
 ROUNDING = 1e-9  # relative to the largest stiffness, after some thousand operations
@@ -221,3 +222,22 @@ def test_scalar_points() -> None:
     )
     want = np.sqrt((3 + np.sqrt(5) * np.array([-1, 1])) / 2) / (2 * np.pi)
     np.testing.assert_allclose(modes(m, 2), want, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "full"),
+    [
+        ({"E": 2.0, "NU": 0.25}, (2.0, 0.8, 0.25)),
+        ({"E": 2.0, "NU": 0.0}, (2.0, 1.0, 0.0)),
+        ({"E": 2.0, "G": 0.8}, (2.0, 0.8, 0.25)),
+        ({"G": 0.8, "NU": 0.25}, (2.0, 0.8, 0.25)),
+        ({"E": 2.0, "G": 0.9, "NU": 0.0}, (2.0, 0.9, 0.0)),  # as given, though they do not agree
+        ({"E": 2.0}, (2.0, 0.0, 0.0)),
+        ({"G": 2.0}, (0.0, 2.0, 0.0)),
+    ],
+)
+def test_blanks_of_mat1(given: dict[str, float], full: tuple[float, float, float]) -> None:
+    """Quick Reference Guide, MAT1: NU and one of E and G that are both blank are both 0."""
+    mat = cards("MAT1", MID=[1], **given)
+    found = isotropic(Model({"MAT1": mat}), np.array([1]), mat, np.array([0]))
+    assert (found.E[0], found.G[0], found.nu[0]) == pytest.approx(full)

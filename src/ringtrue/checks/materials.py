@@ -1,4 +1,4 @@
-"""Materials that would have negative strain energy."""
+"""Materials that would have negative strain energy, and those with blanks that stand for 0."""
 
 from __future__ import annotations
 
@@ -25,7 +25,12 @@ def _poisson(model: Model) -> list[Finding]:
         implied = table["E"] / (2 * table["G"]) - 1
     ratio = np.where(np.isnan(table["NU"]), implied, table["NU"])
     rows = np.flatnonzero((ratio <= -1) | (ratio > 0.5))
-    return [at_rows(model, "MAT1", rows, "error", f"Poisson's ratio {ratio[rows[0]]:g}")] if rows.size else []
+    found = [at_rows(model, "MAT1", rows, "error", f"Poisson's ratio {ratio[rows[0]]:g}")] if rows.size else []
+    alone = np.flatnonzero(np.isnan(table["NU"]) & (np.isnan(table["E"]) ^ np.isnan(table["G"])))
+    if alone.size:
+        what = "NU and one of E and G are blank: both are 0 then, as in Nastran"
+        found.append(at_rows(model, "MAT1", alone, "info", what))
+    return found
 
 
 def _orthotropic(model: Model) -> list[Finding]:

@@ -159,6 +159,9 @@ class Isotropic:
 def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     """MAT1 properties of each element, the one of E, G, NU that is blank completed from the others.
 
+    Where NU and one of E and G are blank, both are 0, as in Nastran (Quick Reference Guide, MAT1): E alone makes rods
+    and bars without torsion, and no shell or solid.
+
     Raises
     ------
     DeckError
@@ -167,14 +170,16 @@ def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     row = lookup(model, "MAT1", mid, table, at)
     mat = model["MAT1"]
     E, G, nu, rho, loss = (mat[c][row] for c in ("E", "G", "NU", "RHO", "GE"))
-    if (np.isnan(E) & np.isnan(G)).any():
-        i = int(np.flatnonzero(np.isnan(E) & np.isnan(G))[0])
-        raise error(model, mat, int(row[i]), "neither E nor G is given")
-    nu = np.where(np.isnan(nu), 0.0, nu)
-    E = np.where(np.isnan(E), 2 * (1 + nu) * G, E)
-    both = ~np.isnan(G)
-    nu = np.where(both & (nu == 0) & (G != 0), E / np.where(both & (G != 0), 2 * G, 1.0) - 1, nu)
-    return Isotropic(E, np.where(both, G, E / (2 * (1 + nu))), nu, rho, loss)
+    no_E, no_G, no_nu = np.isnan(E), np.isnan(G), np.isnan(nu)
+    if (no_E & no_G).any():
+        raise error(model, mat, int(row[np.flatnonzero(no_E & no_G)[0]]), "neither E nor G is given")
+    three = ~no_E & ~no_G & (G != 0)
+    nu = np.where(no_nu, np.where(three, E / np.where(three, 2 * G, 1.0) - 1, 0.0), nu)
+    E, G = (
+        np.where(no_E, np.where(no_nu, 0.0, 2 * (1 + nu) * G), E),
+        np.where(no_G, np.where(no_nu, 0.0, E / (2 * (1 + nu))), G),
+    )
+    return Isotropic(E, G, nu, rho, loss)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
