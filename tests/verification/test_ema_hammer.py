@@ -239,3 +239,36 @@ def test_turned_hammers_are_said_and_cost_no_mode(turned):
     if turned < 3:
         scale = np.abs(result.modes.shapes).max(axis=0) / np.abs(phi).max(axis=0)
         np.testing.assert_allclose(scale, 1, atol=0.05)
+
+
+@pytest.mark.parametrize("references", [[27, 28], [2, 29, 23]])
+def test_repeated_roots_are_two_modes_of_one_plane(references: list[int]) -> None:
+    """A square free plate: the shapes of a pair are orthogonal to the mass, as the truth is, whatever their turn."""
+    x, y = (g.ravel() for g in np.meshgrid(*[np.linspace(0, 1, 6)] * 2))
+    orders = [(1, 1), (0, 2), (2, 0), (2, 1), (1, 2), (2, 2)]
+    phi = np.stack([np.cos(np.pi * i * x) * np.cos(np.pi * j * y) for i, j in orders], axis=1)
+    fn, rng = np.array([10.0, 22.0, 22.0, 35.0, 35.0, 50.0]), np.random.default_rng(1)
+    freqs = np.linspace(0.05, 80.0, 1600)
+    s, w = 2j * np.pi * freqs[:, None], 2 * np.pi * fn
+    h = np.einsum("fk,ok,ik->foi", s**2 / (s**2 + 0.016 * w * s + w**2), phi, phi[references])
+    h += 0.01 * h.std() * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    out = tuple(Channel(f"{i}+Z") for i in range(36))
+    given = tuple(out[i] for i in references)
+    result = identify_hammer(
+        FrfSet(h, freqs, out, given, np.full(h.shape, np.nan), np.full(len(given), np.nan)), HammerModes(5.0, 60.0)
+    )
+    modes = result.modes
+    np.testing.assert_allclose(modes.frequencies, fn, rtol=2e-4)
+    np.testing.assert_allclose(modes.damping, 0.008, rtol=0.02)
+    for a, b in ((1, 2), (3, 4)):
+        turn = np.linalg.lstsq(phi[:, [a, b]], modes.shapes[:, [a, b]])[0]
+        np.testing.assert_allclose(turn.conj().T @ turn, np.eye(2), atol=0.05)
+        np.testing.assert_allclose(phi[:, [a, b]] @ turn, modes.shapes[:, [a, b]], atol=0.05)
+        assert (result.uncertainty.shape[:, [a, b]].max(axis=0) > 0.4).all()
+        assert "fits as well" in result.reasons[a]
+        assert "fits as well" in result.reasons[b]
+
+
+def test_one_reference_cannot_tell_repeated_roots_and_says_so() -> None:
+    frfs, _ = simulate(0, n_in=1)
+    assert any("show as one" in n for n in identify_hammer(frfs, HammerModes(5.0, 20.0)).notes)

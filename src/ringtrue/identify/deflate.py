@@ -12,6 +12,7 @@ from ringtrue.identify.judge import Candidates
 from ringtrue.identify.lsfd import Lines, weighted_rest
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.refine import Refined
+from ringtrue.identify.repeated_hammer import twins
 
 ABOVE = 2.0  # of the error over its surroundings
 SHARE = 0.03  # amplitude of the error against the data, where the data agree no better than that
@@ -86,7 +87,11 @@ def support(pole: Complex, part: Complex, sets: Sequence[PoleSet], decay: float)
         near = np.abs(s.pole[:, None] + decay - pole) < width
         v = s.shape / np.linalg.norm(s.shape, axis=0)
         u = part.T / np.linalg.norm(part.T, axis=0)
-        near &= np.abs(v.conj().T @ u) ** 2 > 0.6
+        alike = np.abs(v.conj().T @ u) ** 2
+        for i, j in twins(pole):  # any vector in the plane of both
+            q = np.linalg.qr(u[:, [i, j]])[0]
+            alike[:, [i, j]] = (np.abs(v.conj().T @ q) ** 2).sum(axis=1, keepdims=True)
+        near &= alike > 0.6
         upper = s.order >= np.median(s.orders)
         held = np.array([np.unique(s.order[upper & n]).size for n in near.T])
         best = np.maximum(best, held / max(np.unique(s.order[upper]).size, 1))

@@ -24,6 +24,7 @@ from ringtrue.identify.lsfd import Lines, lsfd, noise, prepare, synthesise_windo
 from ringtrue.identify.peaks import cmif
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
+from ringtrue.identify.repeated_hammer import twins, united
 
 Progress = Callable[[float, str], None]
 
@@ -31,6 +32,7 @@ TURNS = 6
 LAST_ITERATIONS = 60
 MOST_NEW = 6
 MOST_BYTES = 2e9
+PAIR = "one of two modes of one frequency: any turn of the two shapes in their plane fits as well"
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +207,8 @@ class _Search:
 
     def refined(self, c: Candidates) -> _Fit:
         """The candidates refined; the verdict is still open."""
-        return _Fit(refine(self.lines, c.pole, c.participation), c, Verdict(np.abs(c.pole), np.ones(c.pole.size), ()))
+        fit = united(self.lines, refine(self.lines, c.pole, c.participation), self.pairs)
+        return _Fit(fit, c, Verdict(np.abs(c.pole), np.ones(c.pole.size), ()))
 
     def judged(self, fit: _Fit, *, strict: bool) -> _Fit:
         """The fit with its verdict."""
@@ -247,7 +250,8 @@ def _fit(search: _Search, start: Candidates, tell: Progress) -> tuple[_Fit, list
         best = new
     if best.refined.outcome is Outcome.MAX_ITERATIONS:  # modes that overlap take their time
         r = best.refined
-        best = replace(best, refined=refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS))
+        last = refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS)
+        best = replace(best, refined=united(lines, last, search.pairs))
     best, why = search.settle(best, best.refined.poles.size + 1, strict=True)  # every turn but the last drops a mode
     return best, rejected + why
 
@@ -312,11 +316,15 @@ def _report(
         frfs.source or "hammer FRFs, pLSCF",
         verdict.confidence[told],
     )
-    shape = shape_deviations(lines, fit, pairs) * np.abs(model.shapes * alpha)
+    phi = np.abs(model.shapes * alpha)
+    shape = shape_deviations(lines, fit, pairs) * phi
+    for i, j in twins(fit.poles):  # any turn in their plane is as good
+        shape[:, [i, j]] = np.hypot(shape[:, [i, j]], phi[:, [j, i]] / np.sqrt(2))
     std = Uncertainty(fit.std_frequency, fit.std_damping, shape, fit.factor).take(told)
     fitted = synthesise_windowed(model, lines)
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
     size = np.linalg.norm(frfs.data[at], axis=0)
     error = np.linalg.norm(frfs.data[at] - fitted[at], axis=0) / np.maximum(size, 1e-300)
-    reasons = tuple(verdict.reason[k] for k in told)
+    doubled = dict.fromkeys(range(f.size), "") | {k: f"; {PAIR}" for both in twins(fit.poles) for k in both}
+    reasons = tuple(verdict.reason[k] + doubled[k] for k in told.tolist())
     return HammerResult(model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error)

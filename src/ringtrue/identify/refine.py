@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.outcome import Outcome
 from ringtrue.identify.lsfd import Lines, augment, functions, mirrored, mirrored_rows
 
 ITERATIONS = 20
 REACH = 2.0  # half bandwidths
 TOLERANCE = 1e-6  # relative fall of the objective
+FLAT = 1e-8  # of the curvature: nothing but rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +63,7 @@ class _State:
     gradient: Complex
     shape_var: Float
     slope: Complex  # of the augmented shapes by each parameter, times the shape of its mode
+    free: Int
 
 
 def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: int = ITERATIONS) -> Refined:
@@ -104,7 +106,7 @@ def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: 
 
 def _try(lines: Lines, state: _State, damping: float, start: Complex, reach: Float) -> _State | None:
     """One Levenberg-Marquardt step with every pole held within reach of its start; None if nothing is gained."""
-    free = _free(state.part)
+    free = state.free
     h = state.hessian[np.ix_(free, free)]
     scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
     h = scale[:, None] * h * scale
@@ -121,10 +123,10 @@ def _try(lines: Lines, state: _State, damping: float, start: Complex, reach: Flo
     return new if new.cost <= state.cost else None
 
 
-def _free(part: Complex) -> Int:
-    """Positions of the parameters but the largest participation of each mode, which fixes the scale."""
+def _free(part: Complex, moving: Bool) -> Int:
+    """Positions of the parameters that are `moving` but the largest participation of each mode: it fixes the scale."""
     m, n_in = part.shape
-    mask = np.ones((1 + n_in, 2, m), dtype=bool)
+    mask = moving.reshape(1 + n_in, 2, m).copy()
     mask[1 + np.abs(part).argmax(axis=1), :, np.arange(m)] = False
     return np.flatnonzero(mask.ravel())
 
@@ -148,6 +150,7 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
     gg = _gram(cc, cd, dd * ll, l)
     slope = -inverse @ xg
     core = gg + xg.conj().T @ slope
+    void = np.diag(core).real < FLAT * np.diag(gg).real  # what the shapes do as well: a turn of two modes of one pole
     w2 = lines.response**2
     tile = np.tile(psi, (1 + n_in, 1))
     hessian = core * ((tile.conj() * w2) @ tile.T)
@@ -155,7 +158,8 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
     power = (np.abs(lines.y) ** 2).sum(axis=(0, 1))
     cost = float((w2 * np.maximum(power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
     var = 2 * np.diag(inverse).real[:m]
-    return _State(poles, part, psi[:m].T, cost, hessian, gradient, np.maximum(var, 0) / w2[:, None], slope)
+    shape_var = np.maximum(var, 0) / w2[:, None]
+    return _State(poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void))
 
 
 def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
@@ -193,13 +197,13 @@ def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
 
 def _covariance(lines: Lines, state: _State) -> tuple[Complex, float]:
     """Covariance of all augmented parameters, zero for those that fix the scales, and the squared weighted error."""
-    free = _free(state.part)
+    free = state.free
     data = 2 * lines.y.size
     error2 = max(state.cost / max(data - free.size - 2 * state.shapes.size, 1), 0.0)
     h = state.hessian[np.ix_(free, free)]
     scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
     cov = np.zeros_like(state.hessian)
-    inner = np.linalg.pinv(scale[:, None] * h * scale, hermitian=True)
+    inner = np.linalg.pinv(scale[:, None] * h * scale, rcond=FLAT, hermitian=True)
     cov[np.ix_(free, free)] = 2 * error2 * scale[:, None] * inner * scale
     return cov, error2
 
