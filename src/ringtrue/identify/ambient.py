@@ -33,6 +33,7 @@ from ringtrue.identify.ambient_verdict import (
 from ringtrue.identify.bands import STEP, BandSums, begin, more
 from ringtrue.identify.choice import chosen, with_picks
 from ringtrue.identify.poles import PoleSet, StableDiagram, unit
+from ringtrue.identify.repeated import loosened, with_pairs
 from ringtrue.identify.ssi import (
     BandPoles,
     SsiCov,
@@ -165,18 +166,27 @@ def _spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) ->
     return bins.freqs[: n * join].reshape(n, join).mean(1), 10 * np.log10(np.maximum(top, np.finfo(np.float64).tiny))
 
 
-def _candidates(sums: BandSums, r: Any_, weights: Float, choice: Choice | None) -> tuple[BandPoles, Candidates, Int]:
-    """Poles, candidates and the pick behind each, of the lower orders; of all where modes still appear late."""
-    ssi, band = sums.ssi, sums.band
+def _candidates(
+    sums: BandSums, r: Any_, weights: Float, choice: Choice | None, least: float
+) -> tuple[BandPoles, Candidates, Int, list[tuple[int, int]]]:
+    """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower orders.
+
+    Of all orders where modes still appear late.
+    """
+    ssi, band, tries = sums.ssi, sums.band, sums.ssi.order_max // sums.ssi.order_step
+    pairs: list[tuple[int, int]] = []
     for share in (ENOUGH, 1.0):
         some = replace(ssi, order_max=max(2 * int(share * ssi.order_max / 2), 2))
         poles = identify_band(r, weights, some, band.rate, (band.low, band.high))
         table, picked = with_picks(candidates(poles), poles, choice)
         if table.pole.size:
-            table = replace(table, halves=half_agreement(table, _halves(r, weights, some, poles, band)))
-        if settled(table, ssi.order_max // ssi.order_step):
+            halves = _halves(r, weights, some, poles, band)
+            table = replace(table, halves=half_agreement(table, halves))
+            table, pairs = with_pairs(table, poles, halves, tries, least)
+            picked = np.pad(picked, (0, table.pole.size - picked.size), constant_values=-1)
+        if settled(table, tries):
             break
-    return poles, table, picked
+    return poles, table, picked, pairs
 
 
 def _band(
@@ -186,20 +196,23 @@ def _band(
     r = sums.r
     loudness = loudness_weights(r, sums.references)
     weights = loudness * sums.share / (loudness @ sums.share)
-    poles, table, picked = _candidates(sums, r, weights, choice)
+    poles, table, picked, pairs = _candidates(sums, r, weights, choice, settings.confidence_min)
     sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
-    found = _found(sums, poles, table, sure, picked)
+    turning = tuple(i for both in pairs for i in both)
+    found = _found(sums, poles, table, sure, picked, turning)
     at = np.array([i for _, i in select([found], settings.confidence_min)], dtype=np.int64)
     if not at.size or driven or not steady(loudness):
         return found
-    return _found(sums, poles, refined(table, at, sums.eyes, sums.bins, slope), sure, picked)
+    return _found(sums, poles, loosened(refined(table, at, sums.eyes, sums.bins, slope), pairs), sure, picked, turning)
 
 
-def _found(sums: BandSums, poles: BandPoles, table: Candidates, sure: Float, picked: Int) -> Found:
+def _found(
+    sums: BandSums, poles: BandPoles, table: Candidates, sure: Float, picked: Int, turning: tuple[int, ...]
+) -> Found:
     """The candidates with shapes in the channels' units."""
     scaled = table.shape * sums.scale[:, None]
     std = var.modulus_std(scaled, table.shape_deviation * sums.scale[:, None])
-    return Found(table, unit(scaled), std, sure, _diagram(poles, table, sums), picked)
+    return Found(table, unit(scaled), std, sure, _diagram(poles, table, sums), picked, turning)
 
 
 def _slope(history: TimeHistory) -> tuple[float, float]:
@@ -399,7 +412,7 @@ def _assemble(
         modes,
         uncertainty(found, at, len(history.channels)),
         tuple(x.diagram for x in found),
-        tuple("; ".join(filter(None, (by_hand.said.get((b, i)), reason(found[b].table, i)))) for b, i in at),
+        tuple("; ".join(filter(None, (by_hand.said.get((b, i)), reason(found[b], i)))) for b, i in at),
         lines,
         tuple(_notes(history, left_out, len(at), bands)),
     )

@@ -22,7 +22,10 @@ DOUBTFUL = 0.2  # confidence
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Candidates of one band with shapes in the channels' units, their confidence, and the pick behind each (-1)."""
+    """Candidates of one band with shapes in the channels' units, their confidence, and the pick behind each (-1).
+
+    `turning` are the rows of pairs that the record does not tell apart.
+    """
 
     table: Candidates
     shape: Complex
@@ -30,6 +33,7 @@ class Found:
     confidence: Float
     diagram: StableDiagram
     picked: Int
+    turning: tuple[int, ...] = ()
 
 
 def confidence(c: Candidates, orders: int = 0) -> Float:
@@ -109,15 +113,19 @@ def unresolved(found: list[Found], told: Float) -> tuple[str, ...]:
     )
 
 
-def reason(c: Candidates, i: int) -> str:
+def reason(found: Found, i: int) -> str:
+    c = found.table
     sf, sz = c.stds()
+    pair = (
+        "; one of a pair closer than this record can separate: any turn of the two shapes in their plane fits as well"
+    )
     n, tried = c.orders[i].tolist()
     sharp = "; refined by maximum likelihood" if c.refined[i] else ""
     thin = "; so little damping may be a machine of unsteady speed" if c.damping[i] < 2.5e-3 else ""
     return (
         f"found at {n} of {tried} orders, std {100 * sf[i] / c.frequencies[i]:.2g} % of frequency and "
         f"{100 * sz[i] / c.damping[i]:.2g} % of damping, MPC {c.mpc[i]:.2f}, halves of the record agree to "
-        f"{c.halves[i]:.2f}{sharp}{thin}"
+        f"{c.halves[i]:.2f}{sharp}{thin}{pair if i in found.turning else ''}"
     )
 
 

@@ -6,7 +6,7 @@ The automatic modes keep their numbers: what is picked beside them is not refine
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -21,7 +21,7 @@ from ringtrue.identify.cluster import CUT, cluster_poles, distances
 from ringtrue.identify.pick import centre
 from ringtrue.identify.poles import PoleSet, unit
 from ringtrue.identify.ssi import BandPoles
-from ringtrue.identify.stabilise import Candidates, groups_table
+from ringtrue.identify.stabilise import Candidates, groups_table, stacked
 from ringtrue.shapes.mac import mac
 
 WITHIN = 0.01  # of its frequency: so near a pick must be to what it means
@@ -111,25 +111,13 @@ def with_picks(table: Candidates, band: BandPoles, choice: Choice | None) -> tup
         return table, automatic
     more = groups_table(band, groups)
     orders = np.stack([np.array(like), more.orders[:, 1]], axis=1)
-    return _stacked(table, replace(more, orders=orders)), np.concatenate([automatic, picks]).astype(np.int64)
+    return stacked(table, replace(more, orders=orders)), np.concatenate([automatic, picks]).astype(np.int64)
 
 
 def _orders_like(poles: PoleSet, at: int) -> int:
     """Orders with a pole like that at a position."""
     far = distances(poles.pole, poles.shape)[at]
     return int(np.unique(poles.order[far < CUT]).size)
-
-
-def _stacked(one: Candidates, two: Candidates) -> Candidates:
-    """The rows of two tables of one band; the second one's poles count for it."""
-    by_row = [f.name for f in fields(Candidates) if f.name not in ("shape", "label", "stable")]
-    joined = {n: np.concatenate([getattr(one, n), getattr(two, n)]) for n in by_row}
-    return Candidates(
-        **joined,
-        shape=np.concatenate([one.shape, two.shape], axis=1),
-        label=np.where(two.label >= 0, two.label + one.pole.size, one.label),
-        stable=one.stable,
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,7 +257,7 @@ def _joined(found: list[Found], rows: Sequence[Row]) -> tuple[list[Found], Row]:
         orders=np.stack([t.orders[0] for t in tables]).max(axis=0, keepdims=True),
         label=np.where(np.isin(x.table.label, [i for band, i in rows if band == b]), 0, -1),
     )
-    table = _stacked(replace(x.table, deviation=wide), row)
+    table = stacked(replace(x.table, deviation=wide), row)
     made = replace(
         x,
         table=table,

@@ -6,7 +6,7 @@ strength of its contribution to the correlations, how many orders show it, and w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.special import stdtrit
@@ -170,6 +170,22 @@ def _table(
         label,
         stable,
         np.zeros(m, dtype=np.bool_),
+    )
+
+
+def stacked(one: Candidates, two: Candidates) -> Candidates:
+    """The rows of two tables of one band; the second one's poles count for it."""
+    wide = max(one.deviation.shape[1], two.deviation.shape[1])
+    one, two = (
+        replace(c, deviation=np.pad(c.deviation, ((0, 0), (0, wide - c.deviation.shape[1])))) for c in (one, two)
+    )
+    by_row = [f.name for f in fields(Candidates) if f.name not in ("shape", "label", "stable")]
+    joined = {n: np.concatenate([getattr(one, n), getattr(two, n)]) for n in by_row}
+    return Candidates(
+        **joined,
+        shape=np.concatenate([one.shape, two.shape], axis=1),
+        label=np.where(two.label >= 0, two.label + one.pole.size, one.label),
+        stable=one.stable,
     )
 
 
