@@ -93,3 +93,25 @@ def test_decays_after_events_give_the_damping_that_the_whole_record_gets_wrong(
     assert with_events.max() < 0.1
     monkeypatch.setattr("ringtrue.identify.ambient.find_events", lambda data, rate: find_events(data[:, :1], rate))
     assert error().max() > 2 * with_events.max()
+
+
+@pytest.mark.parametrize("at", [[20.0], [20.0, 60.0, 100.0], [20.0, 200.0, 260.0]])
+def test_few_blows_in_silence_give_all_modes(at: list[float]) -> None:
+    """All blows may lie in one half of the record, the rest of which is the noise of the sensors."""
+    rng = np.random.default_rng(0)
+    force = np.zeros(int(RATE * 300))
+    force[(np.array(at) * RATE).astype(int)] = 100 * rng.uniform(0.5, 1.5, len(at))
+    y = responses(force) + 0.02 * rng.normal(size=(4, force.size))
+    result = identify_ambient(TimeHistory(y, RATE, tuple(Channel(f"{i}+Z") for i in range(1, 5))))
+    np.testing.assert_allclose(result.modes.frequencies, FREQUENCIES, rtol=3e-3)
+    np.testing.assert_allclose(result.modes.damping, DAMPING, rtol=0.1)
+
+
+def test_blows_without_decays_are_no_modes() -> None:
+    rng = np.random.default_rng(1)
+    y = 0.02 * rng.normal(size=(4, int(RATE * 300)))
+    for k in (2000, 9000, 15000):
+        y[:, k] += 5 * rng.normal(size=4)
+    result = identify_ambient(TimeHistory(y, RATE, tuple(Channel(f"{i}+Z") for i in range(1, 5))))
+    assert not len(result.modes)
+    assert any("3 events" in n for n in result.notes)

@@ -38,8 +38,8 @@ from ringtrue.identify.ssi import (
     BandPoles,
     SsiCov,
     all_orders,
+    block_power,
     identify_band,
-    loudness_weights,
     part_of,
 )
 from ringtrue.identify.stabilise import (
@@ -49,15 +49,17 @@ from ringtrue.identify.stabilise import (
     refined,
     steady,
 )
+from ringtrue.identify.struck import by_references, even_halves, event_weights
 from ringtrue.identify.whittle import SpectralBins
 from ringtrue.signal.events import NONE, Events, find_events
 from ringtrue.signal.harmonics import steady_amplitudes
-from ringtrue.signal.preprocess import Band, Harmonic, harmonics, uncut, usable
+from ringtrue.signal.preprocess import Band, Harmonic, block_weights, harmonics, uncut, usable
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 BLOCKS_EACH = 4  # of one stretch of a long record
 ENOUGH = 0.6  # of the orders, where the modes appear in the first third of them
+FEW = 8  # events
 Progress = Callable[[float, str], None]
 
 
@@ -142,16 +144,18 @@ def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[
     return tuple(bands)
 
 
-def _halves(r: Any_, weights: Float, ssi: SsiCov, found: BandPoles, band: Band) -> tuple[PoleSet, PoleSet]:
-    """Poles of the first and of the second half of the record, every other order."""
-    mid, whole = weights.size // 2, found.subspace
+def _halves(
+    r: Any_, weights: Float, ssi: SsiCov, found: BandPoles, band: Band, parts: tuple[Int, Int]
+) -> tuple[PoleSet, PoleSet]:
+    """Poles of both halves (blocks) of the record, every other order."""
+    whole = found.subspace
     step = replace(ssi, order_step=2 * ssi.order_step)
 
-    def half(part: slice) -> PoleSet:
+    def half(part: Int) -> PoleSet:
         mean = np.tensordot((weights[part] / weights[part].sum()).astype(r.dtype), r[part], 1).astype(np.float64)
         return all_orders(part_of(whole, mean, ssi.block_rows), None, step, (0.97 * band.low, 1.03 * band.high))[0]
 
-    return half(slice(0, mid)), half(slice(mid, None))
+    return half(parts[0]), half(parts[1])
 
 
 def _spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) -> tuple[Float, Float]:
@@ -167,7 +171,7 @@ def _spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) ->
 
 
 def _candidates(
-    sums: BandSums, r: Any_, weights: Float, choice: Choice | None, least: float
+    sums: BandSums, r: Any_, weights: Float, parts: tuple[Int, Int], choice: Choice | None, least: float, driven: bool
 ) -> tuple[BandPoles, Candidates, Int, list[tuple[int, int]]]:
     """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower orders.
 
@@ -178,10 +182,15 @@ def _candidates(
     for share in (ENOUGH, 1.0):
         some = replace(ssi, order_max=max(2 * int(share * ssi.order_max / 2), 2))
         poles = identify_band(r, weights, some, band.rate, (band.low, band.high))
-        table, picked = with_picks(candidates(poles), poles, choice)
+        table, picked = with_picks(candidates(poles, driven=driven), poles, choice)
         if table.pole.size:
-            halves = _halves(r, weights, some, poles, band)
-            table = replace(table, halves=half_agreement(table, halves))
+            halves = _halves(r, weights, some, poles, band, parts)
+            agreed = half_agreement(table, halves)
+            if driven and r.shape[3] > 1:
+                mean = np.tensordot(weights, r, 1)
+                other = by_references(mean, some, band.rate, (0.97 * band.low, 1.03 * band.high))
+                agreed = np.maximum(agreed, half_agreement(table, other))
+            table = replace(table, halves=agreed)
             table, pairs = with_pairs(table, poles, halves, tries, least)
             picked = np.pad(picked, (0, table.pole.size - picked.size), constant_values=-1)
         if settled(table, tries):
@@ -194,9 +203,13 @@ def _band(
 ) -> Found:
     """Modes of one band; `driven` by events: its spectra are not those of stationary noise."""
     r = sums.r
-    loudness = loudness_weights(r, sums.references)
+    power = block_power(r, sums.references)
+    loudness = event_weights(power) if driven else block_weights(power)
     weights = loudness * sums.share / (loudness @ sums.share)
-    poles, table, picked, pairs = _candidates(sums, r, weights, choice, settings.confidence_min)
+    halves = np.array_split(np.arange(power.size), 2) if not driven else even_halves(power)
+    poles, table, picked, pairs = _candidates(
+        sums, r, weights, (halves[0], halves[1]), choice, settings.confidence_min, driven
+    )
     sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
     turning = tuple(i for both in pairs for i in both)
     found = _found(sums, poles, table, sure, picked, turning)
@@ -331,7 +344,8 @@ def _struck(heard: list[Events]) -> tuple[str, ...]:
         return ()
     level = max(heard, key=lambda e: e.count).level
     use = "the decays after them are used" if any(e.driven for e in heard) else "no correlation reaches across them"
-    return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest (a jump, a blow): {use}",)
+    few = "; so few make the stated deviations rough" if count < FEW and any(e.driven for e in heard) else ""
+    return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest (a jump, a blow): {use}{few}",)
 
 
 def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory) -> tuple[list[BandSums], Events]:

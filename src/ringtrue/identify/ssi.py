@@ -228,7 +228,12 @@ def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> t
 
 def loudness_weights(r: Float, references: Int) -> Float:
     """(block,) weights, sum 1, of the correlations `r` (block, lag, ch, ref) by the power of their references."""
-    return block_weights(r[:, 0, references, np.arange(references.size)].mean(1))
+    return block_weights(block_power(r, references))
+
+
+def block_power(r: Float, references: Int) -> Float:
+    """(block,) mean squares of the references from the correlations `r` (block, lag, ch, ref)."""
+    return np.asarray(r[:, 0, references, np.arange(references.size)].mean(1), dtype=np.float64)
 
 
 def identify_band(r: Float, weights: Float, settings: SsiCov, rate: float, band: tuple[float, float]) -> BandPoles:

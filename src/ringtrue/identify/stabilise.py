@@ -85,11 +85,11 @@ class Candidates:
         return -self.pole.real / np.abs(self.pole)
 
 
-def stable_poles(band: BandPoles, damping_max: float = 0.2) -> Bool:
+def stable_poles(band: BandPoles, damping_max: float = 0.2, strength: float = 2.0) -> Bool:
     """(k,) poles worth clustering: damped, known to a few per cent, of some strength, and not wildly complex."""
     p = band.poles
     known = (p.std_frequency < 0.025 * p.frequencies) & (p.std_damping < np.maximum(p.damping, 2e-3))
-    return (p.damping < damping_max) & known & (band.strength > 2) & (mpc(p.shape) > 0.3)
+    return (p.damping < damping_max) & known & (band.strength > strength) & (mpc(p.shape) > 0.3)
 
 
 def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:
@@ -125,9 +125,12 @@ def _shape_deviations(band: BandPoles, at: list[int]) -> Complex:
     return out
 
 
-def candidates(band: BandPoles, least: int = 4) -> Candidates:
-    """Clusters of the stable poles with `least` members or more, ascending in frequency."""
-    stable = stable_poles(band)
+def candidates(band: BandPoles, least: int = 4, *, driven: bool = False) -> Candidates:
+    """Clusters of the stable poles with `least` members or more, ascending in frequency.
+
+    The strengths of modes `driven` by events vary as these do and are not asked for.
+    """
+    stable = stable_poles(band, strength=0.0 if driven else 2.0)
     use = np.flatnonzero(stable)
     label = cluster_poles(band.poles.pole[use], band.poles.shape[:, use], band.poles.order[use])
     groups = [use[label == g] for g in range(int(label.max(initial=-1)) + 1)]
