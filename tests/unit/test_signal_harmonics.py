@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.identify.ambient import identify_ambient
 from ringtrue.signal.harmonics import (
     edit_cepstrum,
     line_statistics,
@@ -17,6 +18,7 @@ from ringtrue.signal.harmonics import (
     remove_lines,
     remove_orders,
 )
+from ringtrue.signal.lines import steady_lines, without_lines
 
 RATE, N = 100.0, 40000
 T = np.arange(N) / RATE
@@ -86,3 +88,22 @@ def test_cepstrum_takes_a_family_of_harmonics() -> None:
     assert left.data[0].std() == pytest.approx(y[0].std(), rel=0.25)
     with pytest.raises(ConfigError, match="period"):
         edit_cepstrum(record(y), 40.0)
+
+
+def test_a_sine_on_the_flank_of_a_mode_is_listed_and_leaves_the_mode_whole() -> None:
+    """1200 s, the sine 0.02 Hz from a mode of a half bandwidth of 0.08 Hz: 22 lines of the periodogram."""
+    rng, t = np.random.default_rng(5), np.arange(120_000) / RATE
+    pole = np.exp((-0.01 + 1j * np.sqrt(1 - 1e-4)) * 2 * np.pi * MODE / RATE)
+    y = np.outer([1.0, 0.6, -0.8], lfilter([1.0], np.poly([pole, pole.conj()]).real, rng.standard_normal(t.size)))
+    y += 0.02 * y.std() * rng.standard_normal(y.shape)
+    assert steady_lines(record(y)) == ()
+    machine = record(y + 2 * y.std() * np.outer([0.3, 1.0, 1.0], np.sin(2 * np.pi * 8.02 * t + 1)))
+    (line,) = steady_lines(machine)
+    assert line.frequency == pytest.approx(8.02, abs=1e-4)
+    left = without_lines(machine, [line.frequency]).data
+    assert np.abs(left - y).std() < 0.2 * y.std()  # what it takes of the mode: 8 of the 200 lines of its band
+    found = identify_ambient(machine)
+    assert [h.frequency for h in found.harmonics] == [line.frequency]
+    assert len(found.modes) == 1
+    assert np.abs(found.modes.frequencies - MODE) < 4 * found.uncertainty.frequency
+    assert np.abs(found.modes.damping - 0.01) < 4 * found.uncertainty.damping

@@ -28,6 +28,7 @@ from ringtrue.identify.ambient_verdict import (
     select,
     settled,
     uncertainty,
+    unexplained,
     unresolved,
 )
 from ringtrue.identify.bands import STEP, BandSums, begin, more
@@ -53,6 +54,7 @@ from ringtrue.identify.struck import by_references, even_halves, event_weights
 from ringtrue.identify.whittle import SpectralBins
 from ringtrue.signal.events import NONE, Events, find_events
 from ringtrue.signal.harmonics import steady_amplitudes
+from ringtrue.signal.lines import steady_lines, with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic, block_weights, harmonics, uncut, usable
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
@@ -60,6 +62,7 @@ TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at
 BLOCKS_EACH = 4  # of one stretch of a long record
 ENOUGH = 0.6  # of the orders, where the modes appear in the first third of them
 FEW = 8  # events
+BESIDE = "; where a mode may stand beside it, take the line out (oma --remove-harmonics)"
 Progress = Callable[[float, str], None]
 
 
@@ -282,6 +285,7 @@ def identify_stretches(
     *,
     choice: Choice | None = None,
     progress: Progress | None = None,
+    leave: tuple[float, ...] = (),
 ) -> AmbientResult:
     """Modes from a record that comes in stretches: what is kept of each does not grow with the record.
 
@@ -295,6 +299,9 @@ def identify_stretches(
     choice : Choice, optional
     progress : callable (fraction, text)
         The fraction stays 0 while stretches come, as their number is not known.
+    leave : tuple of float, Hz
+        Lines of steady machines that are not to be taken out. Of a single stretch, those that leave something behind
+        where no mode stands are not either: it would pull at the modes beside it.
 
     Raises
     ------
@@ -314,6 +321,14 @@ def identify_stretches(
     bands = _long_enough(bands_for(good.rate, good.duration, settings), good, settings)
     tell(0.0, "filtering into bands")
     whole = uncut(good, states)  # an amplitude that is cut off looks steady
+    sines = steady_lines(whole, low=bands[-1].low, high=bands[0].high) if whole else ()
+    sines = tuple(h for h in sines if all(abs(h.frequency / f - 1) > 1e-5 for f in leave))
+    if second is not None:  # no second look
+        unsteady = with_feet(without_lines(good, [h.frequency for h in sines]), [h.frequency for h in sines])
+        sines = tuple(h for h in sines if h.frequency not in unsteady)
+    places = [h.frequency for h in sines]
+    clean = without_lines(good, places)
+    whole, good = clean if whole is good else whole and without_lines(whole, places), clean
     lines = tuple(h for h in harmonics(whole, low=bands[-1].low) if h.frequency < bands[0].high) if whole else ()
     ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH)
     heard = [find_events(good.data, good.rate)]
@@ -321,7 +336,7 @@ def identify_stretches(
     duration = good.duration
     for part in chain(() if second is None else (second,), coming):
         tell(0.0, f"filtering into bands, {duration:.4g} s done")
-        sums, events = _continued(sums, good, part)
+        sums, events = _continued(sums, good, part, places)
         heard.append(events)
         duration += part.duration
     found = []
@@ -332,6 +347,9 @@ def identify_stretches(
     if whole is not good:
         modes, reasons = overtones(result.modes, result.reasons)
         result = replace(result, modes=modes, reasons=reasons)
+    if second is None and (unsteady := unexplained(result.modes, with_feet(good, places))):
+        return identify_stretches((first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady))
+    result = replace(result, harmonics=(*sines, *result.harmonics))
     tell(1.0, f"{len(result.modes)} modes")
     notes = tuple(f"channel {s.id}: {s.why}{'' if s.usable else '; left out'}" for s in states)
     if whole is None:
@@ -348,7 +366,9 @@ def _struck(heard: list[Events]) -> tuple[str, ...]:
     return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest (a jump, a blow): {use}{few}",)
 
 
-def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory) -> tuple[list[BandSums], Events]:
+def _continued(
+    sums: list[BandSums], first: TimeHistory, coming: TimeHistory, places: list[float]
+) -> tuple[list[BandSums], Events]:
     """The sums with one more stretch and its events, unless it is too short for the lags of the lowest band."""
     part = coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
     if not np.isclose(part.rate, first.rate):
@@ -356,6 +376,7 @@ def _continued(sums: list[BandSums], first: TimeHistory, coming: TimeHistory) ->
     share = part.duration / first.duration
     if share < 0.5:  # edges of the filters would weigh too much
         return sums, NONE
+    part = without_lines(part, places)
     events = find_events(part.data, part.rate)
     out = more(sums, part.data, part.rate, events)
     lost = np.asarray(~np.isfinite(out[0].parts[-1]).all((0, 1, 3)))
@@ -402,11 +423,11 @@ def _assemble(
     machines = steady_amplitudes(whole, f_all, z_all, known) if whole else ("",) * len(rows)
     for (b, i), f, z, unsteady in zip(rows, f_all, z_all, machines, strict=True):
         if h := machine(f, z, lines, resolution):
-            left_out.append(f"pole at {f:.4g} Hz left out: {h.why}")
+            left_out.append(f"pole at {f:.4g} Hz left out: {h.why}{BESIDE}")
         elif z < LEAST_DAMPING:
             left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")
         elif unsteady:
-            left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}")
+            left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}{BESIDE}")
         else:
             at.append((b, i))
     by_hand = chosen(found, at, choice, history.source)

@@ -146,6 +146,12 @@ def overtones(modes: ModeSet, reasons: tuple[str, ...]) -> tuple[ModeSet, tuple[
     return replace(modes, confidence=sure), tuple(told)
 
 
+def unexplained(modes: ModeSet, lines: tuple[float, ...]) -> tuple[float, ...]:
+    """Those of the `lines`, Hz, within whose frequency no mode stands."""
+    far = np.abs(np.asarray(lines)[:, None] - modes.frequencies)
+    return tuple(f for f, d in zip(lines, far, strict=True) if not (d < modes.damping * modes.frequencies).any())
+
+
 def uncertainty(found: list[Found], at: list[tuple[int, int]], channels: int) -> Uncertainty:
     """Standard deviations and covariance factor; modes of different bands are taken as independent."""
     m = len(at)

@@ -243,7 +243,8 @@ def block_weights(power: Float) -> Float:
     return np.asarray((1 / loud) / (1 / loud).sum())
 
 
-def _name(f: float, resolution: float, found: Sequence[float]) -> str:
+def line_name(f: float, resolution: float, found: Sequence[float]) -> str:
+    """What a line at `f` Hz is: mains hum, a multiple of one `found` already, or a machine."""
     for mains in (50.0, 60.0, 50.0 / 3):
         k = round(f / mains)
         if k >= 1 and abs(f - k * mains) < max(resolution, 2e-3 * f):
@@ -281,7 +282,7 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     peak = (second[at] >= second[at - 1]) & (second[at] > second[at + 1])
     line = peak & (second[at] > 30 * side) & (second[at] > 10 * floor[at]) & (kurtosis[at] < 1.35)
     found = [float(freqs[i]) for i in at[line] if freqs[i] > low]
-    names = [_name(f, freqs[1], found[:i]) for i, f in enumerate(found)]
+    names = [line_name(f, freqs[1], found[:i]) for i, f in enumerate(found)]
     return tuple(
         Harmonic(f, f"{name}: steady line (fourth moment {kurtosis[round(f / freqs[1])]:.2f}, a mode has 2)")
         for f, name in zip(found, names, strict=True)

@@ -1,0 +1,123 @@
+"""Sines of constant frequency: seen in the periodogram of the whole record, and taken out without touching a mode.
+
+A mode in random vibration spreads over ζ f T lines of a periodogram of the length T, a sine over the one of its
+window. So a sine stands out even on the peak of a mode where both run for long; fitted by least squares with a slow
+change of amplitude and phase, it takes with it a few lines of the mode only. What is left of a machine whose amplitude
+or speed wanders is the foot of its line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+from scipy.fft import next_fast_len, rfft
+from scipy.ndimage import maximum_filter1d, median_filter
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.signals import TimeHistory
+from ringtrue.signal.preprocess import Harmonic, line_name
+from ringtrue.signal.windows import window
+
+EYES, LONGEST = 4, 1 << 21  # channels and samples that are looked at
+CYCLES = 3600.0  # in which the least damped structure (0.05 %) spreads over four lines of the periodogram
+ABOVE = 50.0  # times the median around; noise reaches it once in 2^50
+BESIDE = 25.0  # times the median just outside of the lobe
+FOOT = 1.6  # times the level to either side, where a line was
+FOOT_IN, FOOT_OUT = 60, 300  # lines to each side that hold a foot, and those beyond its sides
+AROUND = 40  # lines to each side
+LOBE = 5  # lines to each side of a sine that the window holds
+SLOW = 4  # polynomials of amplitude and phase
+BLOCK = 1 << 16  # samples that are fitted at a time
+
+
+def steady_lines(history: TimeHistory, *, low: float = 0.0, high: float = np.inf) -> tuple[Harmonic, ...]:
+    """Sines of constant frequency between `low` and `high` Hz.
+
+    Parameters
+    ----------
+    history : TimeHistory
+        At most 4 channels and 2 million samples of it are looked at.
+    """
+    power, step = _periodogram(history)
+    samples = min(history.data.shape[1], LONGEST)
+    if samples < 16 * AROUND:
+        return ()
+    around = median_filter(power, size=2 * AROUND + 1, mode="nearest")
+    top = (power >= maximum_filter1d(power, 2 * LOBE + 1, mode="nearest")) & (power > ABOVE * around)
+    k = np.flatnonzero(top)
+    k = k[(k > AROUND) & (k < power.size - AROUND)]
+    beyond = np.arange(LOBE + 1, LOBE + 5)
+    side = np.median(power[k + np.concatenate([-beyond, beyond])[:, None]], axis=0)
+    k = k[(power[k] > BESIDE * side) & (step * k * samples / history.rate > CYCLES)]
+    bend = np.log(np.maximum(power[k + np.arange(-1, 2)[:, None]], 1e-300))
+    f = step * (k + 0.5 * (bend[0] - bend[2]) / (bend[0] - 2 * bend[1] + bend[2]))
+    f = f[(f > low) & (f < high)]
+    why = "steady frequency, taken out before modes are sought"
+    names = [line_name(float(x), 2 * step, f[:i].tolist()) for i, x in enumerate(f)]
+    return tuple(Harmonic(float(x), f"{name}: {why}") for x, name in zip(f, names, strict=True))
+
+
+def with_feet(history: TimeHistory, frequencies: Sequence[float]) -> tuple[float, ...]:
+    """Those of the `frequencies` (Hz) of lines that were taken out where something is left beside them, on both sides.
+
+    It may be a mode of little damping, but more likely is a machine whose amplitude or speed wanders.
+    """
+    if not len(frequencies):
+        return ()
+    power, step = _periodogram(history)
+    out = []
+    for f in frequencies:  # a few lines
+        k = round(f / step)
+        if not FOOT_OUT < k < power.size - FOOT_OUT:
+            continue
+        near = np.median(np.concatenate([power[k - FOOT_IN : k - LOBE], power[k + LOBE : k + FOOT_IN]]))
+        sides = (power[k - FOOT_OUT : k - FOOT_OUT // 2], power[k + FOOT_OUT // 2 : k + FOOT_OUT])
+        if near > FOOT * max(np.median(x) for x in sides):
+            out.append(float(f))
+    return tuple(out)
+
+
+def _periodogram(history: TimeHistory) -> tuple[Float, float]:
+    """(freq,) of some channels, of unit variance each, and the distance of its lines, Hz."""
+    at = np.unique(np.linspace(0, len(history.channels) - 1, EYES).astype(np.int64))
+    x = history.data[at, :LONGEST].astype(np.float64)
+    x -= x.mean(axis=1, keepdims=True)
+    x /= np.maximum(np.sqrt((x**2).mean(axis=1, keepdims=True)), 1e-300)
+    n = int(next_fast_len(x.shape[1], real=True))
+    spectrum = rfft(x * window("blackmanharris", x.shape[1]), n, axis=1)
+    return np.asarray((np.abs(spectrum) ** 2).sum(axis=0)), history.rate / n
+
+
+def without_lines(history: TimeHistory, frequencies: Sequence[float]) -> TimeHistory:
+    """The record without sines of constant frequencies, Hz, of slowly changing amplitude and phase.
+
+    Least squares over the whole record by a window that keeps close modes out of the fit.
+    """
+    if not len(frequencies):
+        return history
+    samples = history.data.shape[1]
+    taper = window("hann", samples)
+    columns = 2 * SLOW * len(frequencies)
+    gram, right = np.zeros((columns, columns)), np.zeros((columns, len(history.data)))
+    for start in range(0, samples, BLOCK):  # a basis of the whole record would not fit in memory
+        a = _basis(history.rate, samples, frequencies, start)
+        weighted = a * taper[start : start + BLOCK, None]
+        gram += weighted.T @ a
+        right += weighted.T @ history.data[:, start : start + BLOCK].T.astype(np.float64)
+    x = np.linalg.lstsq(gram, right)[0]
+    data = np.array(history.data)
+    for start in range(0, samples, BLOCK):
+        data[:, start : start + BLOCK] -= (_basis(history.rate, samples, frequencies, start) @ x).T.astype(data.dtype)
+    return replace(history, data=data)
+
+
+def _basis(rate: float, samples: int, frequencies: Sequence[float], start: int) -> Float:
+    """(sample, column) sines and cosines times Legendre polynomials over the record, from a sample on."""
+    t = np.arange(start, min(start + BLOCK, samples))
+    slow = legvander(2 * t / samples - 1, SLOW - 1)
+    turn = 2 * np.pi * t[:, None] * (np.asarray(frequencies) / rate)
+    both = np.concatenate([np.cos(turn), np.sin(turn)], axis=1)
+    return np.asarray((both[:, :, None] * slow[:, None]).reshape(t.size, -1))
