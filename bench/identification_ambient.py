@@ -1,20 +1,18 @@
-"""Ambient identification: time, accuracy, stated uncertainty and memory, against the truth and pyoma-2.
+"""Ambient identification: time, accuracy, stated uncertainty and memory, against the truth.
 
     python bench/identification_ambient.py accuracy 10 16      records, channels (16 or 64)
     python bench/identification_ambient.py frame 10            a second structure: a chain of ten storeys
     python bench/identification_ambient.py uncertainty 200     records of 1000 periods of the lowest mode
     python bench/identification_ambient.py stream 2            hours, 64 channels at 200 Hz, from HDF5
-    python bench/identification_ambient.py peer PYTHON         the interpreter of an environment with pyoma-2
 
 The system is `../shared/bench/identification_system.py`. Set OMP_NUM_THREADS=1 (and MKL's, OpenBLAS's): times are CPU
-seconds of one thread. Not covered: measured records, non-white forces, other peers.
+seconds of one thread. Not covered: measured records, non-white forces; peers are in identification_peers.py.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import resource
-import subprocess
 import sys
 import tempfile
 import time
@@ -177,56 +175,9 @@ def stream(hours: float) -> None:
     print(f"peak {after / 1e6:.2f} GB, {(after - before) / 1e6:.2f} GB above what reading and FFT took")
 
 
-PEER = """
-import sys, time, resource
-import numpy as np
-from pyoma2.algorithms import SSI
-from pyoma2.algorithms.data.run_params import Clustering
-from pyoma2.setup import SingleSetup
-y = np.load(sys.argv[1])
-peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-before = peak()
-for method in ("cov_R", "cov"):
-    setup = SingleSetup(y, fs=200.0)
-    ssi = SSI(name="a", method=method, br=50, ordmax=100, step=2)
-    setup.add_algorithms(ssi)
-    t = time.process_time()
-    setup.run_by_name("a")
-    print(method, time.process_time() - t, peak() - before, flush=True)
-ssi.add_clustering(Clustering(name="d", quick="Dederichs"))
-ssi.run_clustering("d")
-print("cov+Dederichs", time.process_time() - t, peak() - before, flush=True)
-"""
-
-
-def peer(python: str) -> None:
-    """pyoma-2's SSI on 16 channels, one hour, orders to 100, one band, and its clusters; all of ours, in one run."""
-    s = system()
-    y = s.ambient(16, 60, 0, False)
-    h = history(y.T, s.FS)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    ours = min(timed(lambda: identify_ambient(h))[0] for _ in range(3))
-    more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    with tempfile.TemporaryDirectory() as folder:
-        np.save(Path(folder) / "y.npy", y)
-        (Path(folder) / "peer.py").write_text(PEER)
-        command = [python, str(Path(folder) / "peer.py"), str(Path(folder) / "y.npy")]
-        said = subprocess.run(command, capture_output=True, text=True, check=False)
-    print(f"ours, record to modes, six bands: {ours:.2f} s, {more / 1e3:.0f} MB above what making the record took")
-    for line in said.stdout.splitlines():
-        name, *rest = line.split()
-        if name.startswith("cov"):
-            t, size = float(rest[0]), float(rest[1])
-            print(f"pyoma-2 {name}: {t:.1f} s, ratio {t / ours:.1f}, {size / 1e3:.0f} MB")
-    if said.returncode:
-        print(said.stderr[-500:])
-
-
 if __name__ == "__main__":
     what, *given = sys.argv[1:]
-    if what == "peer":
-        peer(given[0])
-    elif what == "accuracy":
+    if what == "accuracy":
         accuracy(int(given[0]), int(given[1]))
     else:
         {"frame": frame, "uncertainty": uncertainty, "stream": stream}[what](int(given[0]))

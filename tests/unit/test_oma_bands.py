@@ -12,7 +12,7 @@ from ringtrue.identify.mixing import unmix
 from ringtrue.identify.ssi import SsiCov
 from ringtrue.identify.whittle import SpectralBins
 from ringtrue.signal import pyramid
-from ringtrue.signal.preprocess import Band
+from ringtrue.signal.preprocess import Band, detrend
 from ringtrue.signal.pyramid import Signals, segments
 from ringtrue.signal.stream import decimator, high_passer
 
@@ -46,6 +46,16 @@ def test_a_part_beyond_the_end_is_empty():
     assert (s.part(8, 12) == [[1, 1, 0, 0]] * 2).all()
     assert (s.part(-2, 2) == [[0, 0, 1, 1]] * 2).all()
     assert (s.part(15, 18) == 0).all()
+
+
+def test_straightened_signals_have_no_line():
+    t = np.arange(3000)
+    wave = np.sin(0.3 * t) + 0.0 * t
+    line = 1e3 - 2e-2 * t
+    s = Signals.straightened(np.stack([wave + line, 5 * wave]))
+    want = detrend(np.stack([wave, 5 * wave]))
+    assert s.part(100, 2000, np.array([1, 0])) == pytest.approx(want[[1, 0], 100:2000], abs=1e-3)
+    assert s.power() == pytest.approx((want**2).mean(1), rel=1e-4)
 
 
 def test_many_stretches_keep_few_blocks_of_one_length():

@@ -153,6 +153,10 @@ def test_orders_of_one_band_agree_with_the_truth():
     assert len(set(p.order[near].tolist())) > 8
     best = np.flatnonzero(near)[np.argmin(p.std_frequency[near])]
     assert abs(p.frequencies[best] - 11.8) < 4 * p.std_frequency[best]
+    whole = ssi_cov(wrap(y, RATE), SsiCov(block_rows=40, order_max=30, blocks=1), references=["1+Z", "4+Z", "7+Z"])
+    assert np.isnan(whole.std_frequency).all()
+    twin = whole.frequencies[whole.order == p.order[best]]
+    assert np.abs(twin - p.frequencies[best]).min() < 0.5 * p.std_frequency[best]  # the blocks weigh a little otherwise
     with pytest.raises(DataError, match="no reference"):
         ssi_cov(wrap(y, RATE), references=["99+Z"])
 

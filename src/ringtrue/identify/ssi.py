@@ -13,15 +13,18 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular, svd
 from scipy.sparse.linalg import eigsh
 
-from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify import variance as var
 from ringtrue.identify.poles import PoleSet, unit
-from ringtrue.signal.preprocess import block_bounds, block_weights, detrend
-from ringtrue.signal.psd import block_correlations
+from ringtrue.signal import pyramid
+from ringtrue.signal.preprocess import block_weights, detrend
+from ringtrue.signal.pyramid import Signals
+from ringtrue.signal.stream import Fir
 
 MAX_REFERENCES = 8
+AS_IS = Fir(np.ones(1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +39,7 @@ class SsiCov:
         Largest model order (states; two for each mode), even.
     order_step : int
     blocks : int
-        Blocks of the record for the variance; 0 chooses.
+        Blocks of the record for the variance; 0 chooses, 1 leaves the standard deviations out.
     damping_max : float
         Poles with more damping, or none, are dropped.
     """
@@ -48,10 +51,10 @@ class SsiCov:
     damping_max: float = 0.3
 
     def __post_init__(self) -> None:
-        if self.block_rows < 2 or self.order_max < 2 or self.order_step < 1 or self.blocks in (1, 2):
+        if self.block_rows < 2 or self.order_max < 2 or self.order_step < 1 or self.blocks == 2:
             raise ConfigError(
                 f"SSI: block_rows {self.block_rows} >= 2, order_max {self.order_max} >= 2, "
-                f"order_step {self.order_step} >= 1, blocks {self.blocks} 0 or >= 3"
+                f"order_step {self.order_step} >= 1, blocks {self.blocks} not 2"
             )
 
 
@@ -183,7 +186,7 @@ def all_orders(
     return poles, dev, strength, column
 
 
-def choose_references(data: Float, scale: Float, most: int = MAX_REFERENCES) -> Int:
+def choose_references(data: Any_, scale: Float, most: int = MAX_REFERENCES) -> Int:
     """(ref,) int64 channels that span the motion best: all, or `most` by pivoted QR of the correlation at lag 1."""
     if len(data) <= most:
         return np.arange(len(data), dtype=np.int64)
@@ -198,15 +201,10 @@ def spanning(lagged: Float, most: int) -> Int:
     return np.sort(np.asarray(pivots[:most], dtype=np.int64))
 
 
-def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> tuple[Float, Float, Float]:
-    """Correlations (block, lag, ch, ref) of `data` (ch, sample) in units of each channel's root mean square.
+def blockwise(signals: Signals, scale: Float, references: Int | None, settings: SsiCov) -> tuple[Any_, Float]:
+    """Correlations (block, lag, ch, ref) float32 in units of `scale` (ch,), and the weights (block,) of the blocks.
 
-    Returns
-    -------
-    correlations : (block, lag, ch, ref) float64
-    weights : (block,) float64, sum 1
-    scale : (ch,) float64
-        Root mean squares.
+    `references` None: all channels, or the 8 that span the motion best.
 
     Raises
     ------
@@ -214,16 +212,17 @@ def blockwise(data: Float, settings: SsiCov, references: Int | None = None) -> t
         If the record is too short for the lags.
     """
     lags = 2 * settings.block_rows - 1
-    blocks = settings.blocks or var.blocks_for(data.shape[1], lags)
-    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
-    refs = choose_references(data, scale) if references is None else references
-    if data.shape[1] < 4 * lags:
+    if signals.samples < 4 * lags:
         raise DataError(
-            f"{data.shape[1]} samples are too few for {settings.block_rows} block rows; needed are {4 * lags}"
+            f"{signals.samples} samples are too few for {settings.block_rows} block rows; needed are {4 * lags}"
         )
-    r, _ = block_correlations(data, refs, lags, block_bounds(data.shape[1], blocks))
-    r /= scale[:, None] * scale[refs]
-    return r, loudness_weights(r, refs), scale
+    blocks = settings.blocks or var.blocks_for(signals.samples, lags)
+    cut = pyramid.segments(signals.samples, blocks, lags, AS_IS, AS_IS)
+    refs = spanning(pyramid.glance(signals, cut, AS_IS)[1], MAX_REFERENCES) if references is None else references
+    r, _ = pyramid.run(signals, cut, AS_IS, AS_IS, refs)
+    r /= (scale[:, None] * scale[refs]).astype(np.float32)
+    weights = loudness_weights(r, refs) * pyramid.pairs(cut, signals.samples)[:, 0]
+    return r, weights / weights.sum()
 
 
 def loudness_weights(r: Float, references: Int) -> Float:
@@ -254,10 +253,15 @@ def prepared(history: TimeHistory) -> tuple[Float, Float]:
         If a channel is constant or not finite.
     """
     data = detrend(history.data)
-    scale = np.sqrt(np.einsum("ij,ij->i", data, data) / data.shape[1])
-    if lost := [c.id for c, s in zip(history.channels, scale, strict=True) if not (np.isfinite(s) and s > 0)]:
-        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
+    scale = _alive(history, np.einsum("ij,ij->i", data, data) / data.shape[1])
     return data / scale[:, None], scale
+
+
+def _alive(history: TimeHistory, power: Float) -> Float:
+    """(ch,) root of the mean squares (ch,) of its signals."""
+    if lost := [c.id for c, s in zip(history.channels, power, strict=True) if not (np.isfinite(s) and s > 0)]:
+        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
+    return np.sqrt(power)
 
 
 def positions(history: TimeHistory, references: Sequence[str]) -> Int:
@@ -292,6 +296,11 @@ def ssi_cov(
         If the record is too short, has dead channels or has no such reference.
     """
     settings = settings or SsiCov()
-    data, scale = prepared(history)
-    r, weights, _ = blockwise(data, settings, None if references is None else positions(history, references))
-    return identify_band(r, weights, settings, history.rate, (0.0, history.rate / 2)).poles.rescaled(scale)
+    signals = Signals.straightened(history.data)
+    scale = _alive(history, signals.power())
+    r, weights = blockwise(signals, scale, None if references is None else positions(history, references), settings)
+    band = (0.0, history.rate / 2)
+    if len(r) == 1:
+        sub = subspace(r[0].astype(np.float64), settings.block_rows, settings.order_max, history.rate)
+        return all_orders(sub, None, settings, band)[0].rescaled(scale)
+    return identify_band(r, weights, settings, history.rate, band).poles.rescaled(scale)

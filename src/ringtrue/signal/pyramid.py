@@ -69,10 +69,13 @@ class Signals:
     ----------
     data : (ch, sample) float
     level : (ch,) float64
+    slope : (ch,) float64, optional
+        Of a straight line from the middle of the record to its end.
     """
 
     data: Any_
     level: Float
+    slope: Float | None = None
 
     @classmethod
     def of(cls, data: Any_) -> Signals:
@@ -80,20 +83,45 @@ class Signals:
         some = data[:, :: max(1, min(64, data.shape[1] // 1000))]
         return cls(data, some.mean(1, dtype=np.float64))
 
+    @classmethod
+    def straightened(cls, data: Any_) -> Signals:
+        """Less their mean and straight line."""
+        n, step = data.shape[1], max(1, AT_ONCE // len(data))
+        t = np.linspace(-1.0, 1.0, n)
+        form = np.stack([np.full(n, 1 / n), t / max(float(t @ t), 1.0)], axis=1)
+        line = np.zeros((len(data), 2))
+        for k in range(0, n, step):  # once through the memory
+            line += np.asarray(data[:, k : k + step], dtype=np.float64) @ form[k : k + step]
+        return cls(data, line[:, 0], line[:, 1])
+
+    def power(self) -> Float:
+        """(ch,) mean squares."""
+        n, step = self.samples, max(1, AT_ONCE // self.level.size)
+        total, room = np.zeros(self.level.size), np.empty((self.level.size, min(step, n)), dtype=np.float32)
+        for k in range(0, n, step):
+            x = self.part(k, min(k + step, n), out=room[:, : min(step, n - k)])
+            total += np.einsum("cs,cs->c", x, x)
+        return total / max(n, 1)
+
     @property
     def samples(self) -> int:
         """Of each channel."""
         return int(self.data.shape[1])
 
-    def part(self, start: int, stop: int, rows: Int | slice = slice(None)) -> Any_:
-        """(ch, stop − start) float32, zero beyond the ends."""
+    def part(self, start: int, stop: int, rows: Int | slice = slice(None), out: Any_ | None = None) -> Any_:
+        """(ch, stop − start) float32, zero beyond the ends; in `out`, if given."""
         a, b = max(start, 0), min(stop, self.samples)
         level = self.level[rows].astype(self.data.dtype)
+        if out is None:
+            out = np.empty((level.size, stop - start), dtype=np.float32)
         if a >= b:
-            return np.zeros((level.size, stop - start), dtype=np.float32)
-        out = np.empty((level.size, stop - start), dtype=np.float32)
+            out[:] = 0.0
+            return out
         out[:, : a - start], out[:, b - start :] = 0.0, 0.0
         np.subtract(self.data[rows, a:b], level[:, None], out=out[:, a - start : b - start], casting="same_kind")
+        if self.slope is not None:
+            t = (np.arange(a, b) * (2 / max(self.samples - 1, 1)) - 1).astype(np.float32)
+            out[:, a - start : b - start] -= self.slope[rows, None].astype(np.float32) * t
         return out
 
 
@@ -173,12 +201,13 @@ def run(
     lower = np.empty((ch, cut.blocks * block // q if q > 1 else 0), dtype=np.float32)
     r = np.empty((cut.blocks, cut.lags + 1, ch, references.size), dtype=np.float32)
     batch = max(1, AT_ONCE // (ch * cut.size))
+    room = np.empty((ch, (batch - 1) * cut.hop + cut.size), dtype=np.float32)
     for b in range(cut.blocks):  # in memory one at a time
         cross = np.zeros((gain.size, ch, references.size), dtype=np.complex64)
         for k in range(b * cut.each, (b + 1) * cut.each, batch):
             count = min(batch, (b + 1) * cut.each - k)
             start = k * cut.hop
-            x = signals.part(start - cut.lead, start - cut.lead + (count - 1) * cut.hop + cut.size)
+            x = _cut_out(signals, cut, start, count, room)
             y = _spectra(x, cut, count)
             cross += y @ _references(x, cut, count, references, _kept(keep, start, count * cut.hop))
             if q > 1:
@@ -196,12 +225,19 @@ def lowered(signals: Signals, decimation: Fir) -> Any_:
     gain, q = _gain(decimation, cut.size), cut.factor
     out = np.empty((ch, cut.blocks * cut.each * cut.hop // q), dtype=np.float32)
     batch = max(1, AT_ONCE // (ch * cut.size))
+    room = np.empty((ch, (batch - 1) * cut.hop + cut.size), dtype=np.float32)
     for k in range(0, cut.blocks * cut.each, batch):
         count = min(batch, cut.blocks * cut.each - k)
         start = k * cut.hop
-        x = signals.part(start - cut.lead, start - cut.lead + (count - 1) * cut.hop + cut.size)
+        x = _cut_out(signals, cut, start, count, room)
         out[:, start // q : (start + count * cut.hop) // q] = _decimated(_spectra(x, cut, count), cut, gain)
     return out[:, : -(-n // q)]
+
+
+def _cut_out(signals: Signals, cut: Segments, start: int, count: int, room: Any_) -> Any_:
+    """(ch, sample) of `count` segments from `start`, with what leads and follows, in `room`: new memory costs time."""
+    first, wide = start - cut.lead, (count - 1) * cut.hop + cut.size
+    return signals.part(first, first + wide, out=room[:, :wide])
 
 
 def _spectra(x: Any_, cut: Segments, count: int) -> Any_:
