@@ -6,8 +6,8 @@
     python bench/identification_peers.py uncertainty PYOMA TOOLBOX  16 channels, 10 min, 20 block rows, orders to 40
 
 PYOMA and TOOLBOX are the interpreters of environments with the peers. Every run is a process of its own that loads the
-same record; memory is what it takes beyond that (Linux). Peers and ringtrue have the same block rows, orders and, if not
-said otherwise, references (all channels); ringtrue's time is the median of five. Where the peer gives no standard
+same record; memory is what it takes beyond that (Linux). Peers and ringtrue have the same block rows, orders and, but
+where it is said, references (all channels); ringtrue's time is the median of five. Where the peer gives no standard
 deviations, ringtrue is shown with and without. Set OMP_NUM_THREADS=1 (and MKL's, OpenBLAS's). Not covered: other peers,
 measured records.
 """

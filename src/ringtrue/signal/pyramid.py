@@ -202,14 +202,16 @@ def run(
     r = np.empty((cut.blocks, cut.lags + 1, ch, references.size), dtype=np.float32)
     batch = max(1, AT_ONCE // (ch * cut.size))
     room = np.empty((ch, (batch - 1) * cut.hop + cut.size), dtype=np.float32)
+    cross, some = np.empty((2, gain.size, ch, references.size), dtype=np.complex64)
     for b in range(cut.blocks):  # in memory one at a time
-        cross = np.zeros((gain.size, ch, references.size), dtype=np.complex64)
+        cross[:] = 0.0
         for k in range(b * cut.each, (b + 1) * cut.each, batch):
             count = min(batch, (b + 1) * cut.each - k)
             start = k * cut.hop
             x = _cut_out(signals, cut, start, count, room)
             y = _spectra(x, cut, count)
-            cross += y @ _references(x, cut, count, references, _kept(keep, start, count * cut.hop))
+            ref = _references(x, cut, count, references, _kept(keep, start, count * cut.hop))
+            cross += np.matmul(y, ref, out=some)
             if q > 1:
                 lower[:, start // q : (start + count * cut.hop) // q] = _decimated(y, cut, low)
         cross *= (gain**2)[:, None, None]
