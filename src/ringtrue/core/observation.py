@@ -49,3 +49,9 @@ class Observation:
         here only direction and place change.
         """
         return np.asarray(self.matrix @ shapes)
+
+    def and_also(self, more: Observation) -> Observation:
+        """The same model seen at further channels, too."""
+        matrix = sparse.csr_array(sparse.vstack([self.matrix, more.matrix]))
+        distance = np.concatenate([self.distance, more.distance])
+        return Observation(matrix, (*self.channels, *more.channels), self.dofs, self.unit, distance)

@@ -143,7 +143,8 @@ class ReducedModel:
         lam, y = self.coordinates(x)
         return lam, self.basis.vectors @ y
 
-    def _matrices(self, a: Float) -> tuple[Float, Float]:
+    def projected(self, a: Float) -> tuple[Float, Float]:
+        """K and M (r, r) in the basis at the factors a of all parameters."""
         k, m = self.basis.stiffness.copy(), self.basis.mass.copy()
         for factor, terms in zip(a.tolist(), self.basis.terms, strict=True):  # over parameters and powers
             for power, kj, mj in terms:
@@ -162,7 +163,7 @@ class ReducedModel:
 
     def _solve(self, everything: Float, *, all_modes: bool) -> tuple[Float, Float]:
         """λ ascending and M-orthonormal y, from M y = θ (K − σM) y, which keeps the low modes exact."""
-        k, m = self._matrices(self.system.parameters.factors(everything))
+        k, m = self.projected(self.system.parameters.factors(everything))
         r = k.shape[0]
         some = None if all_modes else (r - self.count, r - 1)
         try:
@@ -195,6 +196,14 @@ class ReducedModel:
                 r += (a**t.power - 1.0) * (t.stiffness @ phi - (t.mass @ phi) * lam)
         energy = np.einsum("ij,ij->j", r, self.pencil.at(self.shift).solve(r))
         return float(0.5 * np.max(energy / (lam - self.shift)))
+
+    def with_basis(self, basis: Projection) -> ReducedModel:
+        """The same model on another projection of its system."""
+        return replace(self, basis=basis)
+
+    def whole(self) -> ReducedModel:
+        """The same with all modes of the basis: sums over them hold its static flexibility."""
+        return replace(self, count=self.basis.size)
 
     def on(self, vectors: Float) -> ReducedModel:
         """The same model and parameters on another basis, independent vectors (f, r) of the free DOFs."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.study.config_errors import explain
+from ringtrue.study.config_update import ConstraintSection, ResidualSection, UpdateSection
 from ringtrue.update.damping_regions import DampingRegion
 
 
@@ -187,17 +189,6 @@ class UncertaintySection(_Section):
     samples: int = Field(default=0, ge=0)  # of the posterior by Markov chains; 0: the normal approximation alone
 
 
-class UpdateSection(_Section):
-    """Updating."""
-
-    propose: bool = False  # the proposal of the localisation is a parameter set; the only one without [[candidate]]
-    choose: int = Field(default=6, gt=0)
-    left_out: int = Field(default=5, ge=0)
-    step: Literal["gauss-newton", "published"] = "gauss-newton"
-    shape_weight: float = Field(default=1.0, ge=0)
-    iterations: int = Field(default=30, gt=0)
-
-
 class DampingRegionSection(_Section):
     """A region with one loss factor, `targets = ["MAT1 7 GE"]`, or one dashpot, `targets = ["PBUSH 3 B1,B2"]`."""
 
@@ -293,6 +284,8 @@ class StudyConfig(_Section):
     configuration: list[ConfigurationSection] = []
     localise: LocaliseSection = LocaliseSection()
     update: UpdateSection = UpdateSection()
+    residual: list[ResidualSection] = []
+    constraint: list[ConstraintSection] = []
     uncertainty: UncertaintySection = UncertaintySection()
     damping: DampingSection = DampingSection()
     predict: PredictSection | None = None
@@ -307,9 +300,24 @@ class StudyConfig(_Section):
             raise ValueError(f"candidates and suspensions need names of their own; twice: {', '.join(twice)}")
         if len({c.name for c in self.configuration}) != len(self.configuration):
             raise ValueError("configurations need names of their own")
+        self._known([n for c in self.constraint for n in c.terms], "[[constraint]]")
+        self._known([n for stage in self.update.stages for n in stage], "update.stages")
+        there = {c.name for c in self.configuration}
+        if lost := sorted({r.configuration for r in self.residual if r.configuration} - there):
+            raise ValueError(f"[[residual]]: no configuration {lost[0]!r}")
         if self.configuration and (self.model is None or self.test is None):
             raise ValueError("configurations need a [model] and a [test] that they are others of")
         return self
+
+    def _known(self, names: list[str], where: str) -> None:
+        given = [c.name for c in self.candidate]
+        if wrong := [n for n in names if given and n not in given]:
+            raise ValueError(f"{where}: no candidate {wrong[0]!r}{did_you_mean(wrong[0], given)}")
+
+    @property
+    def joint(self) -> bool:
+        """Whether the updating needs the general objective: more than eigenvalues and shapes of one deck."""
+        return bool(self.configuration or self.residual or self.constraint or not self.update.plain)
 
     @property
     def propose(self) -> bool:
@@ -323,33 +331,6 @@ class StudyConfig(_Section):
     def suspensions(self) -> ParameterSet:
         """The suspension parameters."""
         return ParameterSet(tuple(c.parameter() for c in self.suspension))
-
-
-def _allowed(location: tuple[Any, ...]) -> list[str]:
-    here: Any = StudyConfig
-    for step in location:
-        if isinstance(step, int):
-            continue
-        annotation = here.model_fields[step].annotation
-        options = [annotation, *getattr(annotation, "__args__", ())]
-        here = next((o for o in options if isinstance(o, type) and issubclass(o, BaseModel)), None)
-        if here is None:
-            return []
-    return list(here.model_fields)
-
-
-def _explain(path: Path, error: ValidationError) -> str:
-    lines = []
-    for e in error.errors():
-        place = ".".join(str(x) for x in e["loc"])
-        if e["type"] == "extra_forbidden":
-            hint = did_you_mean(str(e["loc"][-1]), _allowed(e["loc"][:-1]))
-            lines.append(f"{path}: unknown key {place!r}{hint}")
-        else:
-            simple = isinstance(e["input"], str | int | float | list)
-            got = f" (got {e['input']!r})" if simple and e["type"] != "missing" else ""
-            lines.append(f"{path}: {place or 'study'}: {e['msg'].removeprefix('Value error, ')}{got}")
-    return "\n".join(lines)
 
 
 def read_config(path: Path) -> StudyConfig:
@@ -385,4 +366,4 @@ def parse_config(text: str, path: Path) -> StudyConfig:
     try:
         return StudyConfig.model_validate(raw)
     except ValidationError as e:
-        raise ConfigError(_explain(path, e)) from e
+        raise ConfigError(explain(path, e, StudyConfig)) from e

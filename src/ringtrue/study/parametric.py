@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,8 +14,11 @@ from ringtrue.errors import NotConverged
 from ringtrue.fem.derivatives import terms
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduce.affine import observed_system
+from ringtrue.reduce.flexible import with_responses
 from ringtrue.reduce.parametric import ReducedModel, reduced_model
 from ringtrue.study.opened import Opened, Progress
+from ringtrue.update.dense import Matrices, matrices_at
+from ringtrue.update.residuals import Whole
 
 CLOSE = 2e-3  # largest relative error of a frequency of the reduced model that is accepted
 ROUNDS = 4
@@ -24,10 +27,20 @@ STILL = 1e-3  # of the highest frequency: below is a rigid-body mode, whose freq
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtChannels:
-    """A reduced model at some rows of its channels."""
+    """A reduced model at some rows of its channels.
+
+    Attributes
+    ----------
+    model : ReducedModel
+    rows : (channel,) int64
+        Those that test modes are compared at.
+    loaded : (l,) int64
+        Those whose static responses the basis holds at every point where the full model is solved.
+    """
 
     model: ReducedModel
     rows: Int
+    loaded: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def parameters(self) -> ParameterSet:
@@ -38,7 +51,23 @@ class AtChannels:
         """The same with other active parameters, by position among all; a short `base` is filled up with zeros."""
         if base is not None:
             base = np.concatenate([base, np.zeros(len(self.model.system.parameters) - base.size)])
-        return AtChannels(self.model.with_parameters(active, base), self.rows)
+        return replace(self, model=self.model.with_parameters(active, base))
+
+    def whole(self) -> Whole:
+        """All modes of the basis at all channels."""
+        every = replace(self, model=self.model.whole(), rows=np.arange(self.model.basis.observe.shape[0]))
+        return Whole(every, self.rows, self.model.count)
+
+    def matrices(self, x: Float) -> Matrices:
+        """Small matrices at x, at all channels."""
+        return matrices_at(self.model, x)
+
+    def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[AtChannels, Linearisation]:
+        """The model with its full modes at x, and these; static responses of the loaded channels, too."""
+        better, truth = self.model.enrich(x, sensitivities=sensitivities)
+        if self.loaded.size:
+            better, _ = with_responses(better, self.loaded, x)
+        return replace(self, model=better), self._pick(truth)
 
     def _pick(self, point: Linearisation) -> Linearisation:
         return replace(point, shapes=point.shapes[self.rows], d_shapes=point.d_shapes[self.rows])
@@ -66,14 +95,20 @@ def build(
     return reduced_model(affine, count, pencil=opened.analysis.pencil, progress=lambda f, t: progress(0.4 + 0.6 * f, t))
 
 
-def verified(model: ReducedModel, x: Float) -> tuple[ReducedModel, float]:
-    """The model enriched by a full solution at x, and the largest relative frequency error it had there."""
-    before = model.modes(x)
-    better, truth = model.enrich(x)
+def verified(model: AtChannels, x: Float) -> tuple[AtChannels, float]:
+    """The model enriched by a full solution at x, and the largest relative error it had there.
+
+    Of a frequency, or of the flexibility between the loaded channels.
+    """
+    before = model.model.modes(x)
+    better, truth = model.model.enrich(x)
     n = min(before.frequencies.size, truth.frequencies.size)
     old, new = before.frequencies[:n], truth.frequencies[:n]
     moving = new > STILL * new.max(initial=0.0)
-    return better, float(np.max(np.abs(old[moving] / new[moving] - 1), initial=0.0))
+    error, soft = float(np.max(np.abs(old[moving] / new[moving] - 1), initial=0.0)), 0.0
+    if model.loaded.size:
+        better, soft = with_responses(better, model.loaded, x)
+    return replace(model, model=better), max(error, soft)
 
 
 def not_verified(error: float) -> NotConverged:

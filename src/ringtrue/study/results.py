@@ -316,6 +316,21 @@ class SetResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DataResult:
+    """What was measured beside the modes, (n,) each, against the model before and after the updating."""
+
+    name: str
+    kind: str  # frf, anti-resonances, static or mass
+    configuration: str  # empty: the deck of the study
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    measured: Float  # NaN where before and after are deviations from it
+    before: Float
+    after: Float
+    error: Float  # one standard deviation that the updating assumed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class UpdateStage:
     """The parameter sets compared and the chosen one."""
 
@@ -326,6 +341,7 @@ class UpdateStage:
     initial_values: dict[str, float]  # of the chosen parameters: first target's value in the deck
     updated_values: dict[str, float]
     regions: dict[str, tuple[int, ...]]  # parameter -> scene groups that it changes
+    data: tuple[DataResult, ...] = ()  # what was measured beside the modes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Int
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import TestModel
@@ -19,14 +20,17 @@ from ringtrue.errors import ConfigError
 from ringtrue.io.nastran.edit import add_cards
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import carried
+from ringtrue.reduce.flexible import with_responses
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
+from ringtrue.study.measured import LENGTH, Measured, measured
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.parametric import AtChannels, build
-from ringtrue.study.results import ConfigurationsStage
+from ringtrue.study.results import ConfigurationsStage, CorrelateStage
 from ringtrue.study.store import Store
+from ringtrue.update.residuals_static import RigidMass
 
-LENGTH = {"SI": 1.0, "mm-t-s": 1e-3}
+OWN = ""  # the deck of the study among the configurations
 
 
 @dataclass(eq=False)
@@ -43,6 +47,10 @@ class Workbench:
     _model: ReducedModel | None = None
     _opened: dict[str, Opened] = field(default_factory=dict)  # decks of other configurations
     _others: dict[str, AtChannels] = field(default_factory=dict)  # their reduced models
+    _measured: dict[str, tuple[Measured, ...]] = field(default_factory=dict)  # by configuration
+    masses: dict[str, Float] = field(default_factory=dict)  # at the channels of the test modes, by configuration
+    weighed: dict[str, RigidMass] = field(default_factory=dict)  # rigid-body masses, by configuration
+    _channels: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of the reduced models, by configuration
 
     def get(self, stage: str) -> Any:
         """The result of a stage, from this run or from the store."""
@@ -84,15 +92,57 @@ class Workbench:
 
     def _built(self, parameters: ParameterSet, progress: Progress) -> ReducedModel:
         test, tolerance = self.get("identify").test, self.config.correlate.tolerance
-        seen = self.remodelled.observation(test, tolerance)
+        seen = self._extended(self.remodelled.observation(test, tolerance), OWN)
         return build(self.remodelled, parameters, seen, self.deck.fmax, progress)
+
+    def _extended(self, seen: Observation, name: str) -> Observation:
+        """With the channels of what was measured beside the modes; those that are not on the sheet are DOFs."""
+        named = dict.fromkeys(c for m in self.measured(name) for c in (*m.outputs, *m.inputs))
+        more = tuple(c for c in named if c not in set(seen.channels))
+        seen = seen.and_also(at_dofs(more, seen.dofs)) if more else seen
+        self._channels[name] = seen.channels
+        return seen
+
+    def channels(self, name: str) -> tuple[str, ...]:
+        """All channels of the reduced model of the deck of the study, or of another configuration."""
+        return self._channels[name]
+
+    def _loaded(self, name: str) -> Int:
+        """Positions of the channels at which something was excited or pulled."""
+        named = dict.fromkeys(c for m in self.measured(name) for c in m.inputs)
+        at = {c: i for i, c in enumerate(self.channels(name))}
+        return np.array([at[c] for c in named], dtype=np.int64)
+
+    def measured(self, name: str) -> tuple[Measured, ...]:
+        """What was measured beside the modes on the deck of the study (`OWN`), or on another configuration."""
+        if name not in self._measured:
+            mine = [s for s in self.config.residual if (s.configuration or OWN) == name]
+            frfs = self.get("identify").frfs if mine and name == OWN else None
+            self._measured[name] = tuple(measured(s, self.base, self.reference(name), frfs) for s in mine)
+        return self._measured[name]
+
+    def reference(self, name: str) -> ModeSet:
+        """The elastic test modes of a configuration."""
+        if name == OWN:
+            found: CorrelateStage = self.get("correlate")
+            return found.reference
+        others: ConfigurationsStage = self.get("configurations")
+        return next(c.reference for c in others.items if c.name == name)
 
     def _reduced(self, progress: Progress) -> ReducedModel:
         """All candidates and suspensions on the remodelled deck, seen at every channel of the sheet."""
         if self._model is None:
             every = ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
-            self._model = self._built(every, progress)
+            self._model = self._loaded_basis(self._built(every, progress), OWN)
         return self._model
+
+    def _loaded_basis(self, model: ReducedModel, name: str) -> ReducedModel:
+        """With the static responses to what was pulled or struck; their derivatives where deflections were read."""
+        loaded = self._loaded(name)
+        if not loaded.size:
+            return model
+        static = any(m.statics is not None for m in self.measured(name))
+        return with_responses(model, loaded, np.zeros(len(model.parameters)), sensitivities=static)[0]
 
     def apart(self, parameters: ParameterSet, progress: Progress) -> AtChannels:
         """A reduced model over other parameters at the channels of the elastic reference modes; it is not kept."""
@@ -107,7 +157,7 @@ class Workbench:
         model = self._reduced(progress)
         total = len(model.system.parameters)
         held = model.with_parameters(range(len(self.parameters)), np.zeros(total))
-        return AtChannels(held, self._rows(self.get("correlate").reference.channels))
+        return AtChannels(held, self._rows(self.reference(OWN).channels), self._loaded(OWN))
 
     def suspended(self, channels: Sequence[str], progress: Progress) -> AtChannels:
         """The reduced model at the channels of the rigid-body reference modes."""
@@ -143,13 +193,25 @@ class Workbench:
         for section, item in zip(self.config.configuration, found.items, strict=True):
             if section.name not in self._others:
                 opened, channels = self.configured(section), item.reference.channels
-                seen = self.observed(opened, item.test, channels)
+                seen = self._extended(self.observed(opened, item.test, channels), section.name)
                 every = ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
                 mine, count = carried(opened.model, every), len(carried(opened.model, self.parameters))
                 rows = np.array([seen.channels.index(c) for c in channels], dtype=np.int64)
-                model = AtChannels(build(opened, mine, seen, self.deck.fmax, progress), rows)
+                base = self._loaded_basis(build(opened, mine, seen, self.deck.fmax, progress), section.name)
+                model = AtChannels(base, rows, self._loaded(section.name))
                 self._others[section.name] = model.with_parameters(range(count), np.zeros(len(mine)))
         return tuple(self._others[s.name] for s in self.config.configuration)
+
+    def deck_of(self, name: str) -> tuple[Opened, Observation]:
+        """A configuration's deck before the updating, and the bridge to the channels of its test."""
+        if name == OWN:
+            return self.remodelled, self.remodelled.observation(
+                self.get("identify").test, self.config.correlate.tolerance
+            )
+        section = next(c for c in self.config.configuration if c.name == name)
+        item = next(c for c in self.get("configurations").items if c.name == name)
+        opened = self.configured(section)
+        return opened, self.observed(opened, item.test, item.reference.channels)
 
     def keep_others(self, models: Sequence[AtChannels]) -> None:
         """Keep enriched bases for what follows."""

@@ -238,8 +238,8 @@ def objective(target: Target, r: Residual, x: Float, prior_std: Float) -> float:
     return float(r.value @ r.value + (x / prior_std) @ (x / prior_std) + target.lost * lost)
 
 
-def aicc(value: float, n: int, parameters: int) -> float:
-    """n ln(J/n) with a penalty on the parameters and the scale of J, J over `n` residuals; Burnham, Anderson, eq. 7."""
+def aicc(value: float, n: float, parameters: int) -> float:
+    """n ln(J/n) with a penalty on the parameters and the scale of J, J over `n` data; Burnham, Anderson, eq. 7."""
     k = parameters + 1
     return float(n * np.log(max(value, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))
 

@@ -7,7 +7,7 @@ point; `residuals_frf` its modes, `residuals_static` its matrices and a rigid-bo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -37,6 +37,8 @@ class Point:
     every : (l, 2) int64
         All pairs, those of modes left out too.
     mac : (l,) float64
+    whole : Linearisation
+        All modes at all channels that the model can give: more than the test's modes are compared with.
     """
 
     model: ObservedModel
@@ -46,6 +48,7 @@ class Point:
     spans: tuple[Int, ...]
     every: Int
     mac: Float
+    whole: Linearisation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,19 +77,53 @@ class Block:
 
 
 class Term(Protocol):
-    """A kind of residual."""
+    """A kind of residual; one with `whole = True` reads all modes and channels of the model, not the test's alone."""
 
     def __call__(self, at: Point) -> Block:
         """Residuals at a point."""
         ...
 
 
-def point(model: ObservedModel, now: Linearisation, target: Target, held: Int | None = None) -> Point:
+@dataclass(frozen=True, slots=True, eq=False)
+class Whole:
+    """All modes and channels of a model, and those that the test's modes are compared with.
+
+    Attributes
+    ----------
+    model : ObservedModel
+    rows : (channel,) int64
+    modes : int
+        The lowest.
+    """
+
+    model: ObservedModel
+    rows: Int
+    modes: int
+
+    def part(self, all_: Linearisation) -> Linearisation:
+        """The modes and channels of the test."""
+        m, shapes, d_shapes = self.modes, all_.shapes[self.rows], all_.d_shapes[self.rows]
+        return replace(
+            all_,
+            frequencies=all_.frequencies[:m],
+            shapes=shapes[:, :m],
+            d_lambda=all_.d_lambda[:m],
+            d_shapes=d_shapes[:, :m],
+        )
+
+
+def point(
+    model: ObservedModel,
+    now: Linearisation,
+    target: Target,
+    held: Int | None = None,
+    whole: Linearisation | None = None,
+) -> Point:
     """The modes `now` of the model, paired with the test; test modes in `held` keep a partner below the gate."""
     keep = None if held is None else np.isin(np.arange(target.used.size), held)
     pairs, mac, groups = match(target, now, keep)
     used = pairs[target.used[pairs[:, 0]]]
-    return Point(model, now, target, used, spans(target, used, groups), pairs, mac)
+    return Point(model, now, target, used, spans(target, used, groups), pairs, mac, now if whole is None else whole)
 
 
 def default_terms(target: Target) -> tuple[Term, ...]:
@@ -94,6 +131,24 @@ def default_terms(target: Target) -> tuple[Term, ...]:
     w = target.weights
     shapes: tuple[Term, ...] = (Shapes(w.mac, w.shape),) if w.shape > 0 else ()
     return (Eigenvalues(w.frequency), *shapes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighted:
+    """A kind of residuals times a factor on its squares."""
+
+    term: Term
+    factor: float
+
+    @property
+    def whole(self) -> bool:
+        """Whether it reads all modes and channels of the model."""
+        return bool(getattr(self.term, "whole", False))
+
+    def __call__(self, at: Point) -> Block:
+        """See `Term`."""
+        block, root = self.term(at), np.sqrt(self.factor)
+        return replace(block, value=root * block.value, slope=root * block.slope)
 
 
 def rows_block(value: Float, slope: Float, modes: Int) -> Block:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from scipy import linalg
@@ -13,6 +13,7 @@ from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 from ringtrue.eigen.responses import modal_frf_derivatives
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
+from ringtrue.update.harmonic import Damping
 from ringtrue.update.residuals import NO_MODE, Block, Point, rows_block
 
 RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a zero of an FRF
@@ -20,7 +21,8 @@ RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a ze
 
 def _modal(at: Point, outputs: Int, inputs: Int) -> tuple[Float, Float, Float, Float, Float]:
     """λ (m,), φ and ∂φ/∂x at outputs and inputs."""
-    lam, phi, d = (2 * np.pi * at.now.frequencies) ** 2, at.now.shapes, at.now.d_shapes
+    now = at.whole
+    lam, phi, d = (2 * np.pi * now.frequencies) ** 2, now.shapes, now.d_shapes
     return lam, phi[outputs], phi[inputs], d[outputs], d[inputs]
 
 
@@ -36,8 +38,8 @@ class Frf:
         Receptance, mobility or accelerance, as `order` says.
     outputs, inputs : (o,), (i,) int64
         Channels; an input acts along its channel.
-    damping : float or (m,) float64
-        Ratio of all modes or of each.
+    damping : float, (m,) float64 or Damping
+        Ratio of all modes, of each, or by frequency (its change with the frequency is left out of the sensitivity).
     order : {0, 1, 2}
         Of differentiation: 0 receptance, 1 mobility, 2 accelerance.
     form : {"log", "complex"}
@@ -50,10 +52,11 @@ class Frf:
     measured: Complex
     outputs: Int
     inputs: Int
-    damping: float | Float = 0.01
+    damping: float | Float | Damping = 0.01
     order: int = 2
     form: Literal["log", "complex"] = "log"
     std: float = 0.2
+    whole: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         freeze_fields(self, freqs=np.float64, measured=np.complex128, outputs=np.int64, inputs=np.int64)
@@ -67,11 +70,12 @@ class Frf:
     def response(self, at: Point) -> tuple[Complex, Complex]:
         """H (q, o, i) of the model and ∂H/∂x (q, o, i, p)."""
         lam, out, into, d_out, d_in = _modal(at, self.outputs, self.inputs)
-        zeta = np.broadcast_to(np.asarray(self.damping, dtype=np.float64), lam.shape)
+        given = self.damping.at(at.whole.frequencies) if isinstance(self.damping, Damping) else self.damping
+        zeta = np.broadcast_to(np.asarray(given, dtype=np.float64), lam.shape)
         w = 2 * np.pi * self.freqs[:, None]
         g = 1 / (lam - w**2 + 2j * zeta * np.sqrt(lam) * w)
         h = np.einsum("qm,om,im->qoi", g, out, into, optimize=True)
-        d_h = modal_frf_derivatives(self.freqs, lam, zeta, out, into, at.now.d_lambda, d_out, d_in)
+        d_h = modal_frf_derivatives(self.freqs, lam, zeta, out, into, at.whole.d_lambda, d_out, d_in)
         by = (1j * w[:, :, None]) ** self.order
         return h * by, d_h * by[..., None]
 
@@ -113,10 +117,11 @@ class AntiResonances:
     frequencies: Float
     std: float = 0.01
     gate: float = 0.3
+    whole: ClassVar[bool] = True
 
     def __call__(self, at: Point) -> Block:
         """See `Term`."""
-        mu, d_mu = zeros(at.now, self.output, self.input)
+        mu, d_mu = zeros(at.whole, self.output, self.input)
         f, f_test = np.sqrt(mu) / (2 * np.pi), np.asarray(self.frequencies, dtype=np.float64)
         value, slope = np.full(f_test.size, self.gate), np.zeros((f_test.size, d_mu.shape[1]))
         away = np.minimum(np.abs(f[None, :] / f_test[:, None] - 1), self.gate)

@@ -16,7 +16,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.update.objective import Target
-from ringtrue.update.residuals import NO_MODE, Block, Point, Term, default_terms, point
+from ringtrue.update.residuals import NO_MODE, Block, Point, Term, Whole, default_terms, point
 from ringtrue.update.robust import Loss, Squares, squares
 
 APART = 1_000_000  # test modes of configuration i are numbered from i times this
@@ -42,6 +42,14 @@ class Configuration:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", tuple(self.terms) or default_terms(self.target))
+
+    def at(self, x: Float, held: Int | None = None, *, slopes: bool = True) -> Point:
+        """The modes at x, paired; all that the model can give where a kind of residuals reads more than the test's."""
+        give = getattr(self.model, "whole", None)
+        whole: Whole | None = give() if give and any(getattr(t, "whole", False) for t in self.terms) else None
+        model = self.model if whole is None else whole.model
+        now = model.linearise(x) if slopes else _bare(model.modes(x), x)
+        return point(self.model, now if whole is None else whole.part(now), self.target, held, now)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,10 +168,8 @@ class Problem:
         points, blocks, lost = [], [], 0.0
         for i, c in enumerate(self.configurations):
             at = _places(self.parameters, c)
-            now = c.model.linearise(x[at]) if slopes else c.model.modes(x[at])
-            now = now if slopes else _bare(now, x[at])
             held = None if before is None else before.points[i].pairs[:, 0]
-            points.append(here := point(c.model, now, c.target, held))
+            points.append(here := c.at(x[at], held, slopes=slopes))
             lost += c.target.lost * (int(c.target.used.sum()) - len(here.pairs))
             wide = self.link[at] if slopes else np.zeros((0, self.size))
             blocks += [_shifted(t(here), wide, i) for t in c.terms]

@@ -80,6 +80,10 @@ def _remodelled(desk: Workbench) -> list[Path]:
     return [*_deck(desk), *([desk.base / step.cards] if step else [])]
 
 
+def _residual_files(desk: Workbench) -> list[Path]:
+    return [desk.base / f for s in desk.config.residual if (f := getattr(s, "file", None))]
+
+
 _BOTH = ("model", "test")
 STAGES = (
     Stage("model", "modes of the deck", model.run, ("model",), (), _deck, ("model",)),
@@ -117,9 +121,9 @@ STAGES = (
         "sensitivity",
         "sensitivities and parameter sets",
         sensitivity.run,
-        ("candidate", "update"),
+        ("candidate", "update", "residual", "constraint"),
         ("correlate", "configurations", "localise"),
-        _remodelled,
+        lambda desk: [*_remodelled(desk), *_residual_files(desk)],
         (*_BOTH, "candidate|propose"),
     ),
     Stage(

@@ -7,6 +7,7 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
+from ringtrue.study.objective import problem_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import settings, used_mask
@@ -14,7 +15,6 @@ from ringtrue.study.results import ConfiguredTest, CorrelateStage, LocaliseStage
 from ringtrue.study.workbench import Workbench
 from ringtrue.update import choose
 from ringtrue.update.objective import Target, Weights, match
-from ringtrue.update.several import Configuration, Problem
 
 RULES = choose.RULES | {
     "proposal": "the ranked proposal of the localisation: from all candidates at once the least useful are left out, "
@@ -41,20 +41,15 @@ def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest) -> Target:
     sure = found.reference.confidence >= desk.config.identify.confidence
     used = used_mask(len(found.reference), found.left_out) & sure
     std = np.nan_to_num(found.reference_uncertainty.frequency / found.reference.frequencies, nan=0.0)
-    weights = Weights(shape=desk.config.update.shape_weight)
+    u = desk.config.update
+    weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
     return Target(found.reference.frequencies, found.reference.shapes, std, used, weights, settings(desk.config))
-
-
-def _problem(desk: Workbench, model: AtChannels, progress: Progress) -> Problem:
-    """All candidates over all configurations."""
-    every = zip((model, *desk.others(progress)), targets(desk), strict=True)
-    return Problem(tuple(Configuration(m, aim) for m, aim in every))
 
 
 def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[str, Int], Float]:
     """Parameter sets by their rule, and the weighted sensitivities (r, p) that the simple ones come from."""
     names, count = model.parameters.names, min(desk.config.update.choose, len(model.parameters))
-    several = _problem(desk, model, progress) if desk.config.configuration else None
+    several = problem_of(desk, (model, *desk.others(progress)), targets(desk)) if desk.config.joint else None
     if several is None:
         weighted = choose.weighted_sensitivities(model, target(desk))
     else:

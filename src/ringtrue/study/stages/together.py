@@ -1,4 +1,4 @@
-"""A parameter set updated over all configurations at once: one objective, the reduced model of each verified."""
+"""A parameter set updated on the whole objective: all configurations and kinds of residuals, each model verified."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from itertools import pairwise
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float
+from ringtrue.study.objective import data_count, data_of, names_of, problem_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, ROUNDS, STILL, AtChannels, not_verified, verified
-from ringtrue.study.results import ConfiguredStage, SetResult
+from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
+from ringtrue.update.multistart import latin_hypercube, multi_start
 from ringtrue.update.objective import DOUBT, Target, aicc
 from ringtrue.update.several import Configuration, Evaluated, Problem
-from ringtrue.update.trust import Method, Solution, solve
+from ringtrue.update.trust import Method, Solution, solve, staged
+from ringtrue.update.weights import regularised
 
 
 def together(desk: Workbench, name: str, members: Sequence[str], progress: Progress) -> SetResult:
@@ -32,7 +35,7 @@ def together(desk: Workbench, name: str, members: Sequence[str], progress: Progr
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
-        done, way = _settled(desk, _problem(desk, models, aims, members), start)
+        done, way = _settled(desk, _problem(desk, models, aims, members), start, progress)
         path += way if start is None else way[1:]
         start = done.y
         models, error = _verified(models, members, done)
@@ -43,8 +46,23 @@ def together(desk: Workbench, name: str, members: Sequence[str], progress: Progr
     if error >= CLOSE:
         raise not_verified(error)
     problem = _problem(desk, models, aims, members)
-    done, way = _settled(desk, problem, start)
+    done, way = _settled(desk, problem, start, progress)
     return _summary(problem, aims, name, done, [*path, *way[1:]])
+
+
+def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
+    """What was measured beside the modes, by the model before and after the updating."""
+    models = [_held(m, best.parameters) for m in (desk.candidates(progress), *desk.others(progress))]
+    x = desk.parameters.take([desk.parameters.names.index(n) for n in best.parameters]).vector(best.factor)
+    at = dict(zip(best.parameters, x.tolist(), strict=True))
+    out = []
+    for name, model, aim in zip(names_of(desk), models, targets(desk), strict=True):
+        y = np.array([at[n] for n in model.parameters.names])
+        for d in data_of(desk, name, model):
+            one = Configuration(model, aim, (d.term,))
+            before, after = (d.shown(d.term(one.at(v, slopes=False))) for v in (0 * y, y))
+            out.append(DataResult(d.name, d.kind, name, d.labels, d.units, d.measured, before, after, d.scale))
+    return tuple(out)
 
 
 def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Configuration, ...]:
@@ -59,7 +77,7 @@ def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Con
         p = active.parameters
         x = p.vector(np.array([factor[n] for n in p.names]))
         if not _agrees(active.modes(x).frequencies, done.observed.frequencies):
-            active = replace(active, model=active.model.enrich(x)[0])
+            active, _ = active.enrich(x)
         out.append(Configuration(active, aim.settled(active.linearise(x)), name=done.name))
     return tuple(out)
 
@@ -87,10 +105,7 @@ def _held(model: AtChannels, members: Sequence[str]) -> AtChannels:
 
 
 def _problem(desk: Workbench, models: Sequence[AtChannels], aims: Sequence[Target], members: Sequence[str]) -> Problem:
-    names = ("the deck of the study", *(c.name for c in desk.config.configuration))
-    return Problem(
-        tuple(Configuration(_held(m, members), aim, name=n) for m, aim, n in zip(models, aims, names, strict=True))
-    )
+    return problem_of(desk, [_held(m, members) for m in models], aims)
 
 
 def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
@@ -98,19 +113,47 @@ def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
     return replace(problem, configurations=tuple(replace(c, target=t) for c, t in held))
 
 
-def _settled(desk: Workbench, problem: Problem, start: Float | None) -> tuple[Solution, list[Evaluated]]:
+def _method(desk: Workbench) -> Method:
+    """As asked for; a trust region where nothing is said."""
+    u = desk.config.update
+    return Method(u.step if "step" in u.model_fields_set else "trust-region")
+
+
+def _begun(desk: Workbench, problem: Problem, method: Method, progress: Progress) -> Float:
+    """Where to start: the best end of several starts, after sets that grow stage by stage; else the deck."""
+    u, members = desk.config.update, problem.parameters.names
+    start: Float = np.zeros(problem.size)
+    if u.starts > 1:
+        more = latin_hypercube(problem.parameters, u.starts - 1, np.random.default_rng([desk.config.study.seed, 9]))
+        rows, limits = problem.inequalities()
+        more = more[(more @ rows.T <= limits).all(axis=1)]
+        found = multi_start(problem, np.vstack([start, more]), method, iterations=u.iterations, finish=3)
+        start = np.array(found.best.y)
+    grown = [[n for n in stage if n in members] for stage in u.stages]
+    grown = [g for g in grown if g and len(g) < len(members)]
+    if grown and u.starts == 1:
+        start = np.array(staged(problem, grown, method, iterations=u.iterations, progress=progress)[-1].x)
+    return start
+
+
+def _settled(
+    desk: Workbench, problem: Problem, start: Float | None, progress: Progress
+) -> tuple[Solution, list[Evaluated]]:
     """Gates first, then pairs of least cost, then these for good, in all configurations (as in `stages.update`)."""
-    limit = desk.config.update.iterations
-    method = Method("published" if desk.config.update.step == "published" else "trust-region")
+    u, method = desk.config.update, _method(desk)
     path: list[Evaluated] = []
     if start is None:
-        rough = solve(problem, method, iterations=limit)
+        begin = _begun(desk, problem, method, progress)
+        rough = solve(problem, method, start=begin, iterations=u.iterations)
         path, start = list(rough.history), rough.y
     aims = [c.target for c in problem.configurations]
-    near = solve(_aimed(problem, [a.doubting() for a in aims]), method, start=start, iterations=limit)
+    near = solve(_aimed(problem, [a.doubting() for a in aims]), method, start=start, iterations=u.iterations)
     path += near.history[1:] if path else near.history
-    fixed = [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)]
-    done = solve(_aimed(problem, fixed), method, start=near.y, iterations=limit)
+    settled = _aimed(problem, [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)])
+    if u.prior != "study":
+        done = regularised(settled, u.prior, method, start=near.y).solution
+    else:
+        done = solve(settled, method, start=near.y, iterations=u.iterations)
     return done, [*path, *done.history[1:]]
 
 
@@ -119,9 +162,9 @@ def _verified(models: Sequence[AtChannels], members: Sequence[str], done: Soluti
     better, errors, at = [], [], dict(zip(members, done.x.tolist(), strict=True))
     for m in models:
         active = _held(m, members)
-        fresh, error = verified(active.model, np.array([at[n] for n in active.parameters.names]))
+        fresh, error = verified(active, np.array([at[n] for n in active.parameters.names]))
         every = m.parameters.names
-        better.append(AtChannels(fresh, m.rows).with_parameters(range(len(every)), np.zeros(len(every))))
+        better.append(fresh.with_parameters(range(len(every)), np.zeros(len(every))))
         errors.append(error)
     return better, max(errors)
 
@@ -146,8 +189,8 @@ def _summary(
     p, told = problem.parameters, [_errors(aims, at) for at in path]
     error, mac, used = told[-1]
     low, high = p.bounds()
-    count = int(sum(aim.used.sum() for aim in aims))
-    lost = count - int(used.sum())
+    lost = int(sum(aim.used.sum() for aim in aims)) - int(used.sum())
+    cost = done.end.data + done.end.lost + float(done.x @ problem.precision @ done.x)  # by the prior of the study
     size = np.maximum(np.linalg.norm(done.end.slope, axis=0), 1e-300)
     scaled = done.end.slope / size
     first = float(np.linalg.norm(problem.gradient(path[0]))) or 1.0
@@ -164,7 +207,7 @@ def _summary(
         float(100 * np.mean(mac[used])),
         _mean(error, ~used),
         float(np.linalg.cond(scaled.T @ scaled)),
-        aicc(done.cost + DOUBT * lost, 2 * max(count, 1), done.x.size),
+        aicc(cost + DOUBT * lost, data_count(problem, done.end), done.x.size),
         done.outcome.value,
         np.array([at.cost for at in path]),
         np.array(steps),

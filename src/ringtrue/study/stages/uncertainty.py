@@ -119,7 +119,7 @@ def _delivered(desk: Workbench, best: SetResult, final: FinalStage, progress: Pr
     if np.abs(found[:n][elastic] / truth[:n][elastic] - 1).max(initial=0.0) < CLOSE:
         return active
     progress(0.9, "modes at the updated point")
-    return AtChannels(active.model.enrich(x)[0], active.rows)
+    return active.enrich(x)[0]
 
 
 def _paired(aim: Target, model: AtChannels, final: FinalStage, x: Float) -> Target:

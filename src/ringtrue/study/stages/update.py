@@ -12,7 +12,7 @@ from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, v
 from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
-from ringtrue.study.stages.together import together
+from ringtrue.study.stages.together import together, told_data
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.candidates import elements_of
 from ringtrue.update.choose import criterion
@@ -38,7 +38,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         same = next((r for r in results if set(r.parameters) == set(members)), None)  # two rules, one choice
         if same is not None:
             results.append(replace(same, name=name))
-        elif desk.config.configuration:
+        elif desk.config.joint:
             results.append(together(desk, name, members, progress))
         else:
             results.append(_one(desk, aim, name, members, progress))
@@ -55,6 +55,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         before,
         after,
         {n: regions(desk, n) for n in best.parameters},
+        told_data(desk, best, progress) if desk.config.residual else (),
     )
 
 
@@ -92,8 +93,8 @@ def _one(desk: Workbench, aim: Target, name: str, members: tuple[str, ...], prog
         result, path = _settled(desk, active, aim, start)
         states += path if start is None else path[1:]
         start = result.x
-        better, error = verified(active.model, result.x)
-        model = AtChannels(better, model.rows).with_parameters(range(len(every)), np.zeros(len(every)))
+        better, error = verified(active, result.x)
+        model = better.with_parameters(range(len(every)), np.zeros(len(every)))
         if error < CLOSE:
             break
     desk.keep(model)

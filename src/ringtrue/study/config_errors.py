@@ -1,0 +1,42 @@
+"""What is wrong with a study.toml, in words: where, what was found, and the nearest allowed key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from ringtrue.errors import did_you_mean
+
+
+def explain(path: Path, error: ValidationError, top: type[BaseModel]) -> str:
+    """One line for each mistake in a file that should be a `top`."""
+    lines = []
+    for e in error.errors():
+        place = ".".join(str(x) for x in e["loc"])
+        if e["type"] == "extra_forbidden":
+            hint = did_you_mean(str(e["loc"][-1]), _allowed(top, e["loc"][:-1]))
+            lines.append(f"{path}: unknown key {place!r}{hint}")
+        else:
+            simple = isinstance(e["input"], str | int | float | list)
+            got = f" (got {e['input']!r})" if simple and e["type"] != "missing" else ""
+            lines.append(f"{path}: {place or 'study'}: {e['msg'].removeprefix('Value error, ')}{got}")
+    return "\n".join(lines)
+
+
+def _allowed(top: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
+    """The keys of the section at a location; a step that is no key is the `kind` of one of several sections."""
+    here = [top]
+    for step in (s for s in location if not isinstance(s, int)):
+        of_kind = [m for m in here if "kind" in m.model_fields and step in get_args(m.model_fields["kind"].annotation)]
+        fields = [m.model_fields[step].annotation for m in here if step in m.model_fields]
+        here = of_kind or [m for f in fields for m in _sections(f)]
+    return [name for m in here for name in m.model_fields]
+
+
+def _sections(annotation: Any) -> list[type[BaseModel]]:
+    """All sections in an annotation such as list[A | B] or A | None."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for part in get_args(annotation) for m in _sections(part)]

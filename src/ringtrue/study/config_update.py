@@ -1,0 +1,125 @@
+"""The sections of study.toml that say what is compared in the updating, and how it is minimised."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac", "orthogonality"]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class UpdateSection(_Section):
+    """Updating."""
+
+    propose: bool = False  # the proposal of the localisation is a parameter set; the only one without [[candidate]]
+    choose: int = Field(default=6, gt=0)
+    left_out: int = Field(default=5, ge=0)
+    step: Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"] = "gauss-newton"
+    shape_weight: float = Field(default=1.0, ge=0)
+    iterations: int = Field(default=30, gt=0)
+    residuals: list[ModalKind] = ["eigenvalues", "shapes"]  # of the paired modes
+    frequency_error: Positive = 0.01  # relative, that the best model of this form keeps; the test's own is added
+    mac_error: Positive = 0.05  # of 1 - MAC
+    orthogonality_error: Positive = 0.05  # of a term of the cross-orthogonality
+    prior: Literal["study", "evidence", "gcv", "l-curve"] = "study"  # rule for the weight of the prior
+    loss: Literal["squares", "huber", "tukey"] = "squares"  # against a wrong mode
+    starts: int = Field(default=1, gt=0)  # the first is the deck
+    stages: list[list[str]] = []  # growing sets of candidates that are freed one after the other
+
+    @field_validator("residuals")
+    @classmethod
+    def _some(cls, value: list[str]) -> list[str]:
+        if not value or len(set(value)) < len(value):
+            raise ValueError("residuals: at least one kind of the paired modes, each once")
+        return value
+
+    @property
+    def plain(self) -> bool:
+        """Whether eigenvalues and shapes are fitted by damped Gauss-Newton from the deck."""
+        usual = self.step in ("gauss-newton", "published") and self.prior == "study" and self.loss == "squares"
+        return usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.starts == 1 and not self.stages
+
+
+class ConstraintSection(_Section):
+    """Σ factor · x <= most over candidates by name; x is ln(updated/initial), or updated/initial − 1 where linear."""
+
+    terms: dict[str, float]
+    most: float = 0.0
+
+    @field_validator("terms")
+    @classmethod
+    def _some(cls, value: dict[str, float]) -> dict[str, float]:
+        if not any(value.values()):
+            raise ValueError('a constraint needs at least one candidate: terms = { "a" = 1.0, "b" = -1.0 }')
+        return value
+
+
+class _Data(_Section):
+    name: str = ""
+    weight: Positive = 1.0
+    configuration: str | None = None  # that it was measured on; the study's own deck if not given
+
+
+class FrfResidual(_Data):
+    """Measured FRFs; each counts as one datum."""
+
+    kind: Literal["frf"]
+    file: str | None = None  # .uff, .h5 or .npz; None: those of the hammer test
+    form: Literal["log", "complex"] = "log"
+    error: Positive = 0.3  # of ln|H|, or of H over its root mean square
+    fmin: float | None = None  # Hz; None: around the modes of the test
+    fmax: float | None = None
+    count: int = Field(default=60, gt=0)  # lines, spread evenly over the measured ones
+    lines: list[Positive] = []  # Hz; chosen by hand
+    outputs: list[str] = []  # channels; empty: all
+    inputs: list[str] = []
+    damping: float | None = Field(default=None, ge=0)  # of all modes; None: as the test modes have, by frequency
+
+
+class AntiResonanceResidual(_Data):
+    """Zeros of one FRF, in Hz."""
+
+    kind: Literal["anti-resonances"]
+    output: str
+    input: str
+    frequencies: list[Positive]
+    error: Positive = 0.01
+    gate: Positive = 0.3  # largest relative deviation of a pair
+
+
+class StaticResidual(_Data):
+    """A table of static tests with the columns case, channel, load (N), deflection (m)."""
+
+    kind: Literal["static"]
+    file: str
+    error: Positive = 0.02  # relative to the root mean square of the case
+
+
+class MassResidual(_Data):
+    """A weighing."""
+
+    kind: Literal["mass"]
+    mass: float | None = Field(default=None, gt=0)  # kg
+    mass_error: Positive = 0.005  # relative
+    center: list[float] | None = None  # m, basic frame; nan where not measured
+    center_error: Positive = 0.01  # m
+    inertia: list[float] | None = None  # kg m², Ixx Iyy Izz Ixy Iyz Izx (tensor) about the centre of gravity
+    inertia_error: Positive = 0.02  # relative to the largest
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.mass is None and self.center is None and self.inertia is None:
+            raise ValueError("a weighing gives mass, center or inertia")
+        if len(self.center or [0.0] * 3) != 3 or len(self.inertia or [0.0] * 6) != 6:
+            raise ValueError("center is x y z, inertia Ixx Iyy Izz Ixy Iyz Izx; nan where not measured")
+        return self
+
+
+DataResidual = FrfResidual | AntiResonanceResidual | StaticResidual | MassResidual
+ResidualSection = Annotated[DataResidual, Field(discriminator="kind")]

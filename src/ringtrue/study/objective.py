@@ -1,0 +1,130 @@
+"""What a study minimises: the kinds of residuals of each configuration, limits and links of the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.model.edit import carried
+from ringtrue.study.evidence import channel_mass
+from ringtrue.study.measured import Data, residual_data, rigid_mass
+from ringtrue.study.parametric import STILL, AtChannels
+from ringtrue.study.workbench import OWN, Workbench
+from ringtrue.update.objective import Target
+from ringtrue.update.residuals import CrossOrthogonality, Eigenvalues, Frequencies, Mac, Shapes, Term, Weighted
+from ringtrue.update.residuals_static import RigidMass
+from ringtrue.update.robust import Huber, Loss, Squares, Tukey
+from ringtrue.update.several import Configuration, Evaluated, Problem
+
+LOSSES: dict[str, Loss] = {"squares": Squares(), "huber": Huber(), "tukey": Tukey()}
+KINDS = ("eigenvalues", "frequencies", "shapes", "mac", "orthogonality")
+
+
+def names_of(desk: Workbench) -> tuple[str, ...]:
+    """The deck of the study and the other configurations."""
+    return (OWN, *(c.name for c in desk.config.configuration))
+
+
+def problem_of(desk: Workbench, models: Sequence[AtChannels], aims: Sequence[Target]) -> Problem:
+    """The objective over all configurations, the parameters of the models free."""
+    parts = [
+        Configuration(m, aim, _terms(desk, n, m, aim), name=n or "the deck of the study")
+        for n, m, aim in zip(names_of(desk), models, aims, strict=True)
+    ]
+    problem = Problem(tuple(parts), loss=LOSSES[desk.config.update.loss])
+    rows, limits = constraints(desk, problem.parameters)
+    return Problem(problem.configurations, problem.parameters, loss=problem.loss, rows=rows, limits=limits)
+
+
+def constraints(desk: Workbench, parameters: ParameterSet) -> tuple[Float, Float]:
+    """Rows (c, p) and limits (c,) of the [[constraint]]s that name a parameter; those not there stay at x = 0."""
+    rows = [[c.terms.get(n, 0.0) for n in parameters.names] for c in desk.config.constraint]
+    kept = [i for i, r in enumerate(rows) if any(r)]
+    limits = np.array([desk.config.constraint[i].most for i in kept])
+    return np.array([rows[i] for i in kept]).reshape(len(kept), len(parameters)), limits
+
+
+def _terms(desk: Workbench, name: str, model: AtChannels, aim: Target) -> tuple[Term, ...]:
+    """All kinds of residuals of a configuration: those of its modes, then what else was measured on it."""
+    return (*modal_terms(desk, name, aim), *(Weighted(d.term, d.weight) for d in data_of(desk, name, model)))
+
+
+def modal_terms(desk: Workbench, name: str, aim: Target) -> tuple[Term, ...]:
+    """The kinds of residuals of the paired modes."""
+    u = desk.config.update
+    made: dict[str, Term] = {
+        "eigenvalues": Eigenvalues(u.frequency_error),
+        "frequencies": Frequencies(u.frequency_error, "log"),
+        "mac": Mac(u.mac_error),
+    }
+    if u.shape_weight > 0:
+        made["shapes"] = Shapes(u.mac_error, u.shape_weight)
+    if "orthogonality" in u.residuals:
+        made["orthogonality"] = CrossOrthogonality(_mass(desk, name), u.orthogonality_error)
+    return tuple(made[k] for k in KINDS if k in u.residuals and k in made)
+
+
+def _mass(desk: Workbench, name: str) -> Float:
+    """The mass of the nominal deck at the channels of the test modes.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    if name not in desk.masses:
+        c = desk.config.correlate
+        if c.tam == "serep":
+            raise ConfigError('update.residuals "orthogonality" needs correlate.tam irs, guyan or hybrid')
+        channels = desk.reference(name).channels
+        opened, seen = desk.deck_of(name)
+        mass, why = channel_mass(opened, seen, channels, c, desk.deck.fmax)
+        if mass is None:
+            raise ConfigError(f'update.residuals "orthogonality": {why}')
+        desk.masses[name] = mass
+    return desk.masses[name]
+
+
+def data_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Data, ...]:
+    """What was measured beside the modes, on the parameters that are free in a model.
+
+    Raises
+    ------
+    DataError
+        If static deflections were measured on a structure that is free to move.
+    """
+    found = desk.measured(name)
+    if any(m.statics is not None for m in found):
+        f = model.model.modes(np.zeros(len(model.parameters))).frequencies
+        if f[0] <= STILL * f[-1]:
+            raise DataError(f"a static test needs a structure that is held; mode 1 of the deck is at {f[0]:.3g} Hz")
+    at = {c: i for i, c in enumerate(desk.channels(name))}
+    active = tuple(model.model.active)
+    return tuple(residual_data(m, at, desk.deck.units, lambda: _rigid(desk, name), active) for m in found)
+
+
+def _rigid(desk: Workbench, name: str) -> RigidMass:
+    """Over all candidates and suspensions that the deck has, as its reduced model."""
+    if name not in desk.weighed:
+        every = ParameterSet(desk.parameters.parameters + desk.config.suspensions().parameters)
+        model = desk.deck_of(name)[0].model
+        desk.weighed[name] = rigid_mass(model, every if name == OWN else carried(model, every))
+    return desk.weighed[name]
+
+
+def data_count(problem: Problem, at: Evaluated) -> float:
+    """Number of data: a frequency and a shape each used test mode, lost ones too, and what else was measured.
+
+    A kind beside the modes counts as many as its weight says.
+    """
+    count, kind = 0.0, 0
+    for c in problem.configurations:
+        for t in c.terms:
+            rows = float((at.kind == kind).sum())
+            count += t.factor * rows if isinstance(t, Weighted) else float(c.target.used.sum())
+            kind += 1
+    return max(count, 1.0)

@@ -1,0 +1,171 @@
+"""A study of the small frame with what was measured beside its modes: statics, a weighing, FRFs and their zeros.
+
+A factor on all moduli and one on all densities change the frequencies f² ~ E/rho alike: the modes tell their ratio
+alone. Each of these data tells the scale as well:
+
+    static deflection u ~ 1/E        mass m ~ rho        accelerance H ~ 1/rho
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
+import small_study
+
+from ringtrue.checks.mass import whole_mass
+from ringtrue.errors import DataError
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.report.deliver import deliver
+from ringtrue.study.opened import Opened
+from ringtrue.study.run import StudyRun, run_study
+
+TRUTH = {"stiffness": 0.75, "density": 0.9}
+CANDIDATES = """
+[[candidate]]
+name = "stiffness"
+targets = ["MAT1 1 E", "MAT1 2 E", "MAT1 3 E", "MAT1 10 E"]
+
+[[candidate]]
+name = "density"
+targets = ["MAT1 1 RHO", "MAT1 2 RHO", "MAT1 3 RHO", "MAT1 10 RHO"]
+"""
+PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS + CANDIDATES
+STATIC = '[[residual]]\nkind = "static"\nname = "pull"\nfile = "pull.csv"\n'
+FRF = '[[residual]]\nkind = "frf"\nname = "hammer"\n'
+LOADED, READ = "303+X", ("303+X", "203+X", "103+X")
+
+
+def truth() -> str:
+    text = small_study.deck(dict.fromkeys((1, 2, 3), 0.75)).replace("3.+10", "2.25+10")
+    return text.replace("2500.0", "2250.0").replace("7850.0", "7065.0")
+
+
+def deflections(opened: Opened) -> list[float]:
+    """Of 1 kN at the top floor, by the full stiffness matrix."""
+    system = opened.analysis.system
+    look = opened.observation(small_study.test_model(), 0.01)
+    rows = (look.matrix @ system.transform)[[look.channels.index(c) for c in READ]].toarray()
+    return (rows @ opened.analysis.pencil.at(0.0).solve(1000.0 * rows[:1].T)).ravel().tolist()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the records, identified, and the true deck."""
+    at = tmp_path_factory.mktemp("frame")
+    (at / "deck").mkdir()
+    (at / "deck/frame.bdf").write_text(small_study.deck())
+    (at / "truth.bdf").write_text(truth())
+    small_study.write_data(at / "data", ambient=False, truth=truth())
+    moved = deflections(Opened(read_deck(at / "truth.bdf"), 1.0))
+    rows = [f"pull,{c},{1000 if c == LOADED else ''},{u:.9e}" for c, u in zip(READ, moved, strict=True)]
+    (at / "pull.csv").write_text("case,channel,load,deflection\n" + "\n".join(rows) + "\n")
+    (at / "study.toml").write_text(PLAIN)
+    run_study(at / "study.toml", until="correlate")
+    return at
+
+
+def study(made: Path, at: Path, more: str, settings: str = "", plain: str = PLAIN) -> Path:
+    """A copy with further residuals; what was identified is taken from the store."""
+    shutil.copytree(made, at / "s")
+    (at / "s/study.toml").write_text(plain.replace("[update]", f"[update]\n{settings}") + more)
+    return at / "s/study.toml"
+
+
+def factors(run: StudyRun) -> dict[str, float]:
+    done = run.results["update"]
+    best = done.sets[done.chosen]
+    assert best.outcome.startswith("converged")
+    return dict(zip(best.parameters, best.factor.tolist(), strict=True))
+
+
+def weighing(made: Path) -> str:
+    whole = whole_mass(read_deck(made / "truth.bdf"))
+    return f'[[residual]]\nkind = "mass"\nmass = {whole.mass}\ncenter = [2.0, 1.5, {whole.cg[2]}]\n'
+
+
+@pytest.mark.parametrize("kind", ["static", "mass", "frf", "complex frf"])
+def test_scale_is_found(made: Path, tmp_path: Path, kind: str) -> None:
+    more = {"static": STATIC, "mass": weighing(made), "frf": FRF, "complex frf": FRF + 'form = "complex"\n'}[kind]
+    run = run_study(study(made, tmp_path, more), until="update")
+    found = factors(run)
+    for name, value in TRUTH.items():
+        assert found[name] == pytest.approx(value, rel=0.02)  # without: 0.85 and 1.02
+    (data,) = run.results["update"].data
+    if np.isfinite(data.measured).all():
+        far, near = (np.abs(v - data.measured) / data.error for v in (data.before, data.after))
+    else:
+        far, near = data.before, data.after
+    assert near.max() < 0.3 * far.max()
+
+
+def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(made: Path, tmp_path: Path) -> None:
+    zeros = '[[residual]]\nkind = "anti-resonances"\noutput = "303+X"\ninput = "303+X"\nfrequencies = [{}]\n'
+    model = Opened(read_deck(made / "truth.bdf"), 1.0).analysis.system
+    assert model.stiffness.shape[0] > 100
+    held = truth().replace("SPC1,1,123456,", "SPC1,1,1,303\nSPC1,1,123456,")  # zeros: modes with the point held
+    (tmp_path / "held.bdf").write_text(held)
+    f = Opened(read_deck(tmp_path / "held.bdf"), 1.0).modes(12.0).modes.frequencies[:4]
+    more = STATIC + weighing(made) + FRF + zeros.format(", ".join(f"{x:.6f}" for x in f))
+    settings = 'residuals = ["frequencies", "mac", "orthogonality"]\n'
+    run = run_study(study(made, tmp_path, more, settings))
+    deliver(run)
+    for name, value in factors(run).items():
+        assert value == pytest.approx(TRUTH[name], rel=0.01)
+    told = json.loads((run.folder / "summary.json").read_text())["measured"]
+    assert [d["kind"] for d in told] == ["static", "mass", "frf", "anti-resonances"]
+    zero = next(d for d in told if d["kind"] == "anti-resonances")["values"]
+    for v in zero:
+        assert v["after"] == pytest.approx(v["measured"], rel=2e-3)
+        assert abs(v["before"] / v["measured"] - 1) > 0.05
+    page = (run.folder / "report.html").read_text(encoding="utf-8")
+    assert "303+X / 303+X: zero 1" in page
+    assert "pull: 203+X" in page
+    known = run.results["uncertainty"]
+    assert (known.ratio < 0.1).all()  # the modes alone leave the scale at its prior
+    at = np.array([TRUTH[n] for n in known.parameters.names])
+    assert (np.abs(known.factor / at - 1) < 4 * known.std).all()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        'step = "levenberg-marquardt"\nloss = "huber"\n',
+        'prior = "evidence"\n',
+        "starts = 3\n",
+        'stages = [["stiffness"], ["stiffness", "density"]]\n',
+        'residuals = ["frequencies", "mac"]\nfrequency_error = 0.005\n',
+    ],
+)
+def test_ways_to_minimise_lead_to_the_same(made: Path, tmp_path: Path, settings: str) -> None:
+    found = factors(run_study(study(made, tmp_path, STATIC, settings), until="update"))
+    for name, value in TRUTH.items():
+        assert found[name] == pytest.approx(value, rel=0.02)
+
+
+def test_constraint_holds(made: Path, tmp_path: Path) -> None:
+    tie = '[[constraint]]\nterms = { "density" = -1.0 }\nmost = 0.02\n'  # density factor not below exp(-0.02)
+    found = factors(run_study(study(made, tmp_path, STATIC + tie), until="update"))
+    assert found["density"] == pytest.approx(np.exp(-0.02), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("pull,303+X,1000,\n", "one deflection"),
+        ("pull,303+X,1e3,1e-3\npull,303+X,,1e-3\n", "pull.csv:3: channel 303+X is given twice"),
+        ("pull,303+X,much,1e-3\n", "pull.csv:2: load 'much' is not a number"),
+        ("pull,99999+X,1e3,1e-3\n", "99999"),
+    ],
+)
+def test_static_tables_are_checked(made: Path, tmp_path: Path, text: str, told: str) -> None:
+    path = study(made, tmp_path, STATIC)
+    (path.parent / "pull.csv").write_text("case,channel,load,deflection\n" + text)
+    with pytest.raises(DataError, match=told.replace("+", r"\+")):
+        run_study(path, until="update")
