@@ -252,3 +252,21 @@ def test_input_is_checked() -> None:
     loud = replace(target, shapes=np.where(np.arange(N)[:, None] == 8, 9.0, target.shapes), rule="cost", lost=1e9)
     with pytest.raises(NumericalError, match="zero at channel 9"):
         Shapes(scaling="largest")(point(model, dead, loud))
+
+
+def test_modes_far_above_do_not_drown_the_zeros() -> None:
+    model = row()
+    now = model.linearise(X)
+    stiff = 1e9  # Hz, as a vector of a basis that is nearly without mass
+    far = np.full((N, 1), 1e-4)
+    wide = replace(
+        now,
+        frequencies=np.append(now.frequencies, stiff),
+        shapes=np.hstack([now.shapes, far]),
+        d_lambda=np.vstack([now.d_lambda, np.zeros(4)]),
+        d_shapes=np.concatenate([now.d_shapes, np.zeros((N, 1, 4))], axis=1),
+    )
+    mu, slope = zeros(now, 3, 3)
+    got, d_got = zeros(wide, 3, 3, 30.0)
+    np.testing.assert_allclose(got, mu, rtol=1e-9)
+    np.testing.assert_allclose(d_got, slope, rtol=1e-6, atol=1e-9 * np.abs(slope).max())

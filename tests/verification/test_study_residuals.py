@@ -107,11 +107,9 @@ def test_scale_is_found(made: Path, tmp_path: Path, kind: str) -> None:
 
 def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(made: Path, tmp_path: Path) -> None:
     zeros = '[[residual]]\nkind = "anti-resonances"\noutput = "303+X"\ninput = "303+X"\nfrequencies = [{}]\n'
-    model = Opened(read_deck(made / "truth.bdf"), 1.0).analysis.system
-    assert model.stiffness.shape[0] > 100
     held = truth().replace("SPC1,1,123456,", "SPC1,1,1,303\nSPC1,1,123456,")  # zeros: modes with the point held
     (tmp_path / "held.bdf").write_text(held)
-    f = Opened(read_deck(tmp_path / "held.bdf"), 1.0).modes(12.0).modes.frequencies[:4]
+    f = Opened(read_deck(tmp_path / "held.bdf"), 1.0).modes(12.0).modes.frequencies[[1, 2, 4]]  # 0 and 3 sway along y
     more = STATIC + weighing(made) + FRF + zeros.format(", ".join(f"{x:.6f}" for x in f))
     settings = 'residuals = ["frequencies", "mac", "orthogonality"]\n'
     run = run_study(study(made, tmp_path, more, settings))

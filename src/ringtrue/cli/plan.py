@@ -21,9 +21,9 @@ from ringtrue.plan.exciters import reciprocity_pairs
 from ringtrue.plan.rehearsal import missed_words
 from ringtrue.plan.sheet import reach_of, write_test_sheet
 from ringtrue.report.deliver import deliver
+from ringtrue.study.measured import LENGTH
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.workbench import LENGTH
 from ringtrue.virtual.sensors import ICP
 
 METHODS = ("independence", "qr", "auto-mac", "information")

@@ -14,7 +14,7 @@ from ringtrue.study.evidence import channel_mass
 from ringtrue.study.measured import Data, residual_data, rigid_mass
 from ringtrue.study.parametric import STILL, AtChannels
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.objective import Target
+from ringtrue.update.objective import Target, Weights
 from ringtrue.update.residuals import CrossOrthogonality, Eigenvalues, Frequencies, Mac, Shapes, Term, Weighted
 from ringtrue.update.residuals_static import RigidMass
 from ringtrue.update.robust import Huber, Loss, Squares, Tukey
@@ -32,7 +32,7 @@ def names_of(desk: Workbench) -> tuple[str, ...]:
 def problem_of(desk: Workbench, models: Sequence[AtChannels], aims: Sequence[Target]) -> Problem:
     """The objective over all configurations, the parameters of the models free."""
     parts = [
-        Configuration(m, aim, _terms(desk, n, m, aim), name=n or "the deck of the study")
+        Configuration(m, aim, terms_of(desk, n, m, aim), name=n or "the deck of the study")
         for n, m, aim in zip(names_of(desk), models, aims, strict=True)
     ]
     problem = Problem(tuple(parts), loss=LOSSES[desk.config.update.loss])
@@ -48,7 +48,7 @@ def constraints(desk: Workbench, parameters: ParameterSet) -> tuple[Float, Float
     return np.array([rows[i] for i in kept]).reshape(len(kept), len(parameters)), limits
 
 
-def _terms(desk: Workbench, name: str, model: AtChannels, aim: Target) -> tuple[Term, ...]:
+def terms_of(desk: Workbench, name: str, model: AtChannels, aim: Target) -> tuple[Term, ...]:
     """All kinds of residuals of a configuration: those of its modes, then what else was measured on it."""
     return (*modal_terms(desk, name, aim), *(Weighted(d.term, d.weight) for d in data_of(desk, name, model)))
 
@@ -128,3 +128,10 @@ def data_count(problem: Problem, at: Evaluated) -> float:
             count += t.factor * rows if isinstance(t, Weighted) else float(c.target.used.sum())
             kind += 1
     return max(count, 1.0)
+
+
+def scales(terms: Sequence[Term], found: Weights, assumed: Weights) -> list[float]:
+    """Factors (t,) on the standard deviations of kinds of residuals where the discrepancies are as found."""
+    f, m = found.frequency / assumed.frequency, found.mac / assumed.mac
+    by = {Eigenvalues: f, Frequencies: f, Shapes: float(np.sqrt(m)), Mac: m}
+    return [by.get(type(t), 1.0) for t in terms]

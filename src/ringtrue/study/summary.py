@@ -213,6 +213,27 @@ def _known(r: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def _measured(update: UpdateStage) -> dict[str, Any]:
+    """What was measured beside the modes, by the model before and after the updating."""
+    if not update.data:
+        return {}
+    heads = ("label", "unit", "measured", "before", "after", "error")
+    return {
+        "measured": [
+            {
+                "name": d.name,
+                "kind": d.kind,
+                "configuration": d.configuration or None,
+                "values": [
+                    dict(zip(heads, (label, unit, *(_number(float(v)) for v in row)), strict=True))
+                    for label, unit, *row in zip(d.labels, d.units, d.measured, d.before, d.after, d.error, strict=True)
+                ],
+            }
+            for d in update.data
+        ]
+    }
+
+
 def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     update: UpdateStage | None = r.get("update")
@@ -245,6 +266,7 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
             }
             for s in update.sets
         ]
+        out |= _measured(update)
     if tune is not None:
         out["suspension"] = [{"name": n, "factor": a, "std": tune.std[n] * a} for n, a in tune.factors.items()]
     if final is not None:

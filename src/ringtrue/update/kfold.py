@@ -17,6 +17,7 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.outcome import Outcome
 from ringtrue.errors import InputError
 from ringtrue.update.posterior import Posterior, laplace
+from ringtrue.update.residuals import reweighed
 from ringtrue.update.several import Configuration, Evaluated, Problem
 from ringtrue.update.trust import Method, solve
 
@@ -109,12 +110,18 @@ def discrepancy(error: Float, known: Float) -> float:
     return float(grid[np.argmin((e2 / total + np.log(total)).sum(axis=1))])
 
 
+def _weighed(c: Configuration, frequency: float, mac: float) -> Configuration:
+    weights = replace(c.target.weights, frequency=frequency, mac=mac)
+    return replace(c, target=replace(c.target, weights=weights), terms=reweighed(c.terms, frequency, mac))
+
+
 def k_fold(
     configuration: Configuration,
     folds: Sequence[Sequence[int]],
     method: Method | None = None,
     *,
     start: Float | None = None,
+    others: Sequence[Configuration] = (),
     progress: Progress | None = None,
 ) -> Held:
     """Update without each fold in turn and predict it.
@@ -126,6 +133,8 @@ def k_fold(
     folds : sequences of test modes
     start : (q,) float64, optional
         Unknowns at the start of every fold; else each starts where the one before has ended, the first at 0.
+    others : sequence of Configuration
+        Further configurations that every fold sees whole; their parameters are among those of the first.
 
     Raises
     ------
@@ -141,7 +150,7 @@ def k_fold(
     for i, fold in enumerate(folds):
         of[list(fold)] = i
         used = target.used & ~np.isin(np.arange(m), fold)
-        problem = Problem((replace(configuration, target=replace(target, used=used)),))
+        problem = Problem((replace(configuration, target=replace(target, used=used)), *others))
         done = solve(problem, method, start=begin)
         good, begin = good and done.outcome is Outcome.CONVERGED, done.y if start is None else start
         predicted_fold(done.end, laplace(problem, done.end), list(fold), predicted, mac, spread)
@@ -176,6 +185,7 @@ def with_discrepancy(
     method: Method | None = None,
     *,
     start: Float | None = None,
+    others: Sequence[Configuration] = (),
     progress: Progress | None = None,
 ) -> tuple[Configuration, Held]:
     """The configuration with the weights that its left-out modes ask for, and the last predictions.
@@ -185,17 +195,16 @@ def with_discrepancy(
 
     Notes
     -----
-    Terms are replaced by eigenvalues and shapes with these weights.
+    Terms of frequencies, shapes and MAC get these weights, in the other configurations too; other kinds stay.
     """
     now = configuration
     for i in range(ROUNDS):
         part = None if progress is None else (lambda f, t, i=i: progress((i + f) / ROUNDS, t))
-        held = k_fold(now, folds, method, start=start, progress=part)
+        held = k_fold(now, folds, method, start=start, others=others, progress=part)
         s = discrepancy(held.error, np.hypot(held.parameter_std, held.test_std))
         before = now.target.weights
         shape = max(float(np.nanmean(1 - held.mac)), LEAST)
-        target = replace(now.target, weights=replace(before, frequency=s, mac=shape))
-        now = Configuration(now.model, target, (), now.name)
+        now, *others = (_weighed(c, s, shape) for c in (now, *others))
         if abs(np.log(s / before.frequency)) < SETTLED and abs(np.log(shape / before.mac)) < SETTLED:
             break
     return now, held

@@ -17,7 +17,7 @@ from scipy.special import ndtri, stdtrit
 from ringtrue.core.arrays import Bool, Float, freeze_fields
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.update.residuals import Eigenvalues, Shapes
+from ringtrue.update.residuals import Eigenvalues, Shapes, Weighted
 from ringtrue.update.several import Configuration, Evaluated, Problem
 
 MOVED = 0.7  # posterior over prior standard deviation below which the data have told something
@@ -175,9 +175,10 @@ def as_likelihood(
 
     Notes
     -----
-    Replaces the kinds of residuals by eigenvalues and shapes.
+    Replaces the kinds of residuals of the modes by eigenvalues and shapes; what else was measured stays.
     """
     if not (frequency >= 0 and shape > 0):
         raise InputError(f"discrepancy of frequencies {frequency} (>= 0), of shapes {shape} (> 0)")
     count = configuration.target.shapes.shape[0] if independent is None else independent
-    return replace(configuration, terms=(Eigenvalues(frequency), Shapes(shape, count)))
+    rest = tuple(t for t in configuration.terms if isinstance(t, Weighted))
+    return replace(configuration, terms=(Eigenvalues(frequency), Shapes(shape, count), *rest))

@@ -301,3 +301,16 @@ class CrossOrthogonality:
         keep = (same & self.diagonal) | (~same & self.off_diagonal)
         rows = np.broadcast_to(t[:, None], keep.shape)[keep]
         return rows_block((same - terms)[keep] / self.std, d_terms[keep] / self.std, rows)
+
+
+def reweighed(terms: Sequence[Term], frequency: float, mac: float) -> tuple[Term, ...]:
+    """The kinds with other model discrepancies of a frequency (relative) and of 1 − MAC; the rest as it is."""
+    out: list[Term] = []
+    for t in terms:
+        if isinstance(t, Eigenvalues | Frequencies):
+            out.append(replace(t, std=frequency))
+        elif isinstance(t, Shapes):
+            out.append(replace(t, mac=mac))
+        else:
+            out.append(replace(t, std=mac) if isinstance(t, Mac) else t)
+    return tuple(out)

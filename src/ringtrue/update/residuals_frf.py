@@ -16,6 +16,7 @@ from ringtrue.model.ports import Linearisation
 from ringtrue.update.harmonic import Damping
 from ringtrue.update.residuals import NO_MODE, Block, Point, rows_block
 
+FAR = 30.0
 RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a zero of an FRF
 
 
@@ -121,7 +122,8 @@ class AntiResonances:
 
     def __call__(self, at: Point) -> Block:
         """See `Term`."""
-        mu, d_mu = zeros(at.whole, self.output, self.input)
+        top = float(np.max(self.frequencies)) * (1 + self.gate)
+        mu, d_mu = zeros(at.whole, self.output, self.input, top)
         f, f_test = np.sqrt(mu) / (2 * np.pi), np.asarray(self.frequencies, dtype=np.float64)
         value, slope = np.full(f_test.size, self.gate), np.zeros((f_test.size, d_mu.shape[1]))
         away = np.minimum(np.abs(f[None, :] / f_test[:, None] - 1), self.gate)
@@ -132,24 +134,37 @@ class AntiResonances:
         return rows_block(value / self.std, slope / self.std, np.full(f_test.size, NO_MODE))
 
 
-def zeros(now: Linearisation, output: int, into: int) -> tuple[Float, Float]:
+def zeros(now: Linearisation, output: int, into: int, top: float = np.inf) -> tuple[Float, Float]:
     """Real positive zeros μ (z,), (rad/s)², ascending, of Σ φ_o φ_i/(λ − μ), and ∂μ/∂x (z, p).
 
-    The zeros are the finite eigenvalues of [Λ φ_i; φ_oᵀ 0] against diag(I, 0); the sensitivities follow from the sum
-    by implicit differentiation. He and Fu (2001), Modal Analysis, ch. 4.
+    The zeros are the finite eigenvalues of [Λ φ_i; φ_oᵀ −r] against diag(I, 0), r the flexibility of the modes far
+    above; the sensitivities follow from the sum by implicit differentiation. He and Fu (2001), Modal Analysis, ch. 4.
+
+    Parameters
+    ----------
+    top : float, Hz
+        Up to where zeros are looked for. Modes beyond `FAR` times that are first taken as static: the stiffest ones of
+        a reduced basis would drown the zeros in rounding. The zeros are those of the whole sum.
     """
     lam = (2 * np.pi * now.frequencies) ** 2
     a, b = now.shapes[output], now.shapes[into]
-    scale = lam.max()
-    pencil = np.block([[np.diag(lam / scale), b[:, None]], [a[None], np.zeros((1, 1))]])
-    mass = np.diag([*np.ones(lam.size), 0.0])
-    top, bottom = linalg.eig(pencil, mass, right=False, homogeneous_eigvals=True)
-    finite = np.abs(bottom) > 1e-10 * np.abs(top)
-    mu = top[finite] / bottom[finite] * scale
+    near = lam <= (2 * np.pi * FAR * top) ** 2
+    scale = lam[near].max(initial=0.0)
+    if not scale:
+        return np.zeros(0), np.zeros((0, now.d_lambda.shape[1]))
+    rest = float(np.sum((a * b)[~near] / lam[~near])) * scale
+    side = b[near, None]
+    pencil = np.block([[np.diag(lam[near] / scale), side], [a[None, near], np.full((1, 1), -rest)]])
+    mass = np.diag([*np.ones(int(near.sum())), 0.0])
+    high, low = linalg.eig(pencil, mass, right=False, homogeneous_eigvals=True)
+    finite = np.abs(low) > 1e-10 * np.abs(high)
+    mu = high[finite] / low[finite] * scale
     real = (np.abs(mu.imag) < 1e-9 * np.abs(mu)) & (mu.real > RIGID * scale)
     mu = np.sort(mu.real[real])
-    gap = lam - mu[:, None]
-    mu = mu[np.abs(gap).min(axis=1, initial=np.inf) > 1e-12 * scale]  # a mode that does not take part
+    mu = mu[np.abs(lam - mu[:, None]).min(axis=1, initial=np.inf) > 1e-12 * scale]  # a mode that does not take part
+    for _ in range(2 if (~near).any() else 0):  # Newton on the whole sum
+        gap = lam - mu[:, None]
+        mu = mu - ((a * b) / gap).sum(axis=1) / ((a * b) / gap**2).sum(axis=1)
     gap = lam - mu[:, None]
     square = (a * b) / gap**2
     d_ab = a[:, None] * now.d_shapes[into] + b[:, None] * now.d_shapes[output]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ringtrue.plots import scene
 from ringtrue.plots import updating as plots
 from ringtrue.report.parts import (
@@ -20,7 +22,7 @@ from ringtrue.report.parts import (
 )
 from ringtrue.report.sections.correlation import pairs
 from ringtrue.report.stages import Stages
-from ringtrue.study.results import SetResult, UpdateStage
+from ringtrue.study.results import DataResult, SetResult, UpdateStage
 
 
 def section(data: Stages) -> Section | None:
@@ -37,6 +39,7 @@ def section(data: Stages) -> Section | None:
     text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. "
     text += f"Outcome: {best.outcome}."
     blocks.append(Plot(plots.path(best), text))
+    blocks += [_measured(d) for d in u.data]
     if data.model is not None and u.regions:
         notes = {p: f"× {number(f, 3)}" for p, f in zip(best.parameters, best.factor.tolist(), strict=True)}
         view = scene.regions(data.model.scene, u.regions, notes)
@@ -44,6 +47,20 @@ def section(data: Stages) -> Section | None:
             Scene3D(view, "The updated regions, each with its factor updated / initial; springs are dots.", 460)
         )
     return Section("updating", "Updating", blocks)
+
+
+def _measured(d: DataResult) -> Table:
+    """Values, or deviations where no value is shown, of the model before and after."""
+    where = f", measured on {d.configuration}" if d.configuration else ""
+    columns = (d.measured, d.before, d.after, d.error)
+    rows = [
+        [label, unit, *(number(float(v), 4) for v in row)]
+        for label, unit, *row in zip(d.labels, d.units, *columns, strict=True)
+    ]
+    text = f"{d.name}: {d.kind}{where}; the model before and after the updating, with the error (1 σ) that is allowed."
+    if np.isnan(d.measured).any():
+        text += " Before and after are deviations from the measured curve."
+    return Table(("|What", "|Unit", "Measured", "Before", "After", "Error"), rows, text)
 
 
 def _compared(u: UpdateStage) -> Table:

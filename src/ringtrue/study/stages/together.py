@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float
-from ringtrue.study.objective import data_count, data_of, names_of, problem_of
+from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, ROUNDS, STILL, AtChannels, not_verified, verified
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
@@ -78,7 +78,8 @@ def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Con
         x = p.vector(np.array([factor[n] for n in p.names]))
         if not _agrees(active.modes(x).frequencies, done.observed.frequencies):
             active, _ = active.enrich(x)
-        out.append(Configuration(active, aim.settled(active.linearise(x)), name=done.name))
+        terms = terms_of(desk, done.name, active, aim)
+        out.append(Configuration(active, aim.settled(active.linearise(x)), terms, done.name))
     return tuple(out)
 
 

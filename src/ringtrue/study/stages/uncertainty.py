@@ -10,18 +10,19 @@ from scipy.special import ndtri, stdtrit
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.reduce.condense import condensed
+from ringtrue.study.objective import scales, terms_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, AtChannels
 from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import others_at
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
 from ringtrue.update.objective import Target, Weights, match
 from ringtrue.update.plausible import plausibility
 from ringtrue.update.posterior import Posterior, as_likelihood, laplace
-from ringtrue.update.residuals import Eigenvalues
+from ringtrue.update.residuals import Eigenvalues, Weighted
 from ringtrue.update.several import Configuration, Problem
 
 SMALL = 100  # vectors of the model that is updated fold by fold and sampled
@@ -44,15 +45,17 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     count = int(paired.used.sum())
     if count < FEWEST:
         return None
-    small = _near(model, x, best.std, np.random.default_rng([desk.config.study.seed, 6]))
+    small = _near(desk, model, x, best.std, np.random.default_rng([desk.config.study.seed, 6]))
+    first = Configuration(small, paired, terms_of(desk, OWN, small, paired))
+    others = _others(desk, best, rng=np.random.default_rng([desk.config.study.seed, 8]), progress=progress)
     likely, held = with_discrepancy(
-        Configuration(small, paired),
+        first,
         folds_of(paired.used, min(asked.folds, count)),
         start=x,
+        others=others,
         progress=lambda f, t: progress(0.4 + 0.4 * f, t),
     )
-    others = _others(desk, best, rng=np.random.default_rng([desk.config.study.seed, 8]), progress=progress)
-    posterior, slope = _posterior((Configuration(small, paired), *others), likely.target.weights, x)
+    posterior, slope = _posterior((first, *others), likely.target.weights, x)
     told = _result(posterior, aim, likely.target, slope, final, held, asked.level)
     if not asked.samples:
         return told
@@ -71,7 +74,7 @@ def _others(
         assert isinstance(c.model, AtChannels)
         p = c.model.parameters
         factor = np.array([best.factor[best.parameters.index(n)] for n in p.names])
-        near = _near(c.model, p.vector(factor), np.array([std[n] for n in p.names]), rng)
+        near = _near(desk, c.model, p.vector(factor), np.array([std[n] for n in p.names]), rng)
         out.append(replace(c, model=near))
     return tuple(out)
 
@@ -93,8 +96,7 @@ def _posterior(assumed: tuple[Configuration, ...], found: Weights, x: Float) -> 
     """
     problem, w = Problem(assumed), assumed[0].target.weights
     at = problem.evaluate(x)
-    one = np.array([found.frequency / w.frequency, np.sqrt(found.mac / w.mac)])
-    scale = np.concatenate([one[: len(c.terms)] for c in assumed])
+    scale = np.array([s for c in assumed for s in scales(c.terms, found, w)])
     return laplace(problem, at, scale, independent=HANDFUL), at.points[0].now.d_lambda
 
 
@@ -103,7 +105,8 @@ def _likelihood(found: Configuration) -> Configuration:
     w = found.target.weights
     if w.shape > 0:
         return as_likelihood(found, w.frequency, w.mac, independent=HANDFUL)
-    return replace(found, terms=(Eigenvalues(w.frequency),))
+    rest = tuple(t for t in found.terms if isinstance(t, Weighted))
+    return replace(found, terms=(Eigenvalues(w.frequency), *rest))
 
 
 def _delivered(desk: Workbench, best: SetResult, final: FinalStage, progress: Progress) -> AtChannels:
@@ -132,8 +135,10 @@ def _paired(aim: Target, model: AtChannels, final: FinalStage, x: Float) -> Targ
     return replace(aim, used=used, fixed=(pairs, groups))
 
 
-def _near(model: AtChannels, x: Float, std: Float, rng: np.random.Generator) -> AtChannels:
-    """The model on its modes around a point."""
+def _near(desk: Workbench, model: AtChannels, x: Float, std: Float, rng: np.random.Generator) -> AtChannels:
+    """The model on its modes around a point; as it is where more than modes was measured."""
+    if desk.config.residual:
+        return model
     low, high = model.parameters.bounds()
     reach = np.maximum(REACH * std, LEAST_REACH)
     steps = [np.zeros(x.size), *np.diag(reach), *np.diag(-reach), *(reach * rng.standard_normal((DRAWS, x.size)))]
