@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,12 @@ import pytest
 import small_study
 
 from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.checks.mass import whole_mass
 from ringtrue.cli.main import run
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.fem.response import frf
+from ringtrue.io.frfs import write_frfs
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
@@ -18,6 +24,7 @@ from ringtrue.model.ports import ModesRequest
 STUDY = '[model]\ndeck = "frame.bdf"\n' + "".join(
     f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\n' for i in small_study.TRUTH
 )
+READ = ("303+X", "203+X", "103+X")
 
 Capture = pytest.CaptureFixture[str]
 
@@ -29,7 +36,8 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "study.toml").write_text(STUDY)
     with EmbeddedSolver().open(read_deck(tmp_path / "truth.bdf")) as analysis:
         modes = analysis.modes(ModesRequest(9)).modes
-    write_modes(tmp_path / "test.json", modes.rows(small_study.test_model().channels))
+    seen = modes.rows(small_study.test_model().channels)
+    write_modes(tmp_path / "test.json", replace(seen, damping=np.full(9, 0.01)))
     return tmp_path
 
 
@@ -79,6 +87,50 @@ def test_checkpoint_is_kept_and_the_table_is_printed(capsys: Capture, folder: Pa
     assert "posterior/prior" in out
     assert len(json.loads(file.read_text())["y"]) == 3
     assert call(capsys, folder, "--checkpoint", str(file))[0] == 0
+
+
+def responses(folder: Path) -> tuple[list[float], FrfSet]:
+    """Static deflections under 1 kN at 303+X, and accelerances, of the true deck by all its modes."""
+    with EmbeddedSolver().open(read_deck(folder / "truth.bdf")) as analysis:
+        modes = analysis.modes(ModesRequest(40)).modes.rows(READ)
+        rows = analysis.system.transform[analysis.dofs.align(DofSet.parse(READ))[0]].toarray()
+        u = rows @ analysis.pencil.at(0.0).solve(1000.0 * rows[:1].T)
+    f, shapes = np.arange(1.0, 18.0, 0.05), np.asarray(modes.shapes.real)
+    h = frf(f, modes.frequencies, np.full(40, 0.01), shapes, shapes[:1])
+    sides = [tuple(Channel(c, "acceleration", "m/s^2") for c in READ), (Channel(READ[0], "force", "N"),)]
+    return u.ravel().tolist(), FrfSet(h, f, sides[0], sides[1], np.full(h.shape, np.nan), np.full(1, np.nan))
+
+
+def test_what_was_measured_beside_modes_is_fitted_and_told(capsys: Capture, folder: Path) -> None:
+    moved, frfs = responses(folder)
+    write_frfs(folder / "frfs.uff", frfs)
+    text = "".join(f"pull,{c},{1000 if c == READ[0] else ''},{u:.9e}\n" for c, u in zip(READ, moved, strict=True))
+    (folder / "pull.csv").write_text("case,channel,load,deflection\n" + text)
+    mass = whole_mass(read_deck(folder / "truth.bdf")).mass
+    words = (
+        "--residuals",
+        "mac,orthogonality",
+        "--frf",
+        str(folder / "frfs.uff"),
+        "--static",
+        str(folder / "pull.csv"),
+    )
+    (folder / "study.toml").write_text(STUDY + '[[residual]]\nkind = "mass"\nmass = ' + str(mass) + "\n")
+    status, out, err = call(capsys, folder, *words, "--json", "-")
+    assert status == 0, err
+    found = json.loads(out)
+    factors = [p["factor"] for p in found["parameters"]]
+    np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)
+    told = {(m["name"], m["what"]): m for m in found["measured"]}
+    assert len(told) == 1 + 3 + 3
+    pulled = told["static", "pull: 103+X"]
+    assert abs(pulled["before"] / pulled["measured"] - 1) > 0.1
+    assert pulled["after"] == pytest.approx(pulled["measured"], rel=0.01)
+    weighed = told["mass", "mass"]
+    assert weighed["after"] == pytest.approx(mass, rel=1e-9)
+    curve = told["frf", "203+X / 303+X"]
+    assert curve["after"] < 0.2 * curve["before"]
+    assert call(capsys, folder, *words)[1].count("pull: ") == 3
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.backends.observed import reduced
 from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
@@ -22,15 +21,20 @@ from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import field_changes
 from ringtrue.model.model import Model
-from ringtrue.model.ports import ModesRequest
+from ringtrue.reduce.flexible import with_responses
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig, read_config
+from ringtrue.study.config_update import DataResidual, FrfResidual, MassResidual, StaticResidual
+from ringtrue.study.measured import LENGTH, Data, measured, residual_data, rigid_mass
+from ringtrue.study.objective import KINDS as KINDS_OF_MODES
+from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
+from ringtrue.study.opened import Opened
+from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import measured_channels
 from ringtrue.update.multistart import latin_hypercube, multi_start
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.plausible import plausibility
-from ringtrue.update.residuals import Eigenvalues, Frequencies, Mac, Point, Shapes, Term
-from ringtrue.update.robust import Huber, Loss, Squares, Tukey
+from ringtrue.update.residuals import Point, Weighted
 from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.trust import KINDS, Method, solve
 from ringtrue.update.verified import Verified, solve_verified
@@ -39,8 +43,7 @@ from ringtrue.update.weights import RULES, regularised
 ABOVE = 1.5  # modes of the model up to here over the highest test mode
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
 STARTED = 30  # iterations of each of several starts
-RESIDUALS = ("eigenvalues", "frequencies", "shapes", "mac")
-LOSSES: dict[str, Loss] = {"squares": Squares(), "huber": Huber(), "tukey": Tukey()}
+SIDES = ("measured", "before", "after")
 Progress = Any
 
 
@@ -70,12 +73,21 @@ def update(
     prior: Annotated[str, typer.Option(help=f"Weight of the prior: study, {', '.join(RULES)}.")] = "study",
     loss: Annotated[str, typer.Option(help=f"Against a wrong mode: {', '.join(LOSSES)}.")] = "squares",
     frequency: Annotated[
-        float, typer.Option(metavar="%", help="Deviation of a frequency that the best model keeps.", min=1e-3)
-    ] = 1.0,
-    mac: Annotated[float, typer.Option(metavar="%", help="The same for 100 - MAC.", min=1e-3)] = 5.0,
+        float | None, typer.Option(metavar="%", help="Deviation of a frequency that the best model keeps.", min=1e-3)
+    ] = None,
+    mac_percent: Annotated[
+        float | None, typer.Option("--mac", metavar="%", help="The same for 100 - MAC.", min=1e-3)
+    ] = None,
     residuals: Annotated[
-        str, typer.Option(metavar="LIST", help=f"What is compared, any of {', '.join(RESIDUALS)}.")
-    ] = "eigenvalues,shapes",
+        str | None, typer.Option(metavar="LIST", help=f"What is compared of modes, any of {', '.join(KINDS_OF_MODES)}.")
+    ] = None,
+    frf: Annotated[
+        Path | None, typer.Option("--frf", metavar="FILE", help="Measured FRFs, compared too: .uff, .h5 or .npz.")
+    ] = None,
+    static: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Static tests: CSV with case, channel, load, deflection.")
+    ] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="Weighed mass of the structure.", min=0)] = None,
     starts: Annotated[int, typer.Option(metavar="N", help="Starts; the first is the deck as it is.", min=1)] = 1,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the starts.", min=0)] = 0,
     checkpoint: Annotated[
@@ -88,23 +100,24 @@ def update(
 ) -> int:
     """Update a model to test modes: factors with their uncertainty, deviations before and after, the deck edited.
 
+    What is compared beside modes comes from the [[residual]] sections of the study and from --frf, --static and --mass.
+
     Example: ringtrue update study.toml modes.json --leave-out 3,7 --out updated
     """
     asked = Asked(method, prior, loss, starts, seed, checkpoint)
     _check(asked)
-    config = read_config(study)
-    terms = _terms(residuals, frequency / 100, mac / 100, config.update.shape_weight)
+    config = _settings(read_config(study), residuals, frequency, mac_percent, (frf, static, mass))
     if config.model is None or not config.candidate:
         raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
     with progress("updating") as show:
         show(0.0, "reading")
-        model, target = read_deck(study.parent / config.model.deck), _target(config, test, leave_out, frequency, mac)
+        model, (target, modes) = read_deck(study.parent / config.model.deck), _target(config, test, leave_out)
         show(0.1, "reduced basis")
-        problem = _problem(model, config, target[0], target[1], terms)
+        problem, extra = _problem(model, config, target, modes, study.parent)
         before = problem.evaluate(np.zeros(problem.size)).points[0]
         done = _solved(replace(problem, loss=LOSSES[loss]), asked, lambda f, t: show(0.3 + 0.7 * f, t))
     written = _edited(model, config, done, folder)
-    summary = _summary(config, target[0], before, done, written)
+    summary = _summary(config, target, before, done, written) | _measured(extra, before, done)
     if json:
         write_json(summary, json)
     if json != "-":
@@ -138,10 +151,36 @@ def _left_out(text: str, count: int) -> list[int]:
     return [int(t) - 1 for t in numbers]
 
 
-def _target(
-    config: StudyConfig, test: Path, leave_out: str, frequency: float, mac: float
-) -> tuple[Target, tuple[str, ...]]:
-    """What the file says, and its channels."""
+def _settings(
+    config: StudyConfig,
+    residuals: str | None,
+    frequency: float | None,
+    mac: float | None,
+    more: tuple[Path | None, Path | None, float | None],
+) -> StudyConfig:
+    """The study with what the options say in place of it, and files and a mass beside its [[residual]]s."""
+    change: dict[str, Any] = {}
+    if residuals is not None:
+        names = [t.strip() for t in residuals.split(",") if t.strip()]
+        for name in names:
+            if name not in KINDS_OF_MODES:
+                raise ConfigError(f"--residuals {name!r}{did_you_mean(name, KINDS_OF_MODES)}")
+        if not names:
+            raise ConfigError(f"--residuals {residuals!r}: at least one of {', '.join(KINDS_OF_MODES)}")
+        change["residuals"] = list(dict.fromkeys(names))
+    change |= {n: v / 100 for n, v in (("frequency_error", frequency), ("mac_error", mac)) if v is not None}
+    frf, static, mass = more
+    extra: list[DataResidual] = list(config.residual)
+    if wrong := [r for r in extra if r.configuration]:
+        raise ConfigError(f"[[residual]] of configuration {wrong[0].configuration!r}: use ringtrue run")
+    extra += [FrfResidual(kind="frf", file=str(frf.absolute()))] if frf else []
+    extra += [StaticResidual(kind="static", file=str(static.absolute()))] if static else []
+    extra += [MassResidual(kind="mass", mass=mass)] if mass else []
+    return config.model_copy(update={"update": config.update.model_copy(update=change), "residual": extra})
+
+
+def _target(config: StudyConfig, test: Path, leave_out: str) -> tuple[Target, ModeSet]:
+    """What the file says, and its modes."""
     whole, spread = read_modes(test), read_frequency_std(test)
     modes: ModeSet = realise_modes(measured_channels(whole))
     if not len(modes) or not modes.channels:
@@ -150,36 +189,36 @@ def _target(
     relative = np.nan_to_num(spread[kept] / modes.frequencies, nan=0.0)
     used = ~np.isin(np.arange(len(modes)), _left_out(leave_out, len(modes)))
     gates = PairingSettings(mac_gate=config.correlate.mac_gate, frequency_gate=config.correlate.frequency_gate)
-    weights = Weights(frequency / 100, mac / 100, config.update.shape_weight)
+    u = config.update
+    weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
     shapes = np.asarray(modes.shapes.real, dtype=np.float64)
-    return Target(modes.frequencies, shapes, relative, used, weights, gates), modes.channels
-
-
-def _terms(text: str, frequency: float, mac: float, weight: float) -> tuple[Term, ...]:
-    """Residuals by name; `frequency` and `mac` relative, 1 sigma; `weight` of the shapes, none with 0."""
-    made: dict[str, Term] = {
-        "eigenvalues": Eigenvalues(frequency),
-        "frequencies": Frequencies(frequency, "log"),
-        "shapes": Shapes(mac, weight),
-        "mac": Mac(mac),
-    }
-    names = [t.strip() for t in text.split(",") if t.strip()]
-    for name in names:
-        if name not in made:
-            raise ConfigError(f"--residuals {name!r}{did_you_mean(name, list(made))}")
-    if not names:
-        raise ConfigError(f"--residuals {text!r}: at least one of {', '.join(made)}")
-    return tuple(made[n] for n in dict.fromkeys(names) if n != "shapes" or weight > 0)
+    return Target(modes.frequencies, shapes, relative, used, weights, gates), modes
 
 
 def _problem(
-    model: Model, config: StudyConfig, target: Target, channels: tuple[str, ...], terms: tuple[Term, ...]
-) -> Problem:
-    """The reduced model of the deck at the channels of the test."""
-    with EmbeddedSolver().open(model) as analysis:
-        observation = at_dofs(channels, analysis.dofs)
-        count = len(analysis.modes(ModesRequest(band=(-1.0, ABOVE * float(target.frequencies.max())))).modes)
-    return Problem((Configuration(reduced(model, config.candidates(), observation, count), target, terms),))
+    model: Model, config: StudyConfig, target: Target, modes: ModeSet, base: Path
+) -> tuple[Problem, tuple[Data, ...]]:
+    """The objective on the reduced model of the deck, and what was measured beside the modes."""
+    assert config.model is not None
+    parameters, units = config.candidates(), config.model.units
+    found = [measured(s, base, modes) for s in config.residual]
+    named = dict.fromkeys([*modes.channels, *(c for m in found for c in (*m.outputs, *m.inputs))])
+    at = {c: i for i, c in enumerate(named)}
+    loaded = np.array([at[c] for c in dict.fromkeys(c for m in found for c in m.inputs)], dtype=np.int64)
+    opened = Opened(model, LENGTH[units])
+    observation = at_dofs(tuple(named), opened.analysis.dofs)
+    count = len(opened.modes(ABOVE * float(target.frequencies.max())).modes)
+    basis = reduced(model, parameters, observation, count)
+    if loaded.size:
+        static = any(m.statics is not None for m in found)
+        basis, _ = with_responses(basis, loaded, np.zeros(len(parameters)), sensitivities=static)
+    seen = AtChannels(basis, np.arange(len(modes.channels)), loaded)
+    every = tuple(range(len(parameters)))
+    data = tuple(residual_data(m, at, units, lambda: rigid_mass(model, parameters), every) for m in found)
+    modal = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config))
+    terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
+    rows, limits = constraints(config, parameters)
+    return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data
 
 
 def _solved(problem: Problem, asked: Asked, show: Progress) -> Verified:
@@ -227,6 +266,19 @@ def _summary(config: StudyConfig, target: Target, before: Point, done: Verified,
     }
 
 
+def _measured(data: tuple[Data, ...], before: Point, done: Verified) -> dict[str, Any]:
+    """What was measured beside the modes, by the model before and after."""
+    if not data:
+        return {}
+    after, found = done.solution.end.points[0], []
+    for d in data:
+        columns = (d.measured, d.shown(d.term(before)), d.shown(d.term(after)))
+        for label, unit, *values in zip(d.labels, d.units, *columns, strict=True):
+            told = [None if np.isnan(v) else float(v) for v in values]
+            found.append({"name": d.name, "what": label, "unit": unit} | dict(zip(SIDES, told, strict=True)))
+    return {"measured": found}
+
+
 def _modes(target: Target, before: Point, after: Point) -> list[dict[str, Any]]:
     """Deviation and MAC of each test mode, before and after; null without a partner."""
     f, k = target.frequencies, target.frequencies.size
@@ -253,6 +305,9 @@ def _print(study: Path, summary: dict[str, Any]) -> None:
         for i, m in enumerate(summary["modes"])
     ]
     rows("modes", ("#", "f test [Hz]", "Δf before [%]", "MAC", "Δf after [%]", "MAC", ""), body)
+    if summary.get("measured"):
+        body = [(m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES)) for m in summary["measured"]]
+        rows("beside the modes", ("", "what", "unit", *SIDES), body)
     for line in (summary["why"], *summary["flags"], *(f"deck: {p}" for p in summary["deck"])):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     told = (
@@ -263,6 +318,10 @@ def _print(study: Path, summary: dict[str, Any]) -> None:
 
 def _cell(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
+
+
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
 
 
 def register(app: typer.Typer) -> None:

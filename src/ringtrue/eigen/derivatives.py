@@ -77,7 +77,7 @@ def split_derivatives(modes: EigenModes, slope: Slope, close: float = CLOSE) -> 
     return out
 
 
-def modal_coefficients(stiffness: Float, mass: Float, values: Float, close: float = CLOSE) -> Float:
+def modal_coefficients(stiffness: Float, mass: Float, values: Float, close: float = CLOSE, *, low: int = 0) -> Float:
     """Coefficients C of φ' = Φ C in a complete modal basis.
 
     Parameters
@@ -85,6 +85,8 @@ def modal_coefficients(stiffness: Float, mass: Float, values: Float, close: floa
     stiffness, mass : (..., n, m) float64
         Φᵀ K' Φ_m and Φᵀ M' Φ_m for all n modes and the m lowest of them.
     values : (n,) float64, ascending
+    low : int
+        Modes that must be told apart whatever is above them; 0: m.
 
     Returns
     -------
@@ -93,7 +95,7 @@ def modal_coefficients(stiffness: Float, mass: Float, values: Float, close: floa
     """
     m = stiffness.shape[-1]
     size = np.abs(values)
-    top = max(1e4 * size[:m].max(initial=0.0), 1e-6 * size.max(initial=0.0))
+    top = max(1e4 * size[: low or m].max(initial=0.0), 1e-6 * size.max(initial=0.0))
     at = groups(np.minimum(values, top), close)  # motions almost without mass must not set the noise of the low modes
     same = at[:, None] == at[:m]
     gap = np.where(same, 1.0, values[:m] - values[:, None])

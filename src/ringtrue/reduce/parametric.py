@@ -33,6 +33,7 @@ from ringtrue.reduce.basis import (
 )
 
 AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
+FAR = 100.0  # times the highest frequency returned: stiffer vectors of the basis have no sensitivity that can be used
 MASSLESS = 1e-14  # θ = 1/(λ − σ), relative to the largest, from which on a vector of the basis has no mass
 
 
@@ -71,6 +72,8 @@ class ReducedModel:
     active : tuple of int
         The parameters that x stands for; the others stay at `base`.
     base : (all parameters,) float64
+    scale : int
+        Of the modes returned, the lowest that set the size of rounding; 0: all.
     """
 
     system: AffineSystem
@@ -80,6 +83,7 @@ class ReducedModel:
     count: int
     active: tuple[int, ...]
     base: Float
+    scale: int = 0
 
     @property
     def parameters(self) -> ParameterSet:
@@ -122,7 +126,7 @@ class ReducedModel:
             dk, dm = self._derivative(which, float(a[which]), float(slope[which]))
             dk, dm = y.T @ (dk @ ym), y.T @ (dm @ ym)
             d_lambda[:, i] = np.diag(dk) - np.diag(dm) * lam[:m]
-            c[i] = modal_coefficients(dk, dm, lam)
+            c[i] = modal_coefficients(dk, dm, lam, low=self.scale)
         seen = self.basis.observe @ y
         d_shapes = np.moveaxis(seen @ c, 0, -1)
         return Linearisation(np.array(x, dtype=float), frequencies(lam[:m]), seen[:, :m], d_lambda, d_shapes)
@@ -202,8 +206,14 @@ class ReducedModel:
         return replace(self, basis=basis)
 
     def whole(self) -> ReducedModel:
-        """The same with all modes of the basis: sums over them hold its static flexibility."""
-        return replace(self, count=self.basis.size)
+        """The same with all modes of the basis that are not drowned in rounding: sums over them hold its flexibility.
+
+        They are counted at `base`, so that the number does not change from point to point.
+        """
+        everything = replace(self, count=self.basis.size)
+        lam, _ = everything._solve(self.base, all_modes=False)
+        count = int(np.searchsorted(lam, FAR**2 * abs(lam[self.count - 1]), side="right"))
+        return replace(self, count=count, scale=self.scale or self.count)
 
     def on(self, vectors: Float) -> ReducedModel:
         """The same model and parameters on another basis, independent vectors (f, r) of the free DOFs."""

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.model.edit import carried
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.evidence import channel_mass
 from ringtrue.study.measured import Data, residual_data, rigid_mass
+from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import STILL, AtChannels
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.objective import Target, Weights
@@ -32,30 +36,30 @@ def names_of(desk: Workbench) -> tuple[str, ...]:
 def problem_of(desk: Workbench, models: Sequence[AtChannels], aims: Sequence[Target]) -> Problem:
     """The objective over all configurations, the parameters of the models free."""
     parts = [
-        Configuration(m, aim, terms_of(desk, n, m, aim), name=n or "the deck of the study")
+        Configuration(m, aim, terms_of(desk, n, m), name=n or "the deck of the study")
         for n, m, aim in zip(names_of(desk), models, aims, strict=True)
     ]
     problem = Problem(tuple(parts), loss=LOSSES[desk.config.update.loss])
-    rows, limits = constraints(desk, problem.parameters)
+    rows, limits = constraints(desk.config, problem.parameters)
     return Problem(problem.configurations, problem.parameters, loss=problem.loss, rows=rows, limits=limits)
 
 
-def constraints(desk: Workbench, parameters: ParameterSet) -> tuple[Float, Float]:
+def constraints(config: StudyConfig, parameters: ParameterSet) -> tuple[Float, Float]:
     """Rows (c, p) and limits (c,) of the [[constraint]]s that name a parameter; those not there stay at x = 0."""
-    rows = [[c.terms.get(n, 0.0) for n in parameters.names] for c in desk.config.constraint]
+    rows = [[c.terms.get(n, 0.0) for n in parameters.names] for c in config.constraint]
     kept = [i for i, r in enumerate(rows) if any(r)]
-    limits = np.array([desk.config.constraint[i].most for i in kept])
+    limits = np.array([config.constraint[i].most for i in kept])
     return np.array([rows[i] for i in kept]).reshape(len(kept), len(parameters)), limits
 
 
-def terms_of(desk: Workbench, name: str, model: AtChannels, aim: Target) -> tuple[Term, ...]:
+def terms_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Term, ...]:
     """All kinds of residuals of a configuration: those of its modes, then what else was measured on it."""
-    return (*modal_terms(desk, name, aim), *(Weighted(d.term, d.weight) for d in data_of(desk, name, model)))
+    modal = modal_terms(desk.config.update, lambda: _mass(desk, name))
+    return (*modal, *(Weighted(d.term, d.weight) for d in data_of(desk, name, model)))
 
 
-def modal_terms(desk: Workbench, name: str, aim: Target) -> tuple[Term, ...]:
-    """The kinds of residuals of the paired modes."""
-    u = desk.config.update
+def modal_terms(u: UpdateSection, mass: Callable[[], Float]) -> tuple[Term, ...]:
+    """The kinds of residuals of the paired modes; `mass` (channel, channel) of the deck at the channels."""
     made: dict[str, Term] = {
         "eigenvalues": Eigenvalues(u.frequency_error),
         "frequencies": Frequencies(u.frequency_error, "log"),
@@ -64,29 +68,32 @@ def modal_terms(desk: Workbench, name: str, aim: Target) -> tuple[Term, ...]:
     if u.shape_weight > 0:
         made["shapes"] = Shapes(u.mac_error, u.shape_weight)
     if "orthogonality" in u.residuals:
-        made["orthogonality"] = CrossOrthogonality(_mass(desk, name), u.orthogonality_error)
+        made["orthogonality"] = CrossOrthogonality(mass(), u.orthogonality_error)
     return tuple(made[k] for k in KINDS if k in u.residuals and k in made)
 
 
 def _mass(desk: Workbench, name: str) -> Float:
-    """The mass of the nominal deck at the channels of the test modes.
+    """The mass of the nominal deck at the channels of the test modes."""
+    if name not in desk.masses:
+        opened, seen = desk.deck_of(name)
+        desk.masses[name] = mass_at(opened, seen, desk.reference(name).channels, desk.config)
+    return desk.masses[name]
+
+
+def mass_at(opened: Opened, seen: Observation, channels: tuple[str, ...], config: StudyConfig) -> Float:
+    """The mass of a deck at channels, (channel, channel), by the test-analysis model of the study.
 
     Raises
     ------
     ConfigError
         If there is none.
     """
-    if name not in desk.masses:
-        c = desk.config.correlate
-        if c.tam == "serep":
-            raise ConfigError('update.residuals "orthogonality" needs correlate.tam irs, guyan or hybrid')
-        channels = desk.reference(name).channels
-        opened, seen = desk.deck_of(name)
-        mass, why = channel_mass(opened, seen, channels, c, desk.deck.fmax)
-        if mass is None:
-            raise ConfigError(f'update.residuals "orthogonality": {why}')
-        desk.masses[name] = mass
-    return desk.masses[name]
+    if config.correlate.tam == "serep" or config.model is None:
+        raise ConfigError('update.residuals "orthogonality" needs a deck, and correlate.tam irs, guyan or hybrid')
+    mass, why = channel_mass(opened, seen, channels, config.correlate, config.model.fmax)
+    if mass is None:
+        raise ConfigError(f'update.residuals "orthogonality": {why}')
+    return mass
 
 
 def data_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Data, ...]:

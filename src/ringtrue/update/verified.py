@@ -4,16 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.model.ports import Linearisation
 from ringtrue.update.several import Problem
 from ringtrue.update.trust import Method, Solution, solve
 
 Progress = Callable[[float, str], None]
+
+
+@runtime_checkable
+class Enriched(Protocol):
+    """An `ObservedModel` on a basis to which the full model's modes can be added."""
+
+    @property
+    def parameters(self) -> ParameterSet: ...
+    def linearise(self, x: Float) -> Linearisation: ...
+    def modes(self, x: Float) -> Linearisation: ...
+    def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[Self, Linearisation]: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +65,7 @@ def solve_verified(
     Parameters
     ----------
     problem : Problem
-        One configuration with a `ReducedModel`.
+        One configuration with a `ReducedModel`, or another that can be enriched.
     method : Method, optional
     start : (q,) float64, optional
     tolerance : float
@@ -69,7 +82,7 @@ def solve_verified(
     """
     only = problem.configurations[0]
     model = only.model
-    if len(problem.configurations) != 1 or not isinstance(model, ReducedModel) or rounds < 1:
+    if len(problem.configurations) != 1 or not isinstance(model, Enriched) or rounds < 1:
         raise InputError("a verified updating needs one configuration, a ReducedModel, and one round or more")
     done, error, count = solve(problem, method, start=start), np.inf, 0
     while error > tolerance and count < rounds:

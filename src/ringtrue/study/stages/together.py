@@ -78,7 +78,7 @@ def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Con
         x = p.vector(np.array([factor[n] for n in p.names]))
         if not _agrees(active.modes(x).frequencies, done.observed.frequencies):
             active, _ = active.enrich(x)
-        terms = terms_of(desk, done.name, active, aim)
+        terms = terms_of(desk, done.name, active)
         out.append(Configuration(active, aim.settled(active.linearise(x)), terms, done.name))
     return tuple(out)
 
