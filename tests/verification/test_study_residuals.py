@@ -21,6 +21,7 @@ import small_study
 
 from ringtrue.checks.mass import whole_mass
 from ringtrue.errors import DataError
+from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
 from ringtrue.study.opened import Opened
@@ -129,6 +130,19 @@ def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(made: Path
     assert (known.ratio < 0.1).all()  # the modes alone leave the scale at its prior
     at = np.array([TRUTH[n] for n in known.parameters.names])
     assert (np.abs(known.factor / at - 1) < 4 * known.std).all()
+
+
+def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path: Path) -> None:
+    more = weighing(made) + 'configuration = "bare"\n'
+    bare = '[[configuration]]\nname = "bare"\ndeck = "deck/frame.bdf"\nmodes = "bare.json"\n'
+    path = study(made, tmp_path, more + bare + "[uncertainty]\nfolds = 3\n")
+    opened = Opened(read_deck(made / "truth.bdf"), 1.0)
+    write_modes(path.parent / "bare.json", opened.seen(opened.modes(20.0).modes, small_study.test_model(), 0.01))
+    run = run_study(path, until="uncertainty")
+    for name, value in factors(run).items():
+        assert value == pytest.approx(TRUTH[name], rel=0.01)
+    assert [d.configuration for d in run.results["update"].data] == ["bare"]
+    assert (run.results["uncertainty"].ratio < 0.1).all()
 
 
 @pytest.mark.parametrize(
