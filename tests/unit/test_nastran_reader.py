@@ -9,6 +9,7 @@ import pytest
 
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.io.nastran.reader import read_deck, survey
+from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 
 DATA = Path(__file__).parents[2].parent / "shared/data/fe"
@@ -376,3 +377,9 @@ def test_a_long_free_deck_reads_as_a_small_field_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(a.stack("ID", "X1", "X2", "X3"), b.stack("ID", "X1", "X2", "X3"))
     np.testing.assert_array_equal(a["X2"], x / 1000)
     np.testing.assert_array_equal(b.line, 1 + 2 * np.arange(n))
+
+
+def test_a_frame_through_points_on_one_line_is_named_with_its_place(tmp_path: Path) -> None:
+    model = read(tmp_path, "BEGIN BULK\nCORD2R,6,,0.,0.,0.,1.,0.,0.\n,2.,0.,0.\nGRID,1,6,0.,0.,0.\n")
+    with pytest.raises(DeckError, match=r"main\.bdf:2: CORD2R 6: its three points lie on one line"):
+        positions(model)

@@ -12,6 +12,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, Table
+from ringtrue.model.places import error as error
 
 SCALAR_CARDS = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4")  # they define the points that they name
 
@@ -117,14 +118,6 @@ def scalar_points(model: Model) -> Int:
     ids += [model[card][end] for card in SCALAR_CARDS if card in model for end in ("S1", "S2")]
     every = np.unique(np.concatenate(ids))
     return every[every > 0]
-
-
-def error(model: Model, table: Table, row: int, message: str) -> DeckError:
-    """A DeckError at the place of a row of a table."""
-    file = int(table.file[row])
-    path = model.files[file] if 0 <= file < len(model.files) else None
-    line = int(table.line[row]) if path else None
-    return DeckError(message, path=path, line=line, card=f"{table.card} {table.ids[row]}")
 
 
 def lookup(model: Model, card: str, ids: Int, table: Table, at: Int) -> Int:

@@ -9,7 +9,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.errors import DeckError
-from ringtrue.model.model import Model
+from ringtrue.model.model import Model, Table
+from ringtrue.model.places import error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,13 +54,22 @@ class Frame:
         return np.asarray(local.reshape(n, 3, 3) @ self.axes)
 
 
-def _from_points(a: Float, b: Float, c: Float, kind: str, where: str) -> Frame:
+def _from_points(a: Float, b: Float, c: Float, kind: str) -> Frame | None:
+    """None where the three points lie on one line."""
     z = b - a
     y = np.cross(z, c - a)
     if np.linalg.norm(z) == 0 or np.linalg.norm(y) <= 1e-12 * np.linalg.norm(z) * np.linalg.norm(c - a):
-        raise DeckError(f"{where}: its three points lie on one line")
+        return None
     z, y = z / np.linalg.norm(z), y / np.linalg.norm(y)
     return Frame(a, np.stack([np.cross(y, z), y, z]), kind)
+
+
+def _made(model: Model, t: Table, row: int, points: Float, kind: str) -> Frame:
+    """The frame of a card through its three points (3, 3), basic."""
+    found = _from_points(points[0], points[1], points[2], kind)
+    if found is None:
+        raise error(model, t, row, "its three points lie on one line")
+    return found
 
 
 def _definitions(model: Model) -> dict[int, Callable[[dict[int, Frame]], Frame | None]]:
@@ -70,31 +80,32 @@ def _definitions(model: Model) -> dict[int, Callable[[dict[int, Frame]], Frame |
         if (card := f"CORD2{kind}") in model:
             t = model[card]
             abc = t.stack("A1", "A2", "A3", "B1", "B2", "B3", "C1", "C2", "C3").reshape(-1, 3, 3)
-            for cid, rid, p in zip(t["CID"].tolist(), t["RID"].tolist(), abc, strict=True):
+            for row, (cid, rid, p) in enumerate(zip(t["CID"].tolist(), t["RID"].tolist(), abc, strict=True)):
 
                 def points(
-                    known: dict[int, Frame], rid: int = rid, p: Float = p, k: str = kind, cid: int = cid
+                    known: dict[int, Frame], rid: int = rid, p: Float = p, k: str = kind, t: Table = t, row: int = row
                 ) -> Frame | None:
                     if rid not in known:
                         return None
-                    a, b, c = known[rid].to_basic(p)
-                    return _from_points(a, b, c, k, f"frame {cid}")
+                    return _made(model, t, row, known[rid].to_basic(p), k)
 
                 made[cid] = points
         if (card := f"CORD1{kind}") in model:
             t = model[card]
-            for cid, g in zip(t["CID"].tolist(), t.stack("G1", "G2", "G3"), strict=True):
+            for row, (cid, g) in enumerate(zip(t["CID"].tolist(), t.stack("G1", "G2", "G3"), strict=True)):
 
-                def nodes(known: dict[int, Frame], g: Int = g, k: str = kind, cid: int = cid) -> Frame | None:
+                def nodes(
+                    known: dict[int, Frame], g: Int = g, k: str = kind, t: Table = t, row: int = row
+                ) -> Frame | None:
                     at = grid.find(g)
                     if (at < 0).any():
-                        raise DeckError(f"CORD1{k} {cid}: node {g[at < 0][0]} is not in the deck")
+                        raise error(model, t, row, f"node {g[at < 0][0]} is not in the deck")
                     cp = grid["CP"][at]
                     if not all(int(c) in known for c in cp):
                         return None
                     x = grid.stack("X1", "X2", "X3")[at]
                     p = [known[int(c)].to_basic(xi[None])[0] for c, xi in zip(cp, x, strict=True)]
-                    return _from_points(p[0], p[1], p[2], k, f"frame {cid}")
+                    return _made(model, t, row, np.array(p), k)
 
                 made[cid] = nodes
     return made
@@ -126,7 +137,7 @@ def positions(model: Model) -> Float:
     known, out = frames(model), x.copy()
     for cid in np.unique(cp[cp != 0]).tolist():
         if cid not in known:
-            raise DeckError(f"GRID {int(grid.ids[cp == cid][0])}: frame CP {cid} is not in the deck")
+            raise error(model, grid, int(np.flatnonzero(cp == cid)[0]), f"frame CP {cid} is not in the deck")
         out[cp == cid] = known[cid].to_basic(x[cp == cid])
     return out
 
