@@ -12,6 +12,9 @@ from ringtrue.errors import SingularModel
 
 Labels = Callable[[Int], list[str]]
 HINT = "look for a mechanism without mass or a DOF without stiffness there, and hold it or give it inertia"
+LOOSE = f"a motion has neither stiffness nor mass (a mechanism): {HINT}"
+MASSLESS = 1e-9  # share of the usual mass of a DOF under which a motion counts as without mass
+NO_ENERGY = 1e-13  # of the energy that its DOFs would have alone: a motion is without stiffness
 DENSE_SIZE = 400  # rows up to which the dense solution is used
 
 
@@ -41,7 +44,7 @@ def spectrum(
     Raises
     ------
     SingularModel
-        If K − σM is not positive definite; the rows that move most are named.
+        If K − σM is not positive definite, or is so by rounding only; the rows that move most are named.
     """
     k, m = stiffness.toarray(), mass.toarray()
     a = k - shift * m
@@ -52,6 +55,11 @@ def spectrum(
     except linalg.LinAlgError:
         why = f"K - ({shift:.3g}) M is not positive definite: {HINT}"
         raise SingularModel(labels(_loose(a * scale, d)), why) from None
+    moved = d[:, None] * y  # of unit energy: long where there is next to none
+    loose = (y**2).sum(axis=0) * NO_ENERGY > 1
+    loose &= np.abs(theta) <= MASSLESS * usual_mass(mass) * (moved**2).sum(axis=0)
+    if loose.any():
+        raise SingularModel(labels(_most(moved[:, np.argmax(loose)])), LOOSE)
     theta, y = theta[::-1], y[:, ::-1]
     finite = theta > 1e-13 * theta[0]
     theta, y = theta[finite], y[:, finite]
@@ -61,7 +69,17 @@ def spectrum(
 
 def _loose(a: Float, d: Float) -> Int:
     """Rows that move most where the scaled matrix has its lowest eigenvalue; at most six."""
-    lowest = linalg.eigh(a, subset_by_index=(0, 0))[1][:, 0]
-    moved = np.abs(d * lowest)
+    return _most(d * linalg.eigh(a, subset_by_index=(0, 0))[1][:, 0])
+
+
+def _most(motion: Float) -> Int:
+    """Rows that move most; at most six."""
+    moved = np.abs(motion)
     order = np.argsort(-moved, kind="stable")[:6]
     return np.asarray(order[moved[order] > 0.1 * moved.max()])
+
+
+def usual_mass(mass: sparse.csr_array) -> float:
+    """The median mass of the DOFs that have one; 0 if there are none."""
+    m = mass.diagonal()
+    return float(np.median(m[m > 0])) if (m > 0).any() else 0.0

@@ -14,7 +14,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.eigen import memory
-from ringtrue.eigen.dense import HINT, named_rows
+from ringtrue.eigen.dense import HINT, LOOSE, MASSLESS, NO_ENERGY, named_rows, usual_mass
 from ringtrue.eigen.dense import Labels as Labels
 from ringtrue.eigen.engines import Engine, Method, choose
 from ringtrue.eigen.engines import factorise as engine
@@ -22,8 +22,6 @@ from ringtrue.eigen.pattern import Pattern
 from ringtrue.errors import InputError, SingularModel
 
 RESIDUAL_LIMIT = 1e-4  # of a probing solve (LDLᵀ without full pivoting reaches 1e-8 on ill-scaled shells)
-MASSLESS = 1e-9  # share of the usual mass of a DOF under which a motion counts as without mass
-NO_ENERGY = 1e-13  # of the energy that its DOFs would have alone: a motion is without stiffness
 LOST = 0.1  # error of a probing solve (solution of order 1) on perturbed pivots: they were zero
 log = logging.getLogger(__name__)
 
@@ -120,7 +118,7 @@ class Pencil:
             )
         if (rows := self._mechanism(factor, shift)).size:
             self._factor = None
-            raise SingularModel(self.labels(rows), f"a motion has neither stiffness nor mass (a mechanism): {HINT}")
+            raise SingularModel(self.labels(rows), LOOSE)
         return factor
 
     def _make(self, values: Float) -> Engine:
@@ -164,8 +162,7 @@ class Pencil:
         x = factor.solve(np.random.default_rng(1).standard_normal(self.size))
         x = x / np.abs(x).max(initial=np.finfo(float).tiny)
         k, m = self.stiffness.diagonal(), self.mass.diagonal()
-        usual = float(np.median(m[m > 0])) if (m > 0).any() else 0.0
-        if x @ (self.mass @ x) > MASSLESS * usual * (x @ x):
+        if x @ (self.mass @ x) > MASSLESS * usual_mass(self.mass) * (x @ x):
             return np.empty(0, dtype=np.int64)
         energy = abs(x @ (self.stiffness @ x)) + abs(shift) * (x @ (self.mass @ x))
         loose = energy <= NO_ENERGY * float(x**2 @ (np.abs(k) + abs(shift) * m))
