@@ -22,11 +22,12 @@ from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes, eigenvalue
 from ringtrue.eigen.residual import residual_vectors
 from ringtrue.eigen.solve import solve_modes
-from ringtrue.errors import InputError
+from ringtrue.errors import InputError, SingularModel
 from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.derivatives import system_derivatives
 from ringtrue.fem.response import coupled, direct
 from ringtrue.fem.response import frf as superpose
+from ringtrue.fem.spins import without_spins
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
@@ -45,14 +46,22 @@ class EmbeddedAnalysis:
     system : System
         K, M, damping and the transformation from free to full basic-frame DOFs.
     pencil : Pencil
+    spins : DofSet or None
+        DOFs of the system that are held, see `fem.spins`.
     """
 
     capabilities = frozenset({"modes", "derivatives", "frf", "static", "complex_modes"})
 
     def __init__(
-        self, model: Model, system: System, *, method: Method = "auto", progress: Progress | None = None
+        self,
+        model: Model,
+        system: System,
+        *,
+        spins: DofSet | None = None,
+        method: Method = "auto",
+        progress: Progress | None = None,
     ) -> None:
-        self.model, self.system, self._progress = model, system, progress
+        self.model, self.system, self.spins, self._progress = model, system, spins, progress
         self.dofs: DofSet = system.dofs
         self.pencil = Pencil(system.stiffness, system.mass, method=method, labels=self._labels)
         self._lowest: EigenModes | None = None
@@ -126,6 +135,8 @@ class EmbeddedAnalysis:
         SingularModel
             If the model is not held.
         """
+        if self.spins:
+            raise SingularModel(list(self.spins.labels()), "a motion has neither stiffness nor mass (a mechanism)")
         loads = np.asarray(loads, dtype=np.float64).reshape(len(self.dofs), -1)
         return np.asarray(self.system.transform @ self.pencil.at(0.0).solve(self.system.transform.T @ loads))
 
@@ -326,7 +337,7 @@ class EmbeddedSolver:
         InputError
             If nothing is free to move.
         """
-        system = assemble(model)
+        system, spins = without_spins(model, assemble(model))
         if not system.stiffness.shape[0]:
             raise InputError("the model has no free degree of freedom: check SPC and MPC")
-        return EmbeddedAnalysis(model, system, method=self.method, progress=self.progress)
+        return EmbeddedAnalysis(model, system, spins=spins, method=self.method, progress=self.progress)

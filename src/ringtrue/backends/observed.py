@@ -14,6 +14,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.derivatives import scaled, terms
+from ringtrue.fem.spins import without_spins
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest
 from ringtrue.reduce.affine import AffineSystem, observed_system
@@ -96,7 +97,7 @@ def reduced(
     progress: Progress | None = None,
 ) -> ReducedModel:
     """The reduced observed model of a deck: assemble, differentiate, project."""
-    system = assemble(model)
+    system, _ = without_spins(model, assemble(model))
     parts = [terms(model, p, system) for p in parameters.parameters]
     affine: AffineSystem = observed_system(
         system.stiffness, system.mass, system.transform, parameters, parts, observation

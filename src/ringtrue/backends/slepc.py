@@ -23,6 +23,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.eigen.problem import eigenvalue, frequencies, polish
 from ringtrue.errors import ConfigError, InputError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.fem.assembly import System, assemble
+from ringtrue.fem.spins import without_spins
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
@@ -190,7 +191,7 @@ class SlepcSolver:
             If nothing is free to move.
         """
         python, launcher = find_slepc()
-        system = assemble(model)
+        system, _ = without_spins(model, assemble(model))
         if not system.stiffness.shape[0]:
             raise InputError("the model has no free degree of freedom: check SPC and MPC")
         command = (launcher, "-n", str(self.ranks), python)

@@ -1,0 +1,91 @@
+"""Straight chains of bars turn about themselves with neither stiffness nor mass: their modes are found all the same.
+
+Free beam of length L: f = β²/2π sqrt(EI/mL⁴), β = 4.730041, 7.853205 (Blevins 1979, table 8-1); its lumped mass is of
+fourth order inside and of second at its ends.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fem_cases import cards, grid, model, spc, steel
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.core.arrays import Float
+from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.errors import SingularModel
+from ringtrue.fem.assembly import assemble
+from ringtrue.fem.spins import spins
+from ringtrue.model.model import Model, Table
+from ringtrue.model.ports import ModesRequest
+
+L, BETA = 2.0, np.array([4.730041, 7.853205])
+I1, I2 = 2e-5, 1e-5
+
+
+def chain(n: int, along: Float, first: int = 1, origin: Float | None = None) -> tuple[Float, Table]:
+    """Nodes and n CBARs on a line."""
+    axis = np.asarray(along, dtype=float) / np.linalg.norm(along)
+    xyz = np.linspace(0, L, n + 1)[:, None] * axis + (0 if origin is None else np.asarray(origin))
+    i = np.arange(first, first + n)
+    return xyz, cards("CBAR", EID=i, PID=1, GA=i, GB=i + 1, X1=0.3, X2=0.5, X3=1.0)
+
+
+SECTION = cards("PBAR", PID=[1], MID=1, A=1e-2, I1=I1, I2=I2, J=1e-5)
+
+
+def free(n: int, along: Float, *more: Table, **params: object) -> Model:
+    xyz, bars = chain(n, along)
+    return model(grid(xyz), bars, SECTION, steel(), *more, **params)
+
+
+@pytest.mark.parametrize("along", [(1, 0, 0), (1, 2, 3)])
+@pytest.mark.parametrize("n", [4, 30, 100])
+@pytest.mark.parametrize("coupled", [-1, 1])
+def test_free_beam(along: Float, n: int, coupled: int) -> None:
+    with EmbeddedSolver().open(free(n, along, COUPMASS=coupled)) as analysis:
+        found = analysis.modes(ModesRequest(9))
+    f = found.modes.frequencies
+    want = np.sort(np.outer(BETA**2, np.sqrt([I1, I2])).ravel()) / 2 / np.pi / L**2 * np.sqrt(2e11 / (8000 * 1e-2))
+    assert np.abs(f[:5]).max() < 1e-3 * want[0]
+    assert found.complete
+    if n > 4:
+        np.testing.assert_allclose(f[5:], want, rtol=6 / n**2 + 1e-5)
+
+
+def test_two_beams_on_springs_spin_alone() -> None:
+    """Joined by springs along and across, which turn nothing."""
+    (a, one), (b, two) = chain(6, (1, 0, 0)), chain(6, (1, 0, 0), 8, (0, 0.5, 0))
+    bars = cards("CBAR", **{k: np.concatenate([one[k], two[k]]) for k in ("EID", "GA", "GB")}, PID=1, X3=1.0)
+    k = np.arange(12)
+    springs = cards("CELAS2", EID=100 + k, K=1e4, G1=1 + 6 * (k % 2), C1=1 + k // 4, G2=8 + 6 * (k % 2), C2=1 + k // 4)
+    both = model(grid(np.vstack([a, b])), bars, SECTION, steel(), springs)
+    system = assemble(both)
+    assert [system.free.labels()[i][-2:] for i in spins(both, system)] == ["RX", "RX"]
+    with EmbeddedSolver().open(both) as analysis:
+        assert analysis.modes(ModesRequest(12)).complete
+
+
+def test_what_is_held_or_heavy_is_left_alone() -> None:
+    held = free(5, (1, 2, 3), spc([1], "123456"))
+    assert not spins(held, assemble(Model(held.tables, held.params, held.case.__class__(spc=1)))).size
+    tip = cards("CONM2", EID=[50], G=6, M=1.0, I11=0.1, I22=0.1, I33=0.1)
+    heavy = free(5, (1, 2, 3), tip)
+    assert not spins(heavy, assemble(heavy)).size
+    bent = model(grid(np.array([[0, 0, 0], [1, 0, 0], [1, 1e-3, 0.0]])), chain(2, (1, 0, 0))[1], SECTION, steel())
+    assert not spins(bent, assemble(bent)).size
+    strict = free(5, (1, 0, 0), AUTOSPC="NO")
+    with EmbeddedSolver().open(strict) as analysis:
+        assert not analysis.spins
+
+
+def test_statics_and_derivatives() -> None:
+    """A spin has no static answer; λ is proportional to E."""
+    parameters = ParameterSet((Parameter("E", (Target("MAT1", 1, "E"),)),))
+    with EmbeddedSolver().open(free(10, (1, 2, 3))) as analysis:
+        with pytest.raises(SingularModel, match="mechanism"):
+            analysis.static(np.zeros(66))
+        modes = analysis.modes(ModesRequest(9)).modes.take(slice(5, 9))
+        slope, shape = analysis.derivatives(modes, parameters)
+        np.testing.assert_allclose(slope[:, 0], (2 * np.pi * modes.frequencies) ** 2, rtol=1e-6)
+        assert np.abs(shape).max() < 1e-5 * np.abs(modes.shapes).max()
