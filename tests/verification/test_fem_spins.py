@@ -66,6 +66,23 @@ def test_two_beams_on_springs_spin_alone() -> None:
         assert analysis.modes(ModesRequest(12)).complete
 
 
+@pytest.mark.parametrize("apart", [0.0, 0.7])
+def test_point_masses_on_a_bush(apart: float) -> None:
+    """Masses 1 and 3 in a free pair: f = sqrt(K (1/1 + 1/3))/2π along the line, and across where the ends coincide."""
+    masses = cards("CONM2", EID=[2, 3], G=[1, 2], M=[1.0, 3.0])
+    bush = cards("CBUSH", EID=[1], PID=1, GA=1, GB=2, X3=1.0)
+    stiff = cards("PBUSH", PID=[1], K1=300.0, K2=600.0, K3=900.0, K4=5.0, K5=5.0, K6=5.0)
+    pair = model(grid(np.array([[0, 0, 0], [apart, 0, 0]])), masses, bush, stiff)
+    system = assemble(pair)
+    assert spins(pair, system).size == (1 if apart else 3)
+    with EmbeddedSolver().open(pair) as analysis:
+        f = analysis.modes(ModesRequest(6)).modes.frequencies
+    want = np.sqrt(np.array([300.0, 600.0, 900.0]) * 4 / 3) / 2 / np.pi
+    assert np.abs(f - want[0]).min() < 1e-9 * want[0]
+    if not apart:
+        np.testing.assert_allclose(f[3:], want, rtol=1e-9)
+
+
 def test_what_is_held_or_heavy_is_left_alone() -> None:
     held = free(5, (1, 2, 3), spc([1], "123456"))
     assert not spins(held, assemble(Model(held.tables, held.params, held.case.__class__(spc=1)))).size

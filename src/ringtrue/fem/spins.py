@@ -1,8 +1,9 @@
-"""Spins: lines of bars and rods that turn about themselves with neither stiffness nor mass.
+"""Spins: chains of bars, rods and springs that turn with neither stiffness nor mass.
 
 A straight chain of CBARs has torsional stiffness and no inertia about its line (MSC Nastran Quick Reference Guide,
-CBAR), so that K - σM is singular wherever nothing holds the chain against turning. One degree of freedom of such a
-chain may be held: it takes away no mode, and no mode can tell at which angle the chain stands.
+CBAR), as have point masses on bushes, so that K - σM is singular wherever nothing holds the chain against turning.
+One degree of freedom of such a chain may be held: it takes away no mode, and no mode can tell at which angle the chain
+stands.
 """
 
 from __future__ import annotations
@@ -20,7 +21,11 @@ from ringtrue.fem.assembly import System
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
-LINES = {"CBAR": ("GA", "GB"), "CROD": ("G1", "G2"), "CONROD": ("G1", "G2"), "CTUBE": ("G1", "G2")}
+JOINTS = {  # cards with rotational stiffness and no inertia, and their nodes
+    **dict.fromkeys(("CBAR", "CBUSH"), ("GA", "GB")),
+    **dict.fromkeys(("CROD", "CONROD", "CTUBE", "CELAS1", "CELAS2"), ("G1", "G2")),
+}
+TURNS = 1e-3  # of a unit turn, that a row must move to hold it
 NOTHING = 1e-10  # share of the turns' whole energy, and of their whole inertia
 
 
@@ -30,7 +35,7 @@ def spins(model: Model, system: System) -> Int:
     Turned together about one axis, the nodes of a chain that are joined by rotational stiffness take no energy and
     have no inertia.
     """
-    ends = [model[card][name] for card, names in LINES.items() if card in model for name in names]
+    ends = [model[card][name] for card, names in JOINTS.items() if card in model for name in names]
     none: Int = np.empty(0, dtype=np.int64)
     turning = np.abs(system.free.direction) >= 4
     at = np.flatnonzero(turning & np.isin(system.free.node, np.concatenate([none, *ends])))
@@ -41,14 +46,23 @@ def spins(model: Model, system: System) -> Int:
     chain: Int = label.astype(np.int64)
     R = _turns(system, at)
     energy, inertia = (_shares(R, A, chain, count) for A in (K, M))
-    values, axes = np.linalg.eigh(energy + inertia)
-    moved = np.abs(np.einsum("ia,iab->ib", R, axes[chain]))
+    return at[_pivots(R, chain, *np.linalg.eigh(energy + inertia))]
+
+
+def _pivots(R: Float, chain: Int, values: Float, axes: Float) -> Int:
+    """Rows of R that hold the axes (count, 3, 3), in columns, whose values (count, 3) are nothing; ascending."""
     found = []
-    for k in range(3):  # the three axes of a chain
-        free = np.flatnonzero((values[chain, k] < NOTHING) & (moved[:, k] > 0))
-        order = free[np.lexsort((free, -moved[free, k], chain[free]))]
-        found.append(order[np.unique(chain[order], return_index=True)[1]])
-    return at[np.unique(np.concatenate(found))]
+    for k in range(3):
+        moved = np.abs(np.einsum("ia,ia->i", R, axes[chain, :, k]))
+        rows = np.flatnonzero((values[chain, k] < NOTHING) & (moved > TURNS))
+        rows = rows[np.lexsort((rows, -moved[rows], chain[rows]))]
+        rows = rows[np.unique(chain[rows], return_index=True)[1]]
+        found.append(rows)
+        held = R[rows] / np.einsum("ia,ia->i", R[rows], axes[chain[rows], :, k])[:, None]
+        for later in range(k + 1, 3):  # these rows stand still under the other axes then
+            share = np.einsum("ia,ia->i", held, axes[chain[rows], :, later])
+            axes[chain[rows], :, later] -= share[:, None] * axes[chain[rows], :, k]
+    return np.sort(np.concatenate(found))
 
 
 def _turns(system: System, at: Int) -> Float:
