@@ -84,6 +84,14 @@ def test_sets_that_nothing_chooses_are_told(tmp_path: Path) -> None:
     assert len(told) == 2
 
 
+def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
+    model = read_deck(write(tmp_path, "SPC = 8\nBEGIN BULK\n" + SETS + "SPCADD,8,5,7\nASET1,1,1\n"))
+    told = {f.severity: f for f in check_deck(model).findings if "SPCADD" in f.text or "ASET1" in f.text}
+    assert told["warning"].line == 8
+    assert "not in the deck" in told["warning"].text
+    assert "full model" in told["info"].text
+
+
 @pytest.mark.parametrize(
     ("command", "card"), [("BGSET = 1", "BGSET,1,2,3"), ("BCSET = 1", "BCTSET,1,2,3"), ("BCONTACT = 1", "BCBODY1,1")]
 )

@@ -69,7 +69,8 @@ def check_deck(model: Model, units: str = "", *, unsupported: Sequence[str] = ()
     checks = [*lost, *_unconnected(model)]
     if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
         checks += [*check_geometry(model), *_coincident(model), *check_units(model, units)]
-    checks += [*_unused(model), *_unchosen(model), *check_materials(model), *edge_findings(model)]
+    checks += [*_unused(model), *_unchosen(model), *_lost_sets(model), *_reductions(model)]
+    checks += [*check_materials(model), *edge_findings(model)]
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
     return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), tuple(unsupported), found)
@@ -160,6 +161,28 @@ def _unchosen(model: Model) -> Iterator[Finding]:
             if not chosen and card in model and len(model[card]):
                 rows = np.arange(len(model[card]))
                 yield at_rows(model, card, rows, "warning", f"it holds nothing: case control chooses no {name}")
+
+
+def _lost_sets(model: Model) -> Iterator[Finding]:
+    """SPCADD and MPCADD of sets that are not in the deck."""
+    for add, cards in (("SPCADD", ("SPC", "SPC1")), ("MPCADD", ("MPC",))):
+        if add in model:
+            there = np.concatenate([np.empty(0, dtype=np.int64), *(model[c].ids for c in cards if c in model)])
+            rows = _naming_none(model[add].ragged("S"), there)
+            if rows.size:
+                yield at_rows(model, add, rows, "warning", "it names a set that is not in the deck")
+
+
+def _naming_none(sets: Ragged, there: Int) -> Int:
+    owner = np.repeat(np.arange(len(sets)), np.diff(sets.offsets))
+    return np.unique(owner[~np.isin(sets.values, there)])
+
+
+def _reductions(model: Model) -> list[Finding]:
+    """Cards by which Nastran condenses the model before it computes modes."""
+    found = [card for card in ("ASET", "ASET1", "OMIT", "OMIT1") if card in model.kept]
+    what = "kept, not applied: the modes here are those of the full model, not of the condensed one"
+    return [Finding("info", f"{', '.join(found)}: {what}")] if found else []
 
 
 def _unused(model: Model) -> list[Finding]:
