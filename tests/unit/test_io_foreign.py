@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import h5py
@@ -335,6 +336,80 @@ def test_csv_with_a_short_or_wrong_line_is_refused(tmp_path):
         path.write_text(bad)
         with pytest.raises(DataError):
             read_record(path, 10.0)
+
+
+def _german(x):
+    return f"{x:.9e}".replace(".", ",")
+
+
+def _stamps(form, ms=True):
+    t = [datetime(2024, 5, 1, 11, 59, 59) + timedelta(seconds=float(k)) for k in TIMES]
+    return [x.strftime(form) + (f"{x.microsecond // 1000:03d}" if ms else "") for x in t]
+
+
+LOGGERS = {
+    "german": (
+        "Zeit;a [m/s²];b;c\n",
+        [";".join([t, *map(_german, y)]) for t, y in zip(_stamps("%d.%m.%Y %H:%M:%S,"), SIGNAL.T, strict=True)],
+    ),
+    "date and time apart": (
+        "Datum;Uhrzeit;a;b;c\n",
+        [
+            ";".join([d, t, *map(_german, y)])
+            for d, t, y in zip(_stamps("%d.%m.%Y", False), _stamps("%H:%M:%S,"), SIGNAL.T, strict=True)
+        ],
+    ),
+    "american": (
+        "Time,a,b,c\n",
+        [",".join([t, *map(str, y)]) for t, y in zip(_stamps("%m/%d/%Y %H:%M:%S."), SIGNAL.T, strict=True)],
+    ),
+    "quoted": (
+        '"time","a","b","c"\n',
+        [",".join(f'"{_german(x)}"' for x in [t, *y]) for t, y in zip(TIMES, SIGNAL.T, strict=True)],
+    ),
+    "rate above, counts": (
+        "Sampling rate: 256 Hz\nsample;a;b;c\n",
+        [";".join([str(k), *map(str, y)]) for k, y in enumerate(SIGNAL.T)],
+    ),
+    "rate in a comment, words below": (
+        "# sampling interval 3.90625 ms\na b c\n",
+        [*(" ".join(map(str, y)) for y in SIGNAL.T), "end of data"],
+    ),
+    "milliseconds since 1970": (
+        "timestamp,a,b,c\n",
+        [",".join([f"{1.7145648e12 + 1e3 * t:.3f}", *map(str, y)]) for t, y in zip(TIMES, SIGNAL.T, strict=True)],
+    ),
+    "a time for each, D": (
+        "X1;a;X2;b;X3;c\n",
+        [";".join(f"{t:.9e};{x:.9e}" for x in y).replace("e", "D") for t, y in zip(TIMES, SIGNAL.T, strict=True)],
+    ),
+    "an empty first column": (
+        "fs,256\nChannel,a,b,c\nUnit,m/s^2,m/s^2,m/s^2\n",
+        [",".join(["", *map(str, y)]) for y in SIGNAL.T],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOGGERS)
+def test_csv_as_loggers_write_it(tmp_path, name):
+    head, rows = LOGGERS[name]
+    path = tmp_path / "r.csv"
+    path.write_text(head + "\n".join(rows), encoding="utf-8")
+    got = read_record(path)
+    assert [c.id for c in got.channels] == ["a", "b", "c"]
+    assert got.rate == pytest.approx(256, rel=1e-3)
+    np.testing.assert_allclose(got.data, SIGNAL, rtol=1e-8)
+
+
+def test_times_too_coarse_for_a_rate_want_one(tmp_path):
+    path = tmp_path / "r.csv"
+    rows = [";".join([t, *map(str, y)]) for t, y in zip(_stamps("%d.%m.%Y %H:%M:%S", False), SIGNAL.T, strict=True)]
+    path.write_text("Zeit;a;b;c (left)\n" + "\n".join(rows), encoding="utf-8")
+    with pytest.raises(DataError, match="give rate"):
+        read_record(path)
+    got = read_record(path, 256.0)
+    assert [c.id for c in got.channels] == ["a", "b", "c (left)"]
+    np.testing.assert_allclose(got.data, SIGNAL)
 
 
 @pytest.mark.parametrize("name", ["vectors", "time", "column", "column-and-rate"])

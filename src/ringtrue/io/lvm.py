@@ -10,7 +10,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DataError
-from ringtrue.io.plain import RawTable, numbers, read_text
+from ringtrue.io.delimited import numbers
+from ringtrue.io.plain import RawTable, read_text
 
 _END = "***End_of_Header***"
 _SPECIAL = ("***Start_of_Special***", "***End_of_Special***")

@@ -13,10 +13,11 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.delimited import read_csv, write_csv
 from ringtrue.io.files import existing
 from ringtrue.io.lvm import read_lvm
 from ringtrue.io.matfile import read_mat, write_mat
-from ringtrue.io.plain import RawTable, check_stored, read_csv, read_h5_table, read_npy, write_csv
+from ringtrue.io.plain import RawTable, check_stored, read_h5_table, read_npy
 from ringtrue.io.record_layout import (
     FORMAT,
     TABLE,
