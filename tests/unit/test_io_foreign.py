@@ -438,3 +438,30 @@ def test_times_beside_or_within_an_array(tmp_path):
         got = read_record(tmp_path / name)
         assert got.rate == pytest.approx(256)
         np.testing.assert_allclose(got.data, SIGNAL)
+
+
+def test_a_vector_a_channel_in_hdf5_and_tdms(tmp_path):
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["time"] = TIMES
+        for name, y in zip("abc", SIGNAL, strict=True):
+            file[name] = y
+    with TdmsWriter(str(tmp_path / "r.tdms")) as file:
+        file.write_segment([ChannelObject("g", n, y) for n, y in zip(["Time", *"abc"], [TIMES, *SIGNAL], strict=True)])
+    savemat(tmp_path / "r.mat", {"Data1_time_a": TIMES, **dict(zip("abc", SIGNAL, strict=True))})
+    for ending in ("h5", "tdms", "mat"):
+        got = read_record(tmp_path / f"r.{ending}")
+        assert [c.id for c in got.channels] == ["a", "b", "c"]
+        assert got.rate == pytest.approx(256)
+        np.testing.assert_allclose(got.data, SIGNAL)
+
+
+def test_an_array_of_channels_by_samples(tmp_path):
+    np.save(tmp_path / "r.npy", SIGNAL)
+    np.testing.assert_array_equal(read_record(tmp_path / "r.npy", 256.0).data, SIGNAL)
+
+
+def test_lvm_without_headers(tmp_path):
+    (tmp_path / "r.lvm").write_text(_rows([f"{t:.9e}" for t in TIMES], "\t").replace(".", ","))
+    got = read_record(tmp_path / "r.lvm")
+    assert got.rate == pytest.approx(256)
+    np.testing.assert_allclose(got.data, SIGNAL)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DataError
-from ringtrue.io.delimited import numbers
+from ringtrue.io.delimited import numbers, read_csv
 from ringtrue.io.plain import RawTable, read_text
 
 _END = "***End_of_Header***"
@@ -21,11 +21,15 @@ _JOIN = 0.5  # samples that a segment may begin off the end of the one before
 def read_lvm(path: Path) -> RawTable:
     """The record of a LabVIEW measurement file; segments that follow each other without a gap are joined.
 
+    A file without headers is read as delimited text.
+
     Raises
     ------
     DataError
         If a header or the step of time is missing, or the segments have gaps: then take `read_lvm_segments`.
     """
+    if not read_text(path).lstrip().startswith("LabVIEW"):  # written without any header
+        return read_csv(path)
     parts = read_lvm_segments(path)
     first = parts[0][1]
     if len(parts) == 1:

@@ -17,7 +17,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.mat5 import is_mat5, read_mat5
-from ringtrue.io.plain import TIME_NAMES, RawTable, columns_first, named_rate, numbered, time_rate, without_time
+from ringtrue.io.plain import RawTable, columns_first, is_time, named_rate, numbered, time_rate, without_time
 from ringtrue.io.si import known
 
 _SIZE_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of level 4, by its precision
@@ -59,7 +59,7 @@ def read_mat(path: Path) -> RawTable:
 def _vectors(values: Mapping[str, Any], samples: int) -> dict[str, Any]:
     """Variables that hold a channel each: vectors of so many samples, times left out."""
     found = {k: v for k, v in values.items() if getattr(v, "size", 0) == samples and v.dtype.kind in "fiu"}
-    return {k: v for k, v in found.items() if k.rpartition(".")[2].lower() not in TIME_NAMES}
+    return {k: v for k, v in found.items() if not is_time(k.rpartition(".")[2])}
 
 
 def _read_73(path: Path) -> dict[str, Any]:

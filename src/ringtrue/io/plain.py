@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
@@ -56,15 +57,21 @@ def columns_first(a: Any_, path: Path) -> Any_:
 
 
 def read_npy(path: Path) -> RawTable:
-    """A NumPy array (sample, channel), or (sample,)."""
+    """A NumPy array (sample, channel), or (sample,); more channels than samples are taken for (channel, sample)."""
     try:
         a = np.load(path, mmap_mode="r", allow_pickle=False)  # a damaged shape cannot ask for memory
     except (ValueError, EOFError, OSError, TypeError, OverflowError, MemoryError, *_BAD_HEADER) as exc:
         raise DataError(f"{path}: not a readable .npy file ({exc})") from exc
     if a.ndim not in (1, 2) or a.dtype.kind not in "fiu":
         raise DataError(f"{path}: array {a.shape} {a.dtype}; it must be (sample, channel) and real")
+    a = a.T if a.ndim == 2 and a.shape[1] > a.shape[0] > 0 else a
     data = np.array(np.atleast_2d(a.T), dtype=a.dtype if a.dtype.kind == "f" else np.float64, order="C")
     return without_time(numbered(data, None), path)
+
+
+def is_time(name: str) -> bool:
+    """Whether a variable or channel of this name holds times: `t`, `Time [s]`, `Data1_time_AI_1`."""
+    return name.strip().lower() in TIME_NAMES or re.search(r"(^|_)time(_|$)", name.lower()) is not None
 
 
 def h5_table(file: h5py.File, path: Path) -> tuple[h5py.Dataset, float | None]:
@@ -85,15 +92,39 @@ def h5_table(file: h5py.File, path: Path) -> tuple[h5py.Dataset, float | None]:
     rate = named_rate({**scalars, **attrs})
     if rate is None:
         beside = {k: v for k, v in found[0].parent.items() if isinstance(v, h5py.Dataset) and v.name != found[0].name}
-        times = {k: v[()] for k, v in beside.items() if v.size == max(found[0].shape) and k.lower() in TIME_NAMES}
+        times = {k: v[()] for k, v in beside.items() if v.size == max(found[0].shape) and is_time(k)}
         rate = time_rate(times, max(found[0].shape), path)
     return found[0], rate
 
 
 def read_h5_table(file: h5py.File, path: Path) -> RawTable:
-    """The first 2-D data set of an HDF5 file of others."""
+    """The first 2-D data set of an HDF5 file of others, or all vectors of one length if there is none."""
+    if (table := _h5_vectors(file, path)) is not None:
+        return table
     data, rate = h5_table(file, path)
     return without_time(numbered(columns_first(data[()], path), rate), path)
+
+
+def _h5_vectors(file: h5py.File, path: Path) -> RawTable | None:
+    """A file of one vector a channel; None if it has a 2-D data set or no vectors."""
+    every: dict[str, h5py.Dataset] = {}
+    file.visititems(lambda name, o: every.update({name: o}) if isinstance(o, h5py.Dataset) and o.ndim else None)
+    one = {k: v for k, v in every.items() if v.ndim == 1 and v.dtype.kind in "fiu" and v.size > 1}
+    if not one or any(v.ndim == 2 for v in every.values()):
+        return None
+    for v in one.values():
+        check_stored(v, path)
+    samples = max(v.size for v in one.values())
+    short = {k.rpartition("/")[2]: v[()] for k, v in one.items() if v.size == samples}
+    attrs = {k.lower(): v for o in (file, *one.values()) for k, v in o.attrs.items()}
+    scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1}
+    rate = named_rate({**scalars, **attrs})
+    rate = time_rate(short, samples, path) if rate is None else rate
+    signals = {k: v for k, v in one.items() if v.size == samples and not is_time(k.rpartition("/")[2])}
+    if not signals:
+        return None
+    table = numbered(np.stack([v[()].astype(np.float64) for v in signals.values()]), rate)
+    return replace(table, names=tuple(k.replace("/", ".") for k in signals))
 
 
 def check_stored(data: h5py.Dataset, path: str | Path) -> None:
@@ -181,6 +212,6 @@ def without_time(table: RawTable, path: Path) -> RawTable:
 def time_rate(values: Mapping[str, Any], samples: int, path: Path) -> float | None:
     """The rate (Hz) by a vector of so many times among named arrays (`t`, `time`), None if there is none."""
     for name, v in values.items():
-        if name.lower() in TIME_NAMES and _is_real(v) and np.size(v) == samples:
+        if is_time(name) and _is_real(v) and np.size(v) == samples:
             return even_rate(np.ravel(v).astype(np.float64), True, path)
     return None

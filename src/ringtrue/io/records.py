@@ -247,7 +247,8 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
     rows = [to_si(u if u else "", q) for u, q in zip(table.units, table.quantities, strict=True)]
     channels = tuple(Channel(name, quantity, unit) for name, (quantity, _, unit) in zip(table.names, rows, strict=True))
     factor: Float = np.array([f for _, f, _ in rows])
-    data = table.data if (factor == 1).all() else table.data * factor[:, None]
+    with np.errstate(over="ignore"):  # what is infinite then is refused
+        data = table.data if (factor == 1).all() else table.data * factor[:, None]
     return TimeHistory(data, float(table.rate or rate or 0.0), channels, str(path))
 
 

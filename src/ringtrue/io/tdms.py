@@ -14,7 +14,7 @@ from nptdms import TdmsFile
 
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DataError
-from ringtrue.io.plain import RawTable
+from ringtrue.io.plain import RawTable, is_time, time_rate
 from ringtrue.io.si import known
 
 _TAGS = (b"TDSm", b"TDSh")
@@ -47,9 +47,13 @@ def read_tdms(path: Path) -> RawTable:
         known = [r for r in rates if r is not None]
         if known and max(known) - min(known) > 1e-6 * max(known):
             raise DataError(f"{path}: rates from {min(known):g} to {max(known):g} Hz; split the file")
+        rate = known[0] if known else None
+        if rate is None and (times := [c for c in found if is_time(c.name)]) and len(times) < len(found):
+            rate = time_rate({"time": _values(times[0])}, lengths[0], path)
+            found = [c for c in found if not is_time(c.name)]
         data = np.stack([_values(c) for c in found])
         units = tuple(_unit(c.properties) for c in found)
-        return RawTable(data, known[0] if known else None, _names(found), units, ("",) * len(found))
+        return RawTable(data, rate, _names(found), units, ("",) * len(found))
 
 
 @contextmanager
@@ -90,7 +94,8 @@ def _check_segments(raw: bytes, path: Path) -> None:
 
 
 def _values(channel: Any) -> Float:
-    return np.asarray(channel[:], dtype=np.float64)
+    with np.errstate(all="ignore"):  # a damaged scale; values that are not finite are refused later
+        return np.asarray(channel[:], dtype=np.float64)
 
 
 def _rate(properties: dict[str, Any]) -> float | None:
