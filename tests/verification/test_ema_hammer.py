@@ -17,6 +17,7 @@ from ringtrue.core.modes import Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identify.bands_hammer import choose_bands
+from ringtrue.identify.frf_input import sound_pairs
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.lsfd import lsfd, noise, prepare, solve_shapes
 from ringtrue.identify.peaks import cmif
@@ -24,6 +25,7 @@ from ringtrue.identify.plscf import Plscf, cluster_poles, plscf
 from ringtrue.identify.refine import refine
 from ringtrue.io.frfs import read_frfs
 from ringtrue.shapes.mac import mac
+from ringtrue.signal.frf_checks import check_driving_points
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
 data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"no reference data at {DATA}")
@@ -272,3 +274,14 @@ def test_repeated_roots_are_two_modes_of_one_plane(references: list[int]) -> Non
 def test_one_reference_cannot_tell_repeated_roots_and_says_so() -> None:
     frfs, _ = simulate(0, n_in=1)
     assert any("show as one" in n for n in identify_hammer(frfs, HammerModes(5.0, 20.0)).notes)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_turned_driving_point_is_told_in_frfs_of_poor_phase(sign: float) -> None:
+    """What rings on from the hit before turns the phase of the FRF from line to line, here by up to 40 degrees."""
+    frfs, _ = simulate(1, n_in=2, decay=0.0)
+    phase = 0.7 * np.sin(np.arange(frfs.freqs.size) * 0.7)
+    poor = replace(frfs, data=sign * frfs.data * np.exp(1j * phase)[:, None, None])
+    assert all(abs(p.passive) < 0.75 for p in check_driving_points(poor))
+    assert {p.verdict == "flipped" for p in check_driving_points(poor)} == {sign < 0}
+    assert len(sound_pairs(poor)) == (2 if sign > 0 else 0)

@@ -13,7 +13,9 @@ from ringtrue.signal.frf_checks import passive
 _SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite
 _ODD = 100.0  # times the level of the typical response
 _COHERENT = 0.5
-_TURNED = 0.8  # share of the power at a driving point that has the wrong sign
+_TURNED = (
+    0.3  # share of the power at a driving point that has the wrong sign; what rings on between hits takes the rest
+)
 _CURED = 0.3  # of the misfit of the residues may be left when one fault is undone
 _MISFIT = 1e-3  # share of the residues that no single shape explains, and that calls for a reason
 _MOST_TRIALS = 400_000

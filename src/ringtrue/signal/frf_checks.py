@@ -11,7 +11,7 @@ from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.signals import FrfSet
 
 _POWER = {"receptance": 1, "mobility": 0, "accelerance": -1}
-_SURE = 0.8
+_SURE, _FLIPPED = 0.8, -0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ def check_driving_points(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
     for o, i in frfs.driving_points():
         share = passive(frfs, o, i, low=low, high=high)
         verdict: Literal["ok", "flipped", "doubtful"] = "ok" if share > _SURE else "doubtful"
-        out.append(DrivingPoint(frfs.inputs[i].id, share, "flipped" if share < -_SURE else verdict))
+        out.append(DrivingPoint(frfs.inputs[i].id, share, "flipped" if share < _FLIPPED else verdict))
     return tuple(out)
 
 
