@@ -15,6 +15,7 @@ from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.merge import merge_modes
 from ringtrue.identify.ssi import SsiCov, decompose
 from ringtrue.identify.variance import frequency_damping, hankel
+from ringtrue.shapes.mac import mac
 
 
 def test_close_pair_with_unlike_shapes_stays_apart():
@@ -108,3 +109,25 @@ def test_a_mode_of_one_record_is_kept_and_unknown_channels_refused():
         merge_modes([a], ["99+Z"])
     with pytest.raises(InputError, match="no record"):
         merge_modes([])
+
+
+@pytest.mark.parametrize("wrong", [[0, -1, 2], [2, 1, 0]], ids=["turned", "exchanged"])
+def test_a_common_channel_that_is_wrong_in_one_record_is_undone_and_said(wrong):
+    rng = np.random.default_rng(4)
+    truth = rng.standard_normal((9, 4))
+    records = []
+    for k, own in enumerate(([3, 4], [5, 6], [7, 8])):
+        at = [0, 1, 2, *own]
+        shapes = truth[at] + 0.01 * rng.standard_normal((5, 4))
+        if k == 1:
+            shapes[:3] = np.sign(np.array(wrong) + 0.5)[:, None] * shapes[np.abs(wrong)]
+        modes = ModeSet(np.arange(1.0, 5.0), np.full(4, 0.01), shapes.astype(complex), tuple(f"{i}+X" for i in at))
+        std = Uncertainty.independent(np.full(4, 0.01), np.full(4, 1e-3), np.full((5, 4), 0.01))
+        records.append((modes, std, f"r{k}"))
+    m = merge_modes(records)
+    assert len(m.modes) == 4
+    assert len(m.notes) == 1
+    assert "of r1 look" in m.notes[0]
+    rows = [m.modes.channels.index(f"{i}+X") for i in range(9)]
+    assert np.diag(mac(m.modes.shapes[rows], truth.astype(complex))).min() > 0.99
+    assert merge_modes([records[0], records[2]]).notes == ()

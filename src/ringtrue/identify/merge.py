@@ -7,7 +7,7 @@ al. 2010, with the scale of every record from all records that came before it).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
+from ringtrue.identify.common import common_faults, undone
 from ringtrue.shapes.mac import mac
 
 
@@ -69,6 +70,8 @@ class MergeSettings:
         Standard deviations from the median beyond which a record is flagged.
     spread : float
         A relative difference of frequency that records may have by themselves (temperature, amplitude).
+    mend : bool
+        Undo channels that are turned or exchanged in one record (`identify.common`), and say so.
     """
 
     frequency: float = 0.05
@@ -76,15 +79,17 @@ class MergeSettings:
     weak: float = 0.3
     outlier: float = 4.0
     spread: float = 2e-3
+    mend: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """Merged modes; `provenance` lists for each mode what every record gave."""
+    """Merged modes; `provenance` lists for each mode what every record gave, `notes` what was undone in a record."""
 
     modes: ModeSet
     uncertainty: Uncertainty
     provenance: tuple[tuple[Contribution, ...], ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,6 +223,9 @@ def merge_modes(
     all_records = [Record(*r) for r in records]
     if not all_records:
         raise InputError("no record to merge")
+    faults = common_faults([r.modes for r in all_records]) if s.mend else ()
+    for fault in faults:
+        all_records[fault.record] = _mended(all_records[fault.record], fault.channels)
     known = tuple(dict.fromkeys(c for r in all_records for c in r.modes.channels))
     rows = tuple(channels) if channels is not None else known
     if lost := [c for c in rows if c not in known]:
@@ -227,7 +235,15 @@ def merge_modes(
     groups: list[_Group] = []
     for i in sorted(range(len(all_records)), key=lambda i: (-len(all_records[i].modes), i)):
         _assign(groups, all_records[i], i, full[i], s)
-    return _result(all_records, groups, full, [known.index(c) for c in rows], rows, s)
+    found = _result(all_records, groups, full, [known.index(c) for c in rows], rows, s)
+    return replace(found, notes=tuple(x.describe([r.name for r in all_records]) for x in faults))
+
+
+def _mended(record: Record, channels: tuple[str, ...]) -> Record:
+    std = np.array(record.uncertainty.shape)
+    at = [record.modes.channels.index(c) for c in channels]
+    std[at] = std[at[::-1]]
+    return Record(undone(record.modes, channels), replace(record.uncertainty, shape=std), record.name)
 
 
 def _result(

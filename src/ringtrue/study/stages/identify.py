@@ -299,7 +299,7 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         tuple(found),
         merged.modes if merged else nothing,
         merged.uncertainty if merged else none,
-        tuple(_reason(p, found) for p in merged.provenance) if merged else (),
+        tuple("; ".join((_reason(p, found), *merged.notes)) for p in merged.provenance) if merged else (),
         frfs,
         cmif(frfs.data) if frfs else np.zeros((0, 0)),
         rejected,
