@@ -17,7 +17,7 @@ from ringtrue.signal.preprocess import Harmonic
 
 PAIRED = 0.3  # share of the orders
 OVERTONE = 3e-3  # relative distance
-DOUBTFUL = 0.2  # confidence
+DOUBTFUL, SURE = 0.2, 0.6  # confidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,8 +50,9 @@ def confidence(c: Candidates, orders: int = 0) -> Float:
 
 
 def settled(c: Candidates, orders: int) -> bool:
-    """Whether all that may be a mode was there at most of the orders tried, so that the higher ones may rest."""
-    return not ((confidence(c, orders) > DOUBTFUL) & (c.orders[:, 0] < 0.6 * c.orders[:, 1])).any()
+    """Whether all that may be a mode was there at most of the orders tried, beyond doubt: the higher ones may rest."""
+    sure = confidence(c, orders)
+    return not ((sure > DOUBTFUL) & ((sure < SURE) | (c.orders[:, 0] < 0.6 * c.orders[:, 1]))).any()
 
 
 def select(found: list[Found], least: float) -> list[tuple[int, int]]:
@@ -80,7 +81,7 @@ def _automatic(x: Found, least: float) -> Bool:
 
 def _alike(like: Float, band: Int, conf: Float) -> Bool:
     """Shapes (MAC `like`) of one mode; two clusters of one band beyond doubt must be more alike to be one."""
-    sure = (np.minimum(conf[:, None], conf) > 0.6) & (band[:, None] == band)
+    sure = (np.minimum(conf[:, None], conf) > SURE) & (band[:, None] == band)
     return np.asarray(like > np.where(sure, 0.95, 0.8))
 
 
