@@ -100,8 +100,8 @@ def test_shapes_of_a_close_pair_are_told_apart():
     cross = np.einsum("ci,fi,di->fcd", psi, q, psi.conj()) + 1e-4 * np.eye(4)
     bins = SpectralBins(freqs, np.full(freqs.size, 4.0), cross.astype(np.complex64), 2000.0)
     mixed = psi @ np.array([[1.0, 0.1], [-0.08j, 1.0]])
-    found = unmix(bins, f, z, mixed, 4.0, prior=np.full((2, 2), 0.02))
-    found = unmix(bins, f, z, mixed, 4.0, prior=np.full((2, 2), 0.02), start=found.matrix)
+    found = unmix(bins, f, z, mixed, 4.0)
+    found = unmix(bins, f, z, mixed, 4.0, start=found.matrix)
     out = mixed @ found.matrix
     for k in range(2):
         like = abs(np.vdot(psi[:, k], out[:, k])) ** 2 / (np.linalg.norm(psi[:, k]) * np.linalg.norm(out[:, k])) ** 2

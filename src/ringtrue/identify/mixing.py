@@ -24,7 +24,7 @@ CLOSE = 4.0  # sums of half bandwidths between modes that mix
 FAR = 8.0  # the same for neighbours
 REACH = 8.0  # half bandwidths to each side of a mode that are looked at
 LEAST = 4  # bins within the bandwidth of a mode
-WORST = 0.15  # standard deviation of ε, however little an estimate says of itself
+PRIOR = 0.2  # standard deviation of ε; what the subspace estimates of a close pair state of it themselves is too small
 MISFIT = 1.5  # of the cross spectrum, beyond which something else than two modes is in it
 ALIKE = 0.6  # MAC of shapes that may be those of one mode, seen twice
 LEFT = 1e-3  # power of the other mode expected in a modal coordinate
@@ -54,7 +54,6 @@ def unmix(
     shape: Complex,
     slope: float,
     *,
-    prior: Float,
     start: Complex | None = None,
 ) -> Mixing:
     """The mixing of the shapes of close modes, to first order around a start.
@@ -68,8 +67,6 @@ def unmix(
         The estimates, in the channels and the units of the spectra.
     slope : float
         Exponent of the frequency in the responses' spectrum under a flat force: 4 for accelerations.
-    prior : (m, m) float64
-        Variance of the mixing of the estimates, as they state it.
     start : (m, m) complex128
         The mixing known so far, 1 on the diagonal.
     """
@@ -82,24 +79,15 @@ def unmix(
     pairs = [(i, j) for i in range(m) for j in range(i) if near[i, j] and len(shape) > 2]
     for i, j in pairs:
         both = (np.array([i, j]), np.array([j, i]))
-        known = _Known(begin[both], np.clip(prior[both], 1e-8, WORST**2))
-        if (found := _pair(bins, frequency, damping, shape @ begin, (i, j), slope, known)) is not None:
+        if (found := _pair(bins, frequency, damping, shape @ begin, (i, j), slope, begin[both])) is not None:
             matrix[both], variance[both] = found
     return Mixing(matrix, variance)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Known:
-    """ε_ij and ε_ji so far (2,), and their variances around zero (2,)."""
-
-    value: Complex
-    variance: Float
-
-
 def _pair(
-    b: SpectralBins, f: Float, z: Float, psi: Complex, pair: tuple[int, int], slope: float, known: _Known
+    b: SpectralBins, f: Float, z: Float, psi: Complex, pair: tuple[int, int], slope: float, known: Complex
 ) -> tuple[Complex, Float] | None:
-    """ε_ij and ε_ji, and their variances; None where the spectra do not tell them."""
+    """ε_ij and ε_ji, (2,) `known` so far, and their variances; None where the spectra do not tell them."""
     (i, j), two = pair, list(pair)
     parts = _windows(b.freqs, f[two], z[two])
     freqs, count = (np.concatenate([x[p] for p in parts]) for x in (b.freqs, b.count))
@@ -156,16 +144,16 @@ def _levels(own: Float, h: Complex) -> tuple[Float, Float]:
 
 
 def _solved(
-    cross: Complex, weight: Float, h: Complex, power: Float, rest: Float, known: _Known
+    cross: Complex, weight: Float, h: Complex, power: Float, rest: Float, known: Complex
 ) -> tuple[Complex, Float] | None:
     """ε_ij and ε_ji and their variances from the cross spectrum (bin,) of the two coordinates."""
     p = power * np.abs(h) ** 2
     force = np.sqrt(power.prod()) * h[:, 0] * h[:, 1].conj()
     x = np.stack([p[:, 1], p[:, 0], force, np.full(len(p), np.sqrt(rest.prod()))], axis=1)
     wx = x.conj() * weight[:, None]
-    hold = np.array([*1 / known.variance, 1.0, 1.0])
+    hold = np.array([PRIOR**-2, PRIOR**-2, 1.0, 1.0])
     n = wx.T @ x + np.diag(hold)
-    value = np.array([known.value[0], known.value[1].conj(), 0.0, 0.0])
+    value = np.array([known[0], known[1].conj(), 0.0, 0.0])
     step = np.linalg.solve(n, wx.T @ cross - hold * value)
     misfit = float((weight * np.abs(cross - x @ step) ** 2).mean())
     if misfit > MISFIT:

@@ -205,10 +205,9 @@ def refined(c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: 
     """
     doubt = c.stds()[1][at] / c.damping[at]
     shape = c.shape[np.ix_(references, at)]
-    prior = _stated_mixing(c, at)
-    rough = unmix(bins, c.frequencies[at], c.damping[at], shape, slope[0], prior=prior).matrix
+    rough = unmix(bins, c.frequencies[at], c.damping[at], shape, slope[0]).matrix
     fit = refine(bins, c.frequencies[at], c.damping[at], shape @ rough, slope, doubt)
-    mix = unmix(bins, fit.frequency, fit.damping, shape, slope[0], prior=prior, start=rough)
+    mix = unmix(bins, fit.frequency, fit.damping, shape, slope[0], start=rough)
     c = _unmixed(c, at, mix)
     ok = np.flatnonzero(fit.ok)
     rows, f, z = at[ok], fit.frequency[ok], fit.damping[ok]
@@ -223,12 +222,6 @@ def refined(c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: 
     poles, done = c.pole.copy(), c.refined.copy()
     poles[rows], done[rows] = pole, True
     return replace(c, pole=poles, deviation=deviation, refined=done)
-
-
-def _stated_mixing(c: Candidates, at: Int) -> Float:
-    """(m, m) variance of the share of the shape of each row `at` in the others', from their deviations."""
-    inverse = np.linalg.pinv(c.shape[:, at])
-    return np.asarray((np.abs(inverse @ c.shape_deviation[at]) ** 2).sum(2).T)
 
 
 def _unmixed(c: Candidates, at: Int, mix: Mixing) -> Candidates:
