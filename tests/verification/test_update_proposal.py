@@ -14,12 +14,20 @@ import numpy as np
 import pytest
 from test_update_recovery import aim_at, chain, parameters
 
+from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
+from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import InputError
 from ringtrue.io.modes_json import write_modes
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.ports import ModesRequest
+from ringtrue.update.candidates import CandidateSettings
+from ringtrue.update.effects import reduced_candidates
+from ringtrue.update.generate import generate
 from ringtrue.update.localise import variation
-from ringtrue.update.objective import residual
+from ringtrue.update.objective import Target, residual
+from ringtrue.update.pool import conflicts
 from ringtrue.update.proposal import propose
 
 
@@ -111,3 +119,41 @@ def test_command_line_proposes_and_refuses(tmp_path: Path, capsys: pytest.Captur
     )
     assert run(["localise", str(deck), str(test)]) == 2
     assert "give --sensors" in capsys.readouterr().err
+
+
+def plate(modulus: float) -> str:
+    """An aluminium plate of 1000 x 700 mm on four corner springs, its halves of one material each; mm, t, s."""
+    lines = ["SOL 103", "CEND", "BEGIN BULK", "PBUSH,5,K,500.,500.,1500."]
+    for half in (1, 2):
+        lines += [f"MAT1,{half},{modulus:.6E},,.3,2.7-9", f"PSHELL,{half},{half},10.,{half},,{half}"]
+    lines += [f"GRID,{100 * j + i + 1},,{100.0 * i},{87.5 * j},0." for j in range(9) for i in range(11)]
+    for j in range(8):
+        for i in range(10):
+            n = 100 * j + i + 1
+            lines.append(f"CQUAD4,{5000 + n},{1 if i < 5 else 2},{n},{n + 1},{n + 101},{n + 100}")
+    lines += [f"CBUSH,{9000 + n},5,{n},,,,,0" for n in (1, 11, 801, 811)]
+    return "\n".join([*lines, "ENDDATA"]) + "\n"
+
+
+def test_what_is_barred_beside_its_mate_is_named_with_what_stands_in_for_it(tmp_path: Path) -> None:
+    """Both halves are 10 % stiffer: a second thickness, 5 % up, does for the second modulus."""
+    seen = tuple(f"{100 * j + i + 1}+Z" for j in (0, 2, 4, 6, 8) for i in (0, 3, 5, 7, 10))
+    seen += tuple(f"{n}+{axis}" for n in (1, 11, 801) for axis in "XY")
+    (tmp_path / "fe.bdf").write_text(plate(7.0e4))
+    (tmp_path / "true.bdf").write_text(plate(7.7e4))
+    with EmbeddedSolver().open(read_deck(tmp_path / "true.bdf")) as analysis:
+        modes = analysis.modes(ModesRequest(14)).modes.rows(seen)
+    rng = np.random.default_rng(0)
+    shapes = modes.shapes + 0.02 * np.abs(modes.shapes).max(axis=0) * rng.standard_normal(modes.shapes.shape)
+    f = modes.frequencies * (1 + 1e-3 * rng.standard_normal(14))
+    aim = Target(f, shapes, np.full(14, 1e-3), np.ones(14, dtype=bool))
+    model = read_deck(tmp_path / "fe.bdf")
+    analysis = EmbeddedSolver().open(model)
+    every = generate(model, CandidateSettings(("material", "property", "spring"), units="mm-t-s"))
+    reduced = reduced_candidates(model, analysis.system, every, at_dofs(seen, analysis.dofs), 25)
+    found = propose(reduced, aim, apart=conflicts(model, every))
+    named = {n for m in found.members for n in m.named}
+    assert {"MAT1 1 E", "MAT1 2 E"} <= named
+    for m in found.members:
+        if m.name.endswith("T"):
+            assert any(n.startswith("MAT1") and n.endswith(" E") for n in m.rivals)

@@ -221,20 +221,25 @@ def _tested(
     without = search.fit(stay, np.where(np.arange(best.x.size) == index, 0.0, best.x)) if stay else None
     x = without.x if without is not None else np.zeros(best.x.size)
     r = search.point(x)
-    free = np.setdiff1d(search.free(stay), np.flatnonzero(search.groups == search.groups[index]))
-    if r.used.sum() < end.used.sum():  # modes are lost without it: the linearisation with it knows more
-        start = np.where(np.arange(x.size) == index, 0.0, best.x)
-        ahead = search.best(end, best.x, stay, free, end.value + end.slope[:, index] * best.x[index])
-    else:
-        start, ahead = x, search.best(r, x, stay, free, r.value)
-    options = [at for j, at in ahead if j < WORTH_A_LOOK * best.value]
-    tried = [search.fit(at, start) for at in options[:LOOKS]]
+    twins = np.flatnonzero(search.groups == search.groups[index])
+    free = np.setdiff1d(search.free(stay), twins)
+    # what acts like another member is barred from the search, but may be what is wrong in place of this one
+    barred = search.pool[~search.apart[np.ix_(search.pool, stay)].any(axis=1)]
+    barred = np.setdiff1d(barred, np.concatenate([free, twins, best.members]))
+    # where modes are lost without it, the linearisation with it knows more
+    lost = r.used.sum() < end.used.sum()
+    at, from_x = (end, best.x) if lost else (r, x)
+    base = end.value + end.slope[:, index] * best.x[index] if lost else r.value
+    ahead = [search.best(at, from_x, stay, some, base) for some in (free, barred)]
+    options = [o for part in ahead for o in [o for j, o in part if j < WORTH_A_LOOK * best.value][:LOOKS]]
+    start = np.where(np.arange(x.size) == index, 0.0, from_x)
+    tried = [search.fit(o, _foreseen(search, at, start, o, base) if lost else start) for o in options]
     sets = [best, Choice(np.array(stay, dtype=np.int64), x, 0.0), *tried]
     rise = (c := aicc(search, sets)) - c[0]
     rivals = tuple(names[t.members[-1]] for t, d in zip(tried, rise[2:].tolist(), strict=True) if d < RIVAL)
-    twins = np.setdiff1d(np.flatnonzero(search.groups == search.groups[index]), best.members)
-    at = best.members.tolist()
-    std = identifiability(end.slope[:, at] * search.prior[at]).together[at.index(index)] * search.prior[index]
+    twins = np.setdiff1d(twins, best.members)
+    every = best.members.tolist()
+    std = identifiability(end.slope[:, every] * search.prior[every]).together[every.index(index)] * search.prior[index]
     factor = float(search.model.parameters.take([index]).factors(best.x[[index]])[0])
     p = Proposed(
         names[index],
@@ -247,6 +252,15 @@ def _tested(
         "",
     )
     return replace(p, because=_because(p, search, end, r, alone, errors, words))
+
+
+def _foreseen(search: Search, r: Residual, x: Float, members: Sequence[int], base: Float) -> Float:
+    """x (p,) with the members at the minimum of the linearised J; at 0 a new one may leave modes without a partner."""
+    i = list(members)
+    g = r.slope[:, i]
+    out = x.copy()
+    out[i] = np.linalg.solve(g.T @ g + np.diag(search.prior[i] ** -2), g.T @ (base + g @ x[i]))
+    return np.clip(out, search.low, search.high)
 
 
 def _because(
