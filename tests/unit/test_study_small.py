@@ -108,6 +108,49 @@ def test_a_deck_without_a_test(tmp_path: Path) -> None:
     assert {"mass_t", "dof", "timings_s"} <= set(summary(run))
 
 
+def _grids(*levels: int) -> str:
+    return ", ".join(str(small_study.node(k, i, j)) for k in levels for i in range(3) for j in range(3))
+
+
+FLOORS = f"candidates = {{ top = [{_grids(3)}], rest = [{_grids(1, 2)}] }}\n"
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ("kinetic = { top = 0.4 }\n", "kinetic energy of top over 40 %"),
+        ("weigh = true\n", "Hz"),
+        ('method = "qr"\ncost = { top = 100.0 }\n', "Hz"),
+        ('method = "information"\ndraws = 3\ncost = { top = 100.0 }\n', "Hz"),
+    ],
+)
+def test_what_a_plan_may_ask_for(tmp_path: Path, asked: str, told: str) -> None:
+    head = "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\nprecision = 0.05\nmax_auto_mac = 0.9\n"
+    toml = small_study.MODEL + head + FLOORS + asked + small_study.candidates(small_study.TRUTH)
+    plan = run_study(small_study.write_study(tmp_path, toml)).results["plan"]
+    assert all(told in r for r in plan.reasons)
+    assert 0 < len(plan.target_modes) < (9 if "kinetic" in asked else 10)
+    on_top = [p // 100 == 3 for p in plan.test.points.tolist()]
+    if "cost" in asked:
+        assert not any(on_top)
+    lowest = float(plan.target_frequencies.min())  # the record is as long as its damping to 5 % asks
+    assert plan.record_length == pytest.approx(1 / (0.05**2 * 2 * np.pi * plan.damping * lowest), abs=60.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ("cost = { top = 2.0 }\n", "cost goes with"),
+        ("kinetic = { tip = 0.5 }\n", "did you mean 'top'"),
+        ('method = "information"\ndraws = 3\n', r"needs a \[\[candidate\]\]"),
+    ],
+)
+def test_what_a_plan_cannot_do_is_refused(tmp_path: Path, asked: str, told: str) -> None:
+    toml = small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\n" + FLOORS + asked
+    with pytest.raises(ConfigError, match=told):
+        run_study(small_study.write_study(tmp_path, toml))
+
+
 @pytest.mark.parametrize(("ambient", "hammer"), [(True, False), (False, True)])
 def test_a_test_without_a_deck(tmp_path: Path, ambient: bool, hammer: bool) -> None:
     toml = small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\nambient_fmin = 1.0\n"

@@ -59,6 +59,11 @@ class PlanSection(_Section):
     effective_mass: float = Field(default=0.0, ge=0, lt=1)  # of the band, modes with such a share of the mass, or
     sensitive: float = Field(default=0.0, ge=0)  # with such a sum of |∂λ/∂a|/λ over the candidates of the updating, or
     telling: int = Field(default=0, ge=0)  # so many modes that tell those candidates apart; all 0: every mode
+    kinetic: dict[str, float] = {}  # region of `candidates` -> share of kinetic energy of a target mode
+    weigh: bool = False  # points that carry kinetic energy come first
+    cost: dict[str, float] = {}  # region of `candidates` -> cost of a point, 1 if not named; for qr and information
+    draws: int = Field(default=0, ge=0)  # of the prior of the candidates of the updating; for information
+    precision: float = Field(default=0.1, gt=0)  # relative, wanted of the lowest damping in an ambient record
     ambient: bool = True  # keep points for ambient tests
     boxes: list[list[float]] = []  # x0 y0 z0 x1 y1 z1 in m; candidates lie in one of them
     keep_out: list[list[float]] = []  # boxes without candidates
@@ -77,6 +82,14 @@ class PlanSection(_Section):
         _rising("", self.fmin, self.fmax)
         if any(len(b) != 6 for b in (*self.boxes, *self.keep_out)):
             raise ValueError("boxes and keep_out: a box is x0 y0 z0 x1 y1 z1")
+        if (self.cost and self.method not in ("qr", "information")) or (self.draws and self.method != "information"):
+            raise ValueError(
+                f"cost goes with method qr or information, draws with information; method is {self.method}"
+            )
+        if lost := [r for r in (*self.kinetic, *self.cost) if r not in self.candidates]:
+            raise ValueError(f"no region {lost[0]!r} in candidates{did_you_mean(lost[0], self.candidates)}")
+        if any(v <= 0 for v in (*self.cost.values(), *self.kinetic.values())):
+            raise ValueError("cost and kinetic: must be > 0")
         if any(m < 1 for m in self.modes):
             raise ValueError("modes: the first mode of the deck is 1")
         return self

@@ -18,6 +18,10 @@ from ringtrue.model.ports import ModesRequest, ModesResult
 Progress = Callable[[float, str], None]
 
 
+def quiet(fraction: float, text: str) -> None:
+    """No progress."""
+
+
 @dataclass(eq=False)
 class Opened:
     """A model and its analysis, assembled and factored when first asked for."""

@@ -8,7 +8,7 @@ import logging
 import os
 import platform
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -23,6 +23,7 @@ from ringtrue import __version__
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.model.edit import apply_factors, resolve_target
 from ringtrue.study.config import StudyConfig, parse_config, read_config
+from ringtrue.study.opened import Progress, quiet
 from ringtrue.study.results import Provenance
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.stages.predict import check as check_rotor
@@ -30,11 +31,6 @@ from ringtrue.study.store import Store
 from ringtrue.study.workbench import Workbench
 
 log = logging.getLogger(__name__)
-Progress = Callable[[float, str], None]
-
-
-def quiet(fraction: float, text: str) -> None:
-    """A progress callable that shows nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

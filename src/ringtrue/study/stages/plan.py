@@ -9,21 +9,23 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError
 from ringtrue.model.frames import positions
 from ringtrue.plan.candidates import select_candidates
 from ringtrue.plan.exciters import rank_sets
-from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim
+from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
 from ringtrue.plan.layout import lower_auto_mac, reached, select_points, select_references
 from ringtrue.plan.rehearsal import Conditions, Planned, Rehearsal, rehearse
 from ringtrue.plan.resolution import resolution
-from ringtrue.plan.selection import auto_mac_points, make_redundant, qr_points, worst_loss
+from ringtrue.plan.selection import auto_mac_points, kinetic_weighted, make_redundant, qr_points, worst_loss
 from ringtrue.plan.suspension import loaded_frequencies, suspension_points
-from ringtrue.plan.targets import Targets, choose_targets, effective_mass, in_band, telling_modes
+from ringtrue.plan.targets import Targets, choose_targets, effective_mass, in_band, kinetic_share, telling_modes
 from ringtrue.plan.wireframe import mesh_edges, neighbours, shown, wireframe
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.config import PlanSection
-from ringtrue.study.opened import Progress
+from ringtrue.study.opened import Progress, quiet
+from ringtrue.study.parametric import build
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import ModelStage, PlanStage
 from ringtrue.study.workbench import Workbench
@@ -99,13 +101,17 @@ def _targets(desk: Workbench, plan: PlanSection, f: Float, edge: float) -> Targe
 def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Bool]:
     """What [plan] asks of target modes besides the band."""
     criteria: dict[str, Bool] = {}
-    if not (plan.effective_mass or plan.sensitive or plan.telling):
+    if not (plan.effective_mass or plan.sensitive or plan.telling or plan.kinetic):
         return criteria
     analysis, modes = desk.initial.analysis, desk.initial.modes(desk.deck.fmax).modes
     free = np.asarray(analysis.system.local @ modes.shapes)
     if plan.effective_mass:
         share = effective_mass(free, analysis.system.mass, analysis.system.rigid_body())
         criteria[f"effective mass over {100 * plan.effective_mass:g} %"] = share.max(axis=1) > plan.effective_mass
+    for name, least in plan.kinetic.items():
+        rows = np.flatnonzero(np.isin(analysis.system.free.node, plan.candidates[name]))
+        share = kinetic_share(free, analysis.system.mass, [rows])[:, 0]
+        criteria[f"kinetic energy of {name} over {100 * least:g} %"] = share > least
     parameters = desk.config.candidates()
     if (plan.sensitive or plan.telling) and not len(parameters):
         raise ConfigError("[plan] sensitive and telling need a [[candidate]]")
@@ -144,13 +150,13 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     ambient_at = _ambient(plan, shapes[:, :, first], xyz, region) if plan.ambient else np.zeros(0, dtype=np.int64)
     fixed = np.isin(np.arange(nodes.size), ambient_at) | np.isin(nodes, plan.fixed)
     progress(0.3, "measuring points")
-    chosen = _points(desk, plan, shapes, targets, xyz, nodes, fixed)
+    chosen = _points(desk, plan, shapes, targets, xyz, nodes, fixed, region)
     rows = shapes[chosen][:, :, targets].reshape(-1, targets.size)
     labels = tuple(f"{n}+{a}" for n in nodes[chosen].tolist() for a in AXES)
     hits = STRIKE[plan.strike](rows, plan.references)
     mac = auto_mac(rows)
     need = resolution(f[targets], plan.damping)
-    every = resolution(f[first], plan.damping)
+    every = resolution(f[first], plan.damping, precision=plan.precision)
     stage = PlanStage(
         nodes.size,
         targets,
@@ -180,30 +186,51 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
 
 
 def _points(
-    desk: Workbench, plan: PlanSection, shapes: Float, targets: Int, xyz: Float, nodes: Int, fixed: Bool
+    desk: Workbench,
+    plan: PlanSection,
+    shapes: Float,
+    targets: Int,
+    xyz: Float,
+    nodes: Int,
+    fixed: Bool,
+    region: tuple[str, ...],
 ) -> Int:
     """Measuring points by the method asked for, with the auto-MAC lowered and the redundancy asked for."""
     phi = shapes[:, :, targets]
+    seen = kinetic_weighted(phi, _mass(desk, nodes)) if plan.weigh else phi
+    cost = np.array([plan.cost.get(r, 1.0) for r in region]) if plan.cost else None
+    count, apart = plan.sensors, plan.min_distance
     if plan.method == "independence":
-        chosen = select_points(phi, xyz, plan.sensors, fixed=fixed, min_distance=plan.min_distance)
+        chosen = select_points(seen, xyz, count, fixed=fixed, min_distance=apart)
     elif plan.method == "qr":
-        chosen = qr_points(phi, plan.sensors, xyz=xyz, min_distance=plan.min_distance, fixed=fixed)
+        chosen = qr_points(seen, count, xyz=xyz, min_distance=apart, fixed=fixed, cost=cost)
     elif plan.method == "auto-mac":
-        chosen = auto_mac_points(phi, plan.sensors, xyz=xyz, min_distance=plan.min_distance, fixed=fixed)
+        chosen = auto_mac_points(seen, count, xyz=xyz, min_distance=apart, fixed=fixed)
     else:
-        chosen = greedy_logdet(
-            _aims(desk, nodes, phi, targets), plan.sensors, xyz=xyz, min_distance=plan.min_distance, fixed=fixed
-        )
+        aims = _aims(desk, plan, nodes, seen, phi, targets)
+        chosen = greedy_logdet(aims, count, xyz=xyz, min_distance=apart, fixed=fixed, cost=cost)
     chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, plan.sensors + 15)
     if plan.redundancy:
         chosen = np.sort(make_redundant(phi, chosen, plan.redundancy, most=2 * plan.sensors + 15))
     return chosen
 
 
-def _aims(desk: Workbench, nodes: Int, phi: Float, targets: Int) -> list[Aim]:
-    """The modes, and the candidates for the updating where the study names them."""
+def _mass(desk: Workbench, nodes: Int) -> Float:
+    """Mean translational mass on the diagonal of the mass matrix at nodes, (n,); 0 where a node is held."""
+    system = desk.initial.analysis.system
+    at = np.flatnonzero((system.free.direction != 0) & (np.abs(system.free.direction) <= 3))
+    order = np.argsort(nodes)
+    seat = order[np.searchsorted(nodes, system.free.node[at], sorter=order).clip(max=nodes.size - 1)]
+    here = nodes[seat] == system.free.node[at]
+    return np.bincount(seat[here], system.mass.diagonal()[at][here], nodes.size) / 3
+
+
+def _aims(desk: Workbench, plan: PlanSection, nodes: Int, seen: Float, phi: Float, targets: Int) -> list[Aim]:
+    """The modes, as they are and at draws of the prior, and the candidates for the updating where there are some."""
     parameters = desk.config.candidates()
-    aims = [mode_aim(phi)]
+    aims = [mode_aim(seen)]
+    if plan.draws:
+        aims = [mode_aim(s, weight=1 / (plan.draws + 1)) for s in _drawn(desk, plan, nodes, targets)]
     if len(parameters):
         found = desk.initial.modes(desk.deck.fmax).modes.take(targets)
         d_lambda, d_phi = desk.initial.analysis.derivatives(found, parameters)
@@ -212,6 +239,18 @@ def _aims(desk: Workbench, nodes: Int, phi: Float, targets: Int) -> list[Aim]:
         d_shapes = d_phi[_rows(desk, nodes)] * slope
         aims.append(parameter_aim(phi, d_shapes, parameters.std(), relative=relative))
     return aims
+
+
+def _drawn(desk: Workbench, plan: PlanSection, nodes: Int, targets: Int) -> Float:
+    """Target shapes at the candidates at draws of the prior, the nominal ones first, (s, n, 3, m)."""
+    parameters = desk.config.candidates()
+    if not len(parameters):
+        raise ConfigError("[plan] draws needs a [[candidate]]: the prior is theirs")
+    labels = tuple(f"{n}+{a}" for n in nodes.tolist() for a in AXES)
+    model = build(desk.initial, parameters, at_dofs(labels, desk.initial.analysis.dofs), desk.deck.fmax, quiet)
+    found = prior_shapes(model, plan.draws, np.random.default_rng([desk.config.study.seed, 10]))[:, :, targets]
+    mass = _mass(desk, nodes) if plan.weigh else np.ones(nodes.size)
+    return np.stack([kinetic_weighted(s.reshape(nodes.size, 3, -1), mass) for s in found])
 
 
 def _judged(
