@@ -20,12 +20,14 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 import small_study
 
 from ringtrue.checks.mass import whole_mass
-from ringtrue.errors import DataError
+from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
+from ringtrue.study.config import parse_config
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
+from ringtrue.study.summary import summarise
 
 TRUTH = {"stiffness": 0.75, "density": 0.9}
 CANDIDATES = """
@@ -159,6 +161,53 @@ def test_ways_to_minimise_lead_to_the_same(made: Path, tmp_path: Path, settings:
     found = factors(run_study(study(made, tmp_path, STATIC, settings), until="update"))
     for name, value in TRUTH.items():
         assert found[name] == pytest.approx(value, rel=0.02)
+
+
+def test_named_sets_stand_in_one_table(made: Path, tmp_path: Path) -> None:
+    sets = """
+[[set]]
+name = "stiffness alone"
+candidates = ["stiffness"]
+
+[[set]]
+name = "by evidence"
+prior = "evidence"
+starts = 2
+
+[[set]]
+name = "frequencies first"
+shape_weight = 0.1
+frequency_error = 0.001
+"""
+    run = run_study(study(made, tmp_path, STATIC + sets), until="update")
+    done = run.results["update"]
+    by = {s.name: s for s in done.sets}
+    assert by["stiffness alone"].parameters == ("stiffness",)
+    assert by["stiffness alone"].mean_deviation > 1  # the density is wrong, too
+    assert by["by evidence"].settings == "prior evidence, starts 2"
+    assert by["frequencies first"].settings == "shape weight 0.1, frequency error 0.001"
+    for name in ("by evidence", "frequencies first", "best subset"):
+        assert dict(zip(by[name].parameters, by[name].factor, strict=True)) == pytest.approx(TRUTH, rel=0.02)
+    assert done.sets[done.chosen].name != "frequencies first"
+    assert "not chosen from" in done.why
+    told = {s["name"]: s for s in summarise(run)["sets"]}
+    assert told["by evidence"]["settings"] == "prior evidence, starts 2"
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ('[[set]]\nname = "a"\ncandidates = ["stifness"]\n', "did you mean 'stiffness'"),
+        ('[[set]]\nname = "best subset"\n', "names of their own"),
+        ('[[residual]]\nkind = "frf"\nfmim = 3.0\n', "did you mean 'fmin'"),
+        ('[[residual]]\nkind = "mass"\n', "gives mass, center or inertia"),
+        ('[[residual]]\nkind = "mass"\nmass = 3.0\nconfiguration = "x"\n', "no configuration 'x'"),
+        ('[[constraint]]\nterms = { "denisty" = 1.0 }\n', "did you mean 'density'"),
+    ],
+)
+def test_what_the_study_cannot_mean_is_refused(tmp_path: Path, more: str, told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        parse_config(PLAIN + more, tmp_path / "study.toml")
 
 
 def test_constraint_holds(made: Path, tmp_path: Path) -> None:

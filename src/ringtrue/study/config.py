@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.study.config_errors import explain
-from ringtrue.study.config_update import ConstraintSection, ResidualSection, UpdateSection
+from ringtrue.study.config_update import ConstraintSection, ResidualSection, SetSection, UpdateSection
 from ringtrue.update.damping_regions import DampingRegion
 
 
@@ -282,6 +282,9 @@ class ReportSection(_Section):
     captions: list[str] = []
 
 
+AUTOMATIC = frozenset({"proposal", "best subset", "orthogonal sensitivities", "largest sensitivities"})
+
+
 class StudyConfig(_Section):
     """The whole study; `model` or `test` may be absent, not both."""
 
@@ -299,6 +302,7 @@ class StudyConfig(_Section):
     update: UpdateSection = UpdateSection()
     residual: list[ResidualSection] = []
     constraint: list[ConstraintSection] = []
+    set: list[SetSection] = []
     uncertainty: UncertaintySection = UncertaintySection()
     damping: DampingSection = DampingSection()
     predict: PredictSection | None = None
@@ -314,6 +318,11 @@ class StudyConfig(_Section):
         if len({c.name for c in self.configuration}) != len(self.configuration):
             raise ValueError("configurations need names of their own")
         self._known([n for c in self.constraint for n in c.terms], "[[constraint]]")
+        self._known([n for s in self.set for n in s.candidates], "[[set]]")
+        if self.set and not self.candidate:
+            raise ValueError("[[set]] needs [[candidate]]s that it names")
+        if len({s.name for s in self.set} - AUTOMATIC) != len(self.set):
+            raise ValueError(f"[[set]]: names of their own, none of {', '.join(sorted(AUTOMATIC))}")
         self._known([n for stage in self.update.stages for n in stage], "update.stages")
         there = {c.name for c in self.configuration}
         if lost := sorted({r.configuration for r in self.residual if r.configuration} - there):

@@ -46,6 +46,46 @@ class UpdateSection(_Section):
         return usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.starts == 1 and not self.stages
 
 
+JUDGED = ("residuals", "shape_weight", "frequency_error", "mac_error", "orthogonality_error", "loss")
+
+
+class SetSection(_Section):
+    """A parameter set to compare: some candidates, and what it does otherwise than [update]."""
+
+    name: str
+    candidates: list[str] = []  # by name; empty: all
+    step: Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"] | None = None
+    shape_weight: float | None = Field(default=None, ge=0)
+    residuals: list[ModalKind] | None = None
+    frequency_error: Positive | None = None
+    mac_error: Positive | None = None
+    orthogonality_error: Positive | None = None
+    prior: Literal["study", "evidence", "gcv", "l-curve"] | None = None
+    loss: Literal["squares", "huber", "tukey"] | None = None
+    starts: int | None = Field(default=None, gt=0)
+
+    def own(self) -> dict[str, object]:
+        """What it does otherwise."""
+        return {k: v for k, v in self.model_dump(exclude={"name", "candidates"}).items() if v is not None}
+
+    def settings(self, update: UpdateSection) -> UpdateSection:
+        """[update] as this set has it."""
+        return UpdateSection.model_validate(update.model_dump(exclude_unset=True) | self.own())
+
+    def comparable(self, update: UpdateSection) -> bool:
+        """Whether its J weighs data as that of the other sets does."""
+        mine = self.settings(update)
+        return all(getattr(mine, k) == getattr(update, k) for k in JUDGED)
+
+    def words(self) -> str:
+        """What it does otherwise, in words."""
+        return ", ".join(f"{k.replace('_', ' ')} {_word(v)}" for k, v in self.own().items())
+
+
+def _word(value: object) -> str:
+    return " ".join(value) if isinstance(value, list) else str(value)
+
+
 class ConstraintSection(_Section):
     """Σ factor · x <= most over candidates by name; x is ln(updated/initial), or updated/initial − 1 where linear."""
 

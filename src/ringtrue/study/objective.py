@@ -33,13 +33,13 @@ def names_of(desk: Workbench) -> tuple[str, ...]:
     return (OWN, *(c.name for c in desk.config.configuration))
 
 
-def problem_of(desk: Workbench, models: Sequence[AtChannels], aims: Sequence[Target]) -> Problem:
+def problem_of(desk: Workbench, models: Sequence[AtChannels], aims: Sequence[Target], u: UpdateSection) -> Problem:
     """The objective over all configurations, the parameters of the models free."""
     parts = [
-        Configuration(m, aim, terms_of(desk, n, m), name=n or "the deck of the study")
+        Configuration(m, aim, terms_of(desk, n, m, u), name=n or "the deck of the study")
         for n, m, aim in zip(names_of(desk), models, aims, strict=True)
     ]
-    problem = Problem(tuple(parts), loss=LOSSES[desk.config.update.loss])
+    problem = Problem(tuple(parts), loss=LOSSES[u.loss])
     rows, limits = constraints(desk.config, problem.parameters)
     return Problem(problem.configurations, problem.parameters, loss=problem.loss, rows=rows, limits=limits)
 
@@ -52,9 +52,9 @@ def constraints(config: StudyConfig, parameters: ParameterSet) -> tuple[Float, F
     return np.array([rows[i] for i in kept]).reshape(len(kept), len(parameters)), limits
 
 
-def terms_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Term, ...]:
+def terms_of(desk: Workbench, name: str, model: AtChannels, u: UpdateSection) -> tuple[Term, ...]:
     """All kinds of residuals of a configuration: those of its modes, then what else was measured on it."""
-    modal = modal_terms(desk.config.update, lambda: _mass(desk, name))
+    modal = modal_terms(u, lambda: _mass(desk, name))
     return (*modal, *(Weighted(d.term, d.weight) for d in data_of(desk, name, model)))
 
 

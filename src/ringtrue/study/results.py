@@ -313,6 +313,7 @@ class SetResult:
     mac: Float  # (iteration,) mean MAC %
     path: Float  # (iteration, p) factors
     gradient: float  # norm at the end, relative to the start
+    settings: str = ""  # what it does otherwise than [update], in words
 
 
 @dataclass(frozen=True, slots=True, eq=False)

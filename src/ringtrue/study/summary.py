@@ -264,6 +264,7 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
                 "aicc": s.criterion,
                 "outcome": s.outcome,
             }
+            | ({"settings": s.settings} if s.settings else {})
             for s in update.sets
         ]
         out |= _measured(update)

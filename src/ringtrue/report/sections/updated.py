@@ -75,7 +75,9 @@ def _compared(u: UpdateStage) -> Table:
         rows.append(
             [name, str(len(s.parameters)), *values, str(max(len(s.objective) - 1, 0)), Cell(outcome, "", s.outcome)]
         )
-    return Table(heads, rows, "Parameter sets updated and compared; the chosen one is marked.")
+    other = [f"{s.name}: {s.settings}" for s in u.sets if s.settings]
+    text = "Parameter sets updated and compared; the chosen one is marked."
+    return Table(heads, rows, " ".join([text, *(f"{sentence(o)}" for o in other)]))
 
 
 def _parameters(u: UpdateStage, s: SetResult) -> Table:

@@ -121,7 +121,7 @@ STAGES = (
         "sensitivity",
         "sensitivities and parameter sets",
         sensitivity.run,
-        ("candidate", "update", "residual", "constraint"),
+        ("candidate", "update", "residual", "constraint", "set"),
         ("correlate", "configurations", "localise"),
         lambda desk: [*_remodelled(desk), *_residual_files(desk)],
         (*_BOTH, "candidate|propose"),

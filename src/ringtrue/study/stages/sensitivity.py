@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
+from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.objective import problem_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels
@@ -25,23 +28,23 @@ ALL = "; of the tests of all configurations"
 OWN = {"proposal": "; by the test of the deck of the study alone"}
 
 
-def target(desk: Workbench) -> Target:
+def target(desk: Workbench, u: UpdateSection | None = None) -> Target:
     """The elastic modes of the test as the updating sees them: those left out are marked."""
     found: CorrelateStage = desk.get("correlate")
-    return _target(desk, found)
+    return _target(desk, found, u or desk.config.update)
 
 
-def targets(desk: Workbench) -> tuple[Target, ...]:
+def targets(desk: Workbench, u: UpdateSection | None = None) -> tuple[Target, ...]:
     """The same of all configurations, the study's own first."""
+    u = u or desk.config.update
     others: tuple[ConfiguredTest, ...] = desk.get("configurations").items if desk.config.configuration else ()
-    return (target(desk), *(_target(desk, c) for c in others))
+    return (target(desk, u), *(_target(desk, c, u) for c in others))
 
 
-def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest) -> Target:
+def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest, u: UpdateSection) -> Target:
     sure = found.reference.confidence >= desk.config.identify.confidence
     used = used_mask(len(found.reference), found.left_out) & sure
     std = np.nan_to_num(found.reference_uncertainty.frequency / found.reference.frequencies, nan=0.0)
-    u = desk.config.update
     weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
     return Target(found.reference.frequencies, found.reference.shapes, std, used, weights, settings(desk.config))
 
@@ -49,7 +52,8 @@ def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest) -> Target:
 def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[str, Int], Float]:
     """Parameter sets by their rule, and the weighted sensitivities (r, p) that the simple ones come from."""
     names, count = model.parameters.names, min(desk.config.update.choose, len(model.parameters))
-    several = problem_of(desk, (model, *desk.others(progress)), targets(desk)) if desk.config.joint else None
+    u, models = desk.config.update, (model, *desk.others(progress)) if desk.config.joint else ()
+    several = problem_of(desk, models, targets(desk), u) if desk.config.joint else None
     if several is None:
         weighted = choose.weighted_sensitivities(model, target(desk))
     else:
@@ -65,7 +69,17 @@ def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[
         out["best subset"] = choose.best_subset(model, target(desk), count, progress).members
     else:
         out["best subset"] = choose.joint_subset(several, count, (orthogonal, largest), progress).members
-    return out | {"orthogonal sensitivities": orthogonal, "largest sensitivities": largest}, weighted
+    out |= {"orthogonal sensitivities": orthogonal, "largest sensitivities": largest}
+    named = {s.name: np.array([names.index(n) for n in s.candidates or names]) for s in desk.config.set}
+    return out | named, weighted
+
+
+def _rules(desk: Workbench, sets: Mapping[str, Int]) -> dict[str, str]:
+    """How each set was chosen, in words."""
+    several = desk.config.configuration
+    out = {s.name: "named in the study" + (f"; {s.words()}" if s.own() else "") for s in desk.config.set}
+    made = {rule: RULES[rule] + (OWN.get(rule, ALL) if several else "") for rule in sets if rule not in out}
+    return made | out
 
 
 def mac_slope(psi: Float, point: Linearisation, fe: int) -> Float:
@@ -100,6 +114,6 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
         d_mac.reshape(-1, len(names)),
         fe,
         {rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
-        {rule: RULES[rule] + (OWN.get(rule, ALL) if desk.config.configuration else "") for rule in members},
+        _rules(desk, members),
         choose.alike(weighted, names),
     )

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float
+from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, ROUNDS, STILL, AtChannels, not_verified, verified
@@ -22,20 +23,25 @@ from ringtrue.update.trust import Method, Solution, solve, staged
 from ringtrue.update.weights import regularised
 
 
-def together(desk: Workbench, name: str, members: Sequence[str], progress: Progress) -> SetResult:
+def together(
+    desk: Workbench, name: str, members: Sequence[str], progress: Progress, u: UpdateSection | None = None
+) -> SetResult:
     """Update on the reduced models of all configurations until the full ones agree at the end point.
+
+    `u` stands in for the [update] of the study.
 
     Raises
     ------
     NotConverged
         If a reduced model does not follow its full one.
     """
-    models, aims = [desk.candidates(progress), *desk.others(progress)], targets(desk)
+    u = u or desk.config.update
+    models, aims = [desk.candidates(progress), *desk.others(progress)], targets(desk, u)
     start: Float | None = None
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
-        done, way = _settled(desk, _problem(desk, models, aims, members), start, progress)
+        done, way = _settled(desk, u, _problem(desk, u, models, aims, members), start, progress)
         path += way if start is None else way[1:]
         start = done.y
         models, error = _verified(models, members, done)
@@ -45,8 +51,8 @@ def together(desk: Workbench, name: str, members: Sequence[str], progress: Progr
     desk.keep_others(models[1:])
     if error >= CLOSE:
         raise not_verified(error)
-    problem = _problem(desk, models, aims, members)
-    done, way = _settled(desk, problem, start, progress)
+    problem = _problem(desk, u, models, aims, members)
+    done, way = _settled(desk, u, problem, start, progress)
     return _summary(problem, aims, name, done, [*path, *way[1:]])
 
 
@@ -78,7 +84,7 @@ def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Con
         x = p.vector(np.array([factor[n] for n in p.names]))
         if not _agrees(active.modes(x).frequencies, done.observed.frequencies):
             active, _ = active.enrich(x)
-        terms = terms_of(desk, done.name, active)
+        terms = terms_of(desk, done.name, active, desk.config.update)
         out.append(Configuration(active, aim.settled(active.linearise(x)), terms, done.name))
     return tuple(out)
 
@@ -105,8 +111,10 @@ def _held(model: AtChannels, members: Sequence[str]) -> AtChannels:
     return model.with_parameters([every.index(m) for m in members if m in every], np.zeros(len(every)))
 
 
-def _problem(desk: Workbench, models: Sequence[AtChannels], aims: Sequence[Target], members: Sequence[str]) -> Problem:
-    return problem_of(desk, [_held(m, members) for m in models], aims)
+def _problem(
+    desk: Workbench, u: UpdateSection, models: Sequence[AtChannels], aims: Sequence[Target], members: Sequence[str]
+) -> Problem:
+    return problem_of(desk, [_held(m, members) for m in models], aims, u)
 
 
 def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
@@ -114,15 +122,14 @@ def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
     return replace(problem, configurations=tuple(replace(c, target=t) for c, t in held))
 
 
-def _method(desk: Workbench) -> Method:
+def _method(u: UpdateSection) -> Method:
     """As asked for; a trust region where nothing is said."""
-    u = desk.config.update
     return Method(u.step if "step" in u.model_fields_set else "trust-region")
 
 
-def _begun(desk: Workbench, problem: Problem, method: Method, progress: Progress) -> Float:
+def _begun(desk: Workbench, u: UpdateSection, problem: Problem, method: Method, progress: Progress) -> Float:
     """Where to start: the best end of several starts, after sets that grow stage by stage; else the deck."""
-    u, members = desk.config.update, problem.parameters.names
+    members = problem.parameters.names
     start: Float = np.zeros(problem.size)
     if u.starts > 1:
         more = latin_hypercube(problem.parameters, u.starts - 1, np.random.default_rng([desk.config.study.seed, 9]))
@@ -138,13 +145,13 @@ def _begun(desk: Workbench, problem: Problem, method: Method, progress: Progress
 
 
 def _settled(
-    desk: Workbench, problem: Problem, start: Float | None, progress: Progress
+    desk: Workbench, u: UpdateSection, problem: Problem, start: Float | None, progress: Progress
 ) -> tuple[Solution, list[Evaluated]]:
     """Gates first, then pairs of least cost, then these for good, in all configurations (as in `stages.update`)."""
-    u, method = desk.config.update, _method(desk)
+    method = _method(u)
     path: list[Evaluated] = []
     if start is None:
-        begin = _begun(desk, problem, method, progress)
+        begin = _begun(desk, u, problem, method, progress)
         rough = solve(problem, method, start=begin, iterations=u.iterations)
         path, start = list(rough.history), rough.y
     aims = [c.target for c in problem.configurations]

@@ -46,7 +46,7 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     if count < FEWEST:
         return None
     small = _near(desk, model, x, best.std, np.random.default_rng([desk.config.study.seed, 6]))
-    first = Configuration(small, paired, terms_of(desk, OWN, small))
+    first = Configuration(small, paired, terms_of(desk, OWN, small, desk.config.update))
     others = _others(desk, best, rng=np.random.default_rng([desk.config.study.seed, 8]), progress=progress)
     likely, held = with_discrepancy(
         first,

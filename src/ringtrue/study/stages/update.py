@@ -24,6 +24,7 @@ WHY = (
     "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost their partner among "
     "them, against the number of parameters and does not look at the modes left out"
 )
+OTHER = "; sets that weigh the data otherwise are shown and not chosen from: their J is another"
 ALL = "; all figures are over the tests of all configurations"
 
 
@@ -32,17 +33,23 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     aim = target(desk)
     sets: SensitivityStage = desk.get("sensitivity")
     found: CorrelateStage = desk.get("correlate")
+    named = {s.name: s for s in desk.config.set}
     results: list[SetResult] = []
     for i, (name, members) in enumerate(sets.sets.items()):
         progress(i / len(sets.sets), f"updating: {name}")
-        same = next((r for r in results if set(r.parameters) == set(members)), None)  # two rules, one choice
-        if same is not None:
+        own = named[name].own() if name in named else {}
+        same = next((r for r in results if set(r.parameters) == set(members) and not r.settings), None)
+        if same is not None and not own:  # two rules, one choice
             results.append(replace(same, name=name))
+        elif own:
+            done = together(desk, name, members, progress, named[name].settings(desk.config.update))
+            results.append(replace(done, settings=named[name].words()))
         elif desk.config.joint:
             results.append(together(desk, name, members, progress))
         else:
             results.append(_one(desk, aim, name, members, progress))
-    chosen = int(np.argmin([r.criterion for r in results]))
+    alike = [r.name not in named or named[r.name].comparable(desk.config.update) for r in results]
+    chosen = int(np.argmin([r.criterion if good else np.inf for r, good in zip(results, alike, strict=True)]))
     best = results[chosen]
     parameters = desk.parameters.take([sets.names.index(n) for n in best.parameters])
     before = dict(zip(best.parameters, _values(desk, best, np.ones(len(parameters))), strict=True))
@@ -50,7 +57,9 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     return UpdateStage(
         tuple(results),
         chosen,
-        WHY.format(name=best.name, value=best.criterion) + (ALL if desk.config.configuration else ""),
+        WHY.format(name=best.name, value=best.criterion)
+        + (ALL if desk.config.configuration else "")
+        + ("" if all(alike) else OTHER),
         found.left_out,
         before,
         after,
