@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.correlate.assign import Followed, Locks
 from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes, paired_shapes, turning
 from ringtrue.errors import ConfigError, InputError
 
@@ -157,3 +158,11 @@ def test_table_summary() -> None:
     row = t.rows()[1]
     assert (row.test, row.fe, row.used) == (2, 2, True)
     assert row.deviation_hz == pytest.approx(-1)
+
+
+def test_a_pair_that_the_user_decides_follows_its_shape_through_a_crossing() -> None:
+    shapes = np.eye(4)[:, :3]
+    known = Followed((0,), shapes[:, [1]], (2,), shapes[:, [2]])
+    assert known.locks(shapes) == Locks(((0, 1),), ((2, 2),))
+    assert known.locks(shapes[:, [1, 2, 0]]) == Locks(((0, 0),), ((2, 1),))
+    assert known.locks(shapes[:, :0]) == Locks()

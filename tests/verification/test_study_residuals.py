@@ -230,3 +230,20 @@ def test_static_tables_are_checked(made: Path, tmp_path: Path, text: str, told: 
     (path.parent / "pull.csv").write_text("case,channel,load,deflection\n" + text)
     with pytest.raises(DataError, match=told.replace("+", r"\+")):
         run_study(path, until="update")
+
+
+def test_pairs_that_the_study_decides_hold_from_the_deck_to_the_delivered_one(made: Path, tmp_path: Path) -> None:
+    locks = '[correlate]\nlock = ["4:4"]\nforbid = ["2:2"]\nmac_gate = 0.9\n'
+    run = run_study(study(made, tmp_path, locks + STATIC), until="final")
+    found, final = run.results["correlate"], run.results["final"]
+    for table in (found.initial, final.table):
+        pairs = set(zip(table.pairing.a.tolist(), table.pairing.b.tolist(), strict=True))
+        assert (1, 1) not in pairs
+        assert (3, 3) in pairs  # the order of the modes stays: all moduli change alike
+    for name, value in factors(run).items():
+        assert value == pytest.approx(TRUTH[name], rel=0.02)
+    (tmp_path / "s/study.toml").write_text(PLAIN + '[correlate]\nlock = ["4:40"]\n')
+    with pytest.raises(ConfigError, match=r"correlate\.lock 4:40: there are 9 elastic test modes"):
+        run_study(tmp_path / "s/study.toml", until="correlate")
+    with pytest.raises(ConfigError, match="'4-3' is no pair"):
+        parse_config(PLAIN + '[correlate]\nforbid = ["4-3"]\n', tmp_path / "s/study.toml")

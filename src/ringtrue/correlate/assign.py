@@ -106,6 +106,35 @@ NO_LOCKS = Locks()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """Pairs that the user decides where modes of B change places: each is known by its shape in a first model.
+
+    Attributes
+    ----------
+    forced, forbidden : tuple of int
+        Modes of A.
+    shapes, barred : (channel, k) float64
+        The first model's shapes that they belong to, and do not belong to.
+    """
+
+    forced: tuple[int, ...]
+    shapes: Float
+    forbidden: tuple[int, ...]
+    barred: Float
+
+    def locks(self, shapes: Any_) -> Locks:
+        """The pairs among modes of B with shapes (channel, m), each found by its MAC with the first model's."""
+        if not shapes.shape[1]:
+            return NO_LOCKS
+        rows, cols = linear_sum_assignment(-mac(self.shapes, shapes))
+        of = dict(zip(rows.tolist(), cols.tolist(), strict=True))
+        forced = tuple((t, of[i]) for i, t in enumerate(self.forced) if i in of)
+        near = mac(self.barred, shapes).argmax(axis=1).tolist() if self.forbidden else []
+        forbidden = tuple((t, j) for t, j in zip(self.forbidden, near, strict=True) if (t, j) not in forced)
+        return Locks(forced, forbidden)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Scores:
     """All that the assignment rests on.
 

@@ -125,6 +125,8 @@ class CorrelateSection(_Section):
 
     mac_gate: float = Field(default=0.6, gt=0, lt=1)
     frequency_gate: float = Field(default=0.4, gt=0)
+    lock: list[str] = []  # "3:7": test mode 3 belongs to mode 7 of the deck as delivered, and to what becomes of it
+    forbid: list[str] = []  # that do not belong together
     rigid_below: float | None = None  # Hz: rigid-body modes lie below; None: the largest gap decides
     tolerance: float = Field(default=0.3, gt=0)  # m, sensor to node
     accept_percent: float = 5.0
@@ -137,6 +139,13 @@ class CorrelateSection(_Section):
     accept_orthogonality: float = Field(default=90.0, ge=0, le=100)  # %, least cross-orthogonality of a pair
     accept_off_diagonal: float = Field(default=10.0, ge=0, le=100)  # %, largest between different modes
     tam: Literal["irs", "guyan", "hybrid", "serep"] = "irs"  # the mass at the channels that orthogonality is over
+
+    @field_validator("lock", "forbid")
+    @classmethod
+    def _pairs(cls, value: list[str]) -> list[str]:
+        if wrong := [v for v in value if not re.fullmatch(r"[1-9]\d*:[1-9]\d*", v)]:
+            raise ValueError(f"{wrong[0]!r} is no pair of a test mode and a mode of the deck, from 1, such as '3:7'")
+        return value
 
 
 class RemodelSection(_Section):

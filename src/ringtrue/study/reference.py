@@ -10,9 +10,9 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.assign import PairingSettings
+from ringtrue.correlate.assign import NO_LOCKS, Followed, PairingSettings
 from ringtrue.correlate.pairing import CorrelationTable, correlation_table, pair_modes
-from ringtrue.errors import DataError
+from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import read_frequency_std, read_modes
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig
@@ -135,15 +135,40 @@ def rigid_settings(config: StudyConfig) -> PairingSettings:
     return replace(settings(config), mac_gate=min(0.5, config.correlate.mac_gate), close=0.08, distinct=0.95)
 
 
+def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Followed | None:
+    """The pairs that the study decides, by the shapes of the deck as delivered at the channels of the test modes.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such mode.
+    """
+    c = config.correlate
+    if not (c.lock or c.forbid):
+        return None
+    shapes = np.asarray(initial.rows(reference.channels).shapes.real, dtype=np.float64)
+    sides = []
+    for name, texts in (("lock", c.lock), ("forbid", c.forbid)):
+        pairs = [(int(a) - 1, int(b) - 1) for a, b in (t.split(":") for t in texts)]
+        for t, j in pairs:
+            if t >= len(reference) or j >= shapes.shape[1]:
+                n = f"{len(reference)} elastic test modes and {shapes.shape[1]} of the deck below fmax"
+                raise ConfigError(f"correlate.{name} {t + 1}:{j + 1}: there are {n}")
+        sides.append((tuple(t for t, _ in pairs), shapes[:, [j for _, j in pairs]]))
+    return Followed(*sides[0], *sides[1])
+
+
 def elastic_table(
-    reference: Reference, fe: ModeSet, config: StudyConfig, out: Int, gates: PairingSettings | None = None
+    reference: Reference, fe: ModeSet, config: StudyConfig, out: Int, initial: ModeSet | None = None
 ) -> CorrelationTable:
-    """Elastic test modes against the model's elastic modes at the channels."""
-    gates = gates or settings(config)
+    """Elastic test modes against the model's elastic modes at the channels; `initial` are those that locks name."""
+    gates = settings(config)
     edge = elastic_edge(fe.frequencies, config)
     first = int((fe.frequencies < edge).sum()) if len(reference.rigid) or config.correlate.rigid_below else 0
     elastic = fe.take(np.arange(first, len(fe)))
-    pairing = pair_modes(reference.elastic, elastic, gates, first_b=first)
+    known = followed(reference.elastic, initial, config) if initial is not None else None
+    locks = known.locks(elastic.rows(reference.elastic.channels).shapes) if known is not None else NO_LOCKS
+    pairing = pair_modes(reference.elastic, elastic, gates, first_b=first, locks=locks)
     table = correlation_table(reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out)
     return replace(
         table,

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.correlate.assign import PairingSettings, Scores, assign, scores
+from ringtrue.correlate.assign import NO_LOCKS, Followed, Locks, PairingSettings, Scores, assign, scores
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
@@ -21,6 +21,7 @@ from ringtrue.shapes.subspace import close_groups
 
 LOST = 100.0  # a used mode without a partner counts like a frequency deviation of ten standard deviations
 DOUBT = 16.0  # four standard deviations
+SURE = 1e-6  # of the cost of a lost mode, by which a pair that the user decides is better
 HOLD = 0.5  # of the MAC gate, and of 1/frequency gate, for modes that are paired already
 
 
@@ -66,6 +67,8 @@ class Target:
         Cost of a used mode without a partner; with "cost" no pair costs more.
     fixed : (pairs (k, 2), close groups of the model), optional
         Pairs that are not made anew.
+    followed : Followed, optional
+        Pairs that the user decides.
     """
 
     frequencies: Float
@@ -77,6 +80,7 @@ class Target:
     rule: Literal["gates", "cost"] = "gates"
     lost: float = LOST
     fixed: tuple[Int, tuple[tuple[int, ...], ...]] | None = None
+    followed: Followed | None = None
 
     def __post_init__(self) -> None:
         f = np.float64
@@ -146,8 +150,9 @@ def match(
         pairs, groups = target.fixed
         return pairs, _inside(target, now, spans(target, pairs, groups), pairs), groups
     s = scores(target.frequencies, target.shapes, now.frequencies, now.shapes, target.pairing)
+    locks = target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
     if target.rule == "cost":
-        pairs = _cheapest(target, now, s)
+        pairs = _cheapest(target, now, s, locks)
         return pairs, s.merged[pairs[:, 0], pairs[:, 1]], s.groups_b
     every = np.ones(target.frequencies.size, dtype=np.bool_)
     elastic = now.frequencies > 0
@@ -156,16 +161,19 @@ def match(
         inside = (s.merged >= gates.mac_gate) & (np.abs(s.error) <= gates.frequency_gate)
         s = replace(s, merged=np.where(inside | held[:, None], s.merged, -1.0))
         gates = replace(gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD)
-    rows, cols = assign(s, gates, every, elastic)
+    rows, cols = assign(s, gates, every, elastic, locks)
     return np.stack([rows, cols], axis=1), s.merged[rows, cols], s.groups_b
 
 
-def _cheapest(target: Target, now: Linearisation, s: Scores) -> Int:
+def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> Int:
     """Pairs (k, 2) of least total cost, `lost` for a mode without a partner: first the used modes, then the others."""
     w = target.weights
     root = 0.5 / np.sqrt(w.frequency**2 + target.std**2)
     cost = (root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + (w.shape / w.mac if w.shape else 0.0) * (1 - s.merged)
     cost[:, now.frequencies <= 0] = target.lost
+    forced, free = locks.mask((cost.shape[0], cost.shape[1]))
+    cost = np.where(free, cost, target.lost)
+    cost[forced] = np.minimum(cost[forced], (1 - SURE) * target.lost)
     found: list[tuple[int, int]] = []
     for rows in (np.flatnonzero(target.used), np.flatnonzero(~target.used)):
         free = np.setdiff1d(np.arange(now.frequencies.size), [j for _, j in found])

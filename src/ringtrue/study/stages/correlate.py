@@ -36,7 +36,7 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
     initial = seen(desk, desk.initial)
     progress(0.3, "remodelled deck")
     remodelled = seen(desk, desk.remodelled)
-    tables = [elastic_table(reference, fe, config, out) for fe in (initial, remodelled)]
+    tables = [elastic_table(reference, fe, config, out, initial) for fe in (initial, remodelled)]
     progress(0.6, "mass at the channels")
     told = judged(desk, desk.remodelled, reference, remodelled, tables[1])
     first = evidence(reference, initial, tables[0].pairing, config) if config.remodel else told

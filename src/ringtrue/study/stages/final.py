@@ -82,7 +82,7 @@ def run(desk: Workbench, progress: Progress) -> FinalStage:
     progress(0.2, "modes of the delivered deck")
     modes = opened.modes(desk.deck.fmax).modes
     fe = seen(desk, opened)
-    table = elastic_table(reference, fe, desk.config, before.left_out)
+    table = elastic_table(reference, fe, desk.config, before.left_out, before.fe_initial)
     rigid = rigid_table(reference, fe, desk.config)
     zeta, source = damping_of(fe, table.pairing, rigid.pairing, reference)
     progress(0.5, "what the correlation rests on")

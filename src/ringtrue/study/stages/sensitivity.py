@@ -13,7 +13,7 @@ from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.objective import problem_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels
-from ringtrue.study.reference import settings, used_mask
+from ringtrue.study.reference import followed, settings, used_mask
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, LocaliseStage, SensitivityStage
 from ringtrue.study.workbench import Workbench
 from ringtrue.update import choose
@@ -46,7 +46,16 @@ def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest, u: UpdateSe
     used = used_mask(len(found.reference), found.left_out) & sure
     std = np.nan_to_num(found.reference_uncertainty.frequency / found.reference.frequencies, nan=0.0)
     weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
-    return Target(found.reference.frequencies, found.reference.shapes, std, used, weights, settings(desk.config))
+    known = followed(found.reference, found.fe_initial, desk.config) if isinstance(found, CorrelateStage) else None
+    return Target(
+        found.reference.frequencies,
+        found.reference.shapes,
+        std,
+        used,
+        weights,
+        settings(desk.config),
+        followed=known,
+    )
 
 
 def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[str, Int], Float]:
