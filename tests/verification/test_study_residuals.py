@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 import small_study
 
 from ringtrue.checks.mass import whole_mass
+from ringtrue.correlate.align import Alignment
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
@@ -28,6 +29,7 @@ from ringtrue.study.config import parse_config
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.summary import summarise
+from ringtrue.virtual.logbook import write_sheet
 
 TRUTH = {"stiffness": 0.75, "density": 0.9}
 CANDIDATES = """
@@ -247,3 +249,22 @@ def test_pairs_that_the_study_decides_hold_from_the_deck_to_the_delivered_one(ma
         run_study(tmp_path / "s/study.toml", until="correlate")
     with pytest.raises(ConfigError, match="'4-3' is no pair"):
         parse_config(PLAIN + '[correlate]\nforbid = ["4-3"]\n', tmp_path / "s/study.toml")
+
+
+def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(made: Path, tmp_path: Path) -> None:
+    path = study(made, tmp_path, '[correlate]\nalign = "points"\n' + STATIC)
+    c, s = np.cos(0.5), np.sin(0.5)
+    about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    turn = Alignment(about_z, np.array([20.0, -3, 1]), 1.0, np.zeros(0), np.zeros(0, dtype=bool))
+    turned = turn.move(small_study.test_model())
+    write_sheet(path.parent / "data/sensors.csv", turned, turned.channels)
+    run = run_study(path, until="update")
+    assert "turned by 28.6°" in run.results["correlate"].placed
+    for name, value in factors(run).items():
+        assert value == pytest.approx(TRUTH[name], rel=0.02)
+    path.write_text(path.read_text().replace('"points"', '"nearest"'))
+    with pytest.raises(DataError, match="the geometry is symmetric"):
+        run_study(path, until="correlate")
+    path.write_text(path.read_text().replace('align = "nearest"\n', ""))
+    with pytest.raises(DataError, match="farther than"):
+        run_study(path, until="correlate")

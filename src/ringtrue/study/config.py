@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.study.config_errors import explain
-from ringtrue.study.config_update import ConstraintSection, ResidualSection, SetSection, UpdateSection
+from ringtrue.study.config_update import AUTOMATIC, ConstraintSection, ResidualSection, SetSection, UpdateSection
 from ringtrue.update.damping_regions import DampingRegion
 
 
@@ -129,6 +129,9 @@ class CorrelateSection(_Section):
     forbid: list[str] = []  # that do not belong together
     rigid_below: float | None = None  # Hz: rigid-body modes lie below; None: the largest gap decides
     tolerance: float = Field(default=0.3, gt=0)  # m, sensor to node
+    align: Literal["", "points", "nearest"] = (
+        ""  # lay the test onto the deck by points numbered as nodes, or by nearest
+    )
     accept_percent: float = 5.0
     # judged where results are shown: no stage depends on them
     accept_hz: float | None = Field(default=None, exclude=True)
@@ -289,9 +292,6 @@ class ReportSection(_Section):
 
     photos: list[str] = []
     captions: list[str] = []
-
-
-AUTOMATIC = frozenset({"proposal", "best subset", "orthogonal sensitivities", "largest sensitivities"})
 
 
 class StudyConfig(_Section):

@@ -46,6 +46,7 @@ class UpdateSection(_Section):
         return usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.starts == 1 and not self.stages
 
 
+AUTOMATIC = frozenset({"proposal", "best subset", "orthogonal sensitivities", "largest sensitivities"})  # sets
 JUDGED = ("residuals", "shape_weight", "frequency_error", "mac_error", "orthogonality_error", "loss")
 
 

@@ -201,6 +201,7 @@ class CorrelateStage:
     fe_remodelled: ModeSet
     evidence_initial: Evidence | None = None
     evidence: Evidence | None = None  # of the remodelled deck
+    placed: str = ""  # how the test was laid onto the deck, in words
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,6 +127,7 @@ def summarise(run: StudyRun) -> dict[str, Any]:
         out |= {"initial": pairs(correlate.initial), "remodelled": pairs(correlate.remodelled)}
         out["rigid_body"] = {"before": pairs(correlate.rigid_initial), "after": []}
         out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
+        out |= {"alignment": correlate.placed} if correlate.placed else {}
     out |= _localised(r) | _updated(r) | _known(r) | _used(r)
     out |= _configured(r)
     out["evidence"] = _all_evidence(r)

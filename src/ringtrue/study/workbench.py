@@ -26,6 +26,7 @@ from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfi
 from ringtrue.study.measured import LENGTH, Measured, measured
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.parametric import AtChannels, build
+from ringtrue.study.placing import alignment
 from ringtrue.study.results import ConfigurationsStage, CorrelateStage
 from ringtrue.study.store import Store
 from ringtrue.update.residuals_static import RigidMass
@@ -91,8 +92,7 @@ class Workbench:
         return self.generated
 
     def _built(self, parameters: ParameterSet, progress: Progress) -> ReducedModel:
-        test, tolerance = self.get("identify").test, self.config.correlate.tolerance
-        seen = self._extended(self.remodelled.observation(test, tolerance), OWN)
+        seen = self._extended(self.bridge(self.remodelled), OWN)
         return build(self.remodelled, parameters, seen, self.deck.fmax, progress)
 
     def _extended(self, seen: Observation, name: str) -> Observation:
@@ -183,6 +183,13 @@ class Workbench:
         """The bridge to the channels of another configuration's sheet; without a sheet they are DOFs of the deck."""
         if test is None:
             return at_dofs(tuple(channels), opened.analysis.dofs)
+        return self.bridge(opened, test)
+
+    def bridge(self, opened: Opened, test: TestModel | None = None) -> Observation:
+        """The bridge from a deck to the channels of a test, that of the study if not given, laid onto the deck."""
+        test = test or self.get("identify").test
+        if how := self.config.correlate.align:
+            test = alignment(test, opened, how).move(test)
         return opened.observation(test, self.config.correlate.tolerance)
 
     def others(self, progress: Progress) -> tuple[AtChannels, ...]:
@@ -205,9 +212,7 @@ class Workbench:
     def deck_of(self, name: str) -> tuple[Opened, Observation]:
         """A configuration's deck before the updating, and the bridge to the channels of its test."""
         if name == OWN:
-            return self.remodelled, self.remodelled.observation(
-                self.get("identify").test, self.config.correlate.tolerance
-            )
+            return self.remodelled, self.bridge(self.remodelled)
         section = next(c for c in self.config.configuration if c.name == name)
         item = next(c for c in self.get("configurations").items if c.name == name)
         opened = self.configured(section)

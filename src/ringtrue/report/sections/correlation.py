@@ -108,7 +108,8 @@ def initial(data: Stages) -> Section | None:
     c = data.correlate
     if c is None:
         return None
-    body = blocks(c.initial, data, "The model as delivered against the test.", updating=True)
+    body: list[Block] = [Text(sentence(c.placed))] if c.placed else []
+    body += blocks(c.initial, data, "The model as delivered against the test.", updating=True)
     return Section("initial", "Initial correlation", [*body, *evidence.brief(c.evidence_initial, c.initial, FOLDED)])
 
 

@@ -9,6 +9,7 @@ from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.io.nastran.edit import unified_diff
 from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.placing import alignment, words
 from ringtrue.study.reference import Reference, elastic_table, left_out, reference_modes, rigid_table
 from ringtrue.study.results import CorrelateStage, Evidence
 from ringtrue.study.workbench import Workbench
@@ -17,13 +18,14 @@ from ringtrue.study.workbench import Workbench
 def seen(desk: Workbench, opened: Opened) -> ModeSet:
     """The modes of a model at all channels of the sheet."""
     modes = opened.modes(desk.deck.fmax).modes
-    return opened.seen(modes, desk.get("identify").test, desk.config.correlate.tolerance)
+    there = desk.bridge(opened)
+    return ModeSet(modes.frequencies, modes.damping, there(modes.shapes), there.channels, modes.norm, modes.source)
 
 
 def judged(desk: Workbench, opened: Opened, reference: Reference, fe: ModeSet, table: CorrelationTable) -> Evidence:
     """What the elastic correlation of a model rests on, with the mass of its deck at the channels."""
     config = desk.config.correlate
-    observation = opened.observation(desk.get("identify").test, config.tolerance)
+    observation = desk.bridge(opened)
     mass = channel_mass(opened, observation, reference.elastic.channels, config, desk.deck.fmax)
     return evidence(reference, fe, table.pairing, desk.config, mass)
 
@@ -56,4 +58,5 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         remodelled,
         first,
         told,
+        words(alignment(desk.get("identify").test, desk.initial, c.align)) if (c := config.correlate).align else "",
     )

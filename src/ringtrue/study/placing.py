@@ -1,0 +1,51 @@
+"""The geometry of a test laid onto the deck where the two have frames of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.core.testmodel import TestModel
+from ringtrue.correlate.align import Alignment, best_fit, nearest_fit
+from ringtrue.errors import DataError
+from ringtrue.model.frames import positions
+from ringtrue.study.opened import Opened
+
+
+def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
+    """The best placement of the points of a test on the nodes of a deck, m.
+
+    Parameters
+    ----------
+    how : {"points", "nearest"}
+        By points that have the number of their node, or by the nearest nodes.
+
+    Raises
+    ------
+    DataError
+        If the points do not decide: too few have the number of a node, or the geometry is symmetric.
+    """
+    nodes, ids = positions(opened.model) * opened.length, opened.model["GRID"].ids
+    if how == "nearest":
+        found = nearest_fit(test.xyz, nodes)
+        if found.rivals:
+            raise DataError(
+                f"correlate.align nearest: {found.rivals} other placements fit as well, the geometry is symmetric; "
+                'number three points or more by their nodes and use align = "points"'
+            )
+        return found
+    same, of_test, of_deck = np.intersect1d(test.points, ids, return_indices=True)
+    if same.size < 3:
+        raise DataError(f"correlate.align points: {same.size} points have the number of a node; three or more decide")
+    return best_fit(test.xyz[of_test], nodes[of_deck])
+
+
+def words(found: Alignment) -> str:
+    """The placement in words."""
+    angle = np.degrees(np.arccos(np.clip((np.trace(found.rotation) - 1) / 2, -1.0, 1.0)))
+    x, y, z = found.shift.tolist()
+    lost = int((~found.used).sum())
+    return (
+        f"the points of the test were turned by {angle:.3g}° and moved by ({x:.4g}, {y:.4g}, {z:.4g}) m onto the deck; "
+        f"{int(found.used.sum())} of them fit within {1e3 * found.rms:.3g} mm"
+        + (f", {lost} do not and were set aside" if lost else "")
+    )
