@@ -268,3 +268,26 @@ def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(made: Path, tmp_pat
     path.write_text(path.read_text().replace('align = "nearest"\n', ""))
     with pytest.raises(DataError, match="farther than"):
         run_study(path, until="correlate")
+
+
+@pytest.mark.parametrize("more", ["", STATIC])
+def test_an_interrupted_updating_goes_on_from_its_last_iterates(made: Path, tmp_path: Path, more: str) -> None:
+    path = study(made, tmp_path, more, plain=PLAIN.replace("[update]", "[update]\nchoose = 1"))
+    whole = run_study(study(made, tmp_path / "whole", more, plain=path.read_text().removesuffix(more)), until="update")
+    at: list[str] = []
+
+    def stop(fraction: float, text: str) -> None:
+        at.extend([text] if text.startswith("updating: ") else [])
+        if len(at) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_study(path, until="update", progress=stop)
+    left = json.loads((path.parent / "update.iterates.json").read_text())
+    assert list(left["points"]) == ["best subset"]
+    again = run_study(path, until="update")
+    assert not (path.parent / "update.iterates.json").exists()
+    assert again.results["sensitivity"].sets == whole.results["sensitivity"].sets
+    for a, b in zip(again.results["update"].sets, whole.results["update"].sets, strict=True):
+        np.testing.assert_allclose(a.factor, b.factor, rtol=1e-6)
+    assert again.results["update"].sets[0].objective.size < whole.results["update"].sets[0].objective.size

@@ -10,6 +10,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.study.config_update import UpdateSection
+from ringtrue.study.iterates import Iterates
 from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, ROUNDS, STILL, AtChannels, not_verified, verified
@@ -24,7 +25,12 @@ from ringtrue.update.weights import regularised
 
 
 def together(
-    desk: Workbench, name: str, members: Sequence[str], progress: Progress, u: UpdateSection | None = None
+    desk: Workbench,
+    name: str,
+    members: Sequence[str],
+    progress: Progress,
+    kept: Iterates,
+    u: UpdateSection | None = None,
 ) -> SetResult:
     """Update on the reduced models of all configurations until the full ones agree at the end point.
 
@@ -37,13 +43,14 @@ def together(
     """
     u = u or desk.config.update
     models, aims = [desk.candidates(progress), *desk.others(progress)], targets(desk, u)
-    start: Float | None = None
+    start = kept.start(name, members)
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
         done, way = _settled(desk, u, _problem(desk, u, models, aims, members), start, progress)
-        path += way if start is None else way[1:]
+        path += way[1:] if path else way
         start = done.y
+        kept.keep(name, start)
         models, error = _verified(models, members, done)
         if error < CLOSE:
             break

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.study.iterates import Iterates
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
 from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
@@ -34,7 +35,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     sets: SensitivityStage = desk.get("sensitivity")
     found: CorrelateStage = desk.get("correlate")
     named = {s.name: s for s in desk.config.set}
-    results: list[SetResult] = []
+    kept, results = Iterates.of(desk, aim), list[SetResult]()
     for i, (name, members) in enumerate(sets.sets.items()):
         progress(i / len(sets.sets), f"updating: {name}")
         own = named[name].own() if name in named else {}
@@ -42,12 +43,13 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         if same is not None and not own:  # two rules, one choice
             results.append(replace(same, name=name))
         elif own:
-            done = together(desk, name, members, progress, named[name].settings(desk.config.update))
+            done = together(desk, name, members, progress, kept, named[name].settings(desk.config.update))
             results.append(replace(done, settings=named[name].words()))
         elif desk.config.joint:
-            results.append(together(desk, name, members, progress))
+            results.append(together(desk, name, members, progress, kept))
         else:
-            results.append(_one(desk, aim, name, members, progress))
+            results.append(_one(desk, aim, name, members, progress, kept))
+    kept.done()
     alike = [r.name not in named or named[r.name].comparable(desk.config.update) for r in results]
     chosen = int(np.argmin([r.criterion if good else np.inf for r, good in zip(results, alike, strict=True)]))
     best = results[chosen]
@@ -89,19 +91,22 @@ def regions(desk: Workbench, name: str) -> tuple[int, ...]:
     return tuple(i for i, g in enumerate(desk.get("model").scene.groups) if g in touched or g == name)
 
 
-def _one(desk: Workbench, aim: Target, name: str, members: tuple[str, ...], progress: Progress) -> SetResult:
+def _one(
+    desk: Workbench, aim: Target, name: str, members: tuple[str, ...], progress: Progress, kept: Iterates
+) -> SetResult:
     """Update on the reduced model until the full one agrees at the end point."""
     model = desk.candidates(progress)
     every = model.parameters.names
     at = [every.index(m) for m in members]
-    start: Float | None = None
+    start = kept.start(name, members)
     states: list[State] = []
     error = np.inf
     for _ in range(ROUNDS):
         active = model.with_parameters(at, np.zeros(len(every)))
         result, path = _settled(desk, active, aim, start)
-        states += path if start is None else path[1:]
+        states += path[1:] if states else path
         start = result.x
+        kept.keep(name, start)
         better, error = verified(active, result.x)
         model = better.with_parameters(range(len(every)), np.zeros(len(every)))
         if error < CLOSE:
