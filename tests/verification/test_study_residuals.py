@@ -291,3 +291,36 @@ def test_an_interrupted_updating_goes_on_from_its_last_iterates(made: Path, tmp_
     for a, b in zip(again.results["update"].sets, whole.results["update"].sets, strict=True):
         np.testing.assert_allclose(a.factor, b.factor, rtol=1e-6)
     assert again.results["update"].sets[0].objective.size < whole.results["update"].sets[0].objective.size
+
+
+def in_millimetres(text: str) -> str:
+    """The deck in mm, t and s."""
+    out = []
+    for line in text.splitlines():
+        f = line.split(" $")[0].split(",")
+        if f[0] == "GRID":
+            f[3:6] = [f"{1e3 * float(v):.6g}" for v in f[3:6]]
+        elif f[0] == "MAT1":
+            f[2] = f"{float(f[2].replace('+10', 'e10')) * 1e-6:.8g}"
+            f[5] = f"{float(f[5]) * 1e-12:.7E}"
+        elif f[0] == "PBEAM":
+            f[3] = f"{float(f[3]) * 1e6:.7g}"
+            f[4:8] = [f"{float(v.replace('-5', 'e-5')) * 1e12:.7g}" for v in f[4:8]]
+        elif f[0] == "PSHELL":
+            f[3] = f"{1e3 * float(f[3]):g}"
+        out.append(",".join(f))
+    return "\n".join(out) + "\n"
+
+
+def test_a_deck_in_millimetres_gives_the_same(made: Path, tmp_path: Path) -> None:
+    more = STATIC + weighing(made) + "inertia = [nan, nan, 1.0e5, nan, nan, nan]\ninertia_error = 1e3\n" + FRF
+    plain = PLAIN.replace('frame.bdf"\n', 'frame.bdf"\nunits = "mm-t-s"\n')
+    path = study(made, tmp_path, more, plain=plain)
+    (path.parent / "deck/frame.bdf").write_text(in_millimetres(small_study.deck()))
+    run = run_study(path, until="update")
+    for name, value in factors(run).items():
+        assert value == pytest.approx(TRUTH[name], rel=0.01)
+    static, weighed, frfs = run.results["update"].data
+    np.testing.assert_allclose(static.after, static.measured, rtol=0.02)
+    np.testing.assert_allclose(weighed.after[:4], weighed.measured[:4], rtol=0.01)
+    assert frfs.after.max() < 0.3 * frfs.before.max()
