@@ -198,6 +198,7 @@ def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["--method", "kammer"], "independence"),
         (["--box", "1 2 3"], "six numbers"),
+        (["--keep-out", "1 2 3"], "six numbers"),
         (["--modes", "7-"], "a number or a range"),
         (["--modes", "90", "--band", "1", "9"], "raise it"),
         (["--band", "9", "1"], "F0 < F1"),

@@ -47,6 +47,10 @@ def plan(
     box: Annotated[
         list[str] | None, typer.Option("--box", metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Points lie in it, m; repeat it.")
     ] = None,
+    keep_out: Annotated[
+        list[str] | None, typer.Option(metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="No point lies in it, m; repeat it.")
+    ] = None,
+    exclude: Annotated[str, typer.Option(metavar="LIST", help="Nodes that cannot be measured.")] = "",
     fixed: Annotated[str, typer.Option(metavar="LIST", help="Nodes that are measured in any case.")] = "",
     distance: Annotated[float | None, typer.Option(metavar="M", help="Least distance of two points.", min=0)] = None,
     redundancy: Annotated[int, typer.Option(help="Points that may fail.", min=0)] = 0,
@@ -78,7 +82,9 @@ def plan(
         "references": references,
         "method": method,
         "modes": numbers(modes, "--modes"),
-        "boxes": [_box(b) for b in box or []],
+        "boxes": [_box("--box", b) for b in box or []],
+        "keep_out": [_box("--keep-out", b) for b in keep_out or []],
+        "exclude": numbers(exclude, "--exclude"),
         "fixed": numbers(fixed, "--fixed"),
         "redundancy": redundancy,
         "suspension": hang,
@@ -129,13 +135,13 @@ def numbers(text: str, where: str) -> list[int]:
     return found
 
 
-def _box(text: str) -> list[float]:
+def _box(option: str, text: str) -> list[float]:
     try:
         values = [float(v) for v in text.replace(",", " ").split()]
     except ValueError:
         values = []
     if len(values) != 6:
-        raise ConfigError(f"--box {text!r}: must be six numbers, X0 Y0 Z0 X1 Y1 Z1")
+        raise ConfigError(f"{option} {text!r}: must be six numbers, X0 Y0 Z0 X1 Y1 Z1")
     return values
 
 

@@ -27,6 +27,7 @@ class UpdateSection(_Section):
     frequency_error: Positive = 0.01  # relative, that the best model of this form keeps; the test's own is added
     mac_error: Positive = 0.05  # of 1 - MAC
     orthogonality_error: Positive = 0.05  # of a term of the cross-orthogonality
+    discrepancy: Literal["assumed", "evidence"] = "assumed"  # errors of the kinds of residuals, as given or as likely
     prior: Literal["study", "evidence", "gcv", "l-curve"] = "study"  # rule for the weight of the prior
     loss: Literal["squares", "huber", "tukey"] = "squares"  # against a wrong mode
     starts: int = Field(default=1, gt=0)  # the first is the deck
@@ -42,7 +43,8 @@ class UpdateSection(_Section):
     @property
     def plain(self) -> bool:
         """Whether eigenvalues and shapes are fitted by damped Gauss-Newton from the deck."""
-        usual = self.step in ("gauss-newton", "published") and self.prior == "study" and self.loss == "squares"
+        usual = self.step in ("gauss-newton", "published") and self.loss == "squares"
+        usual = usual and self.prior == "study" and self.discrepancy == "assumed"
         return usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.starts == 1 and not self.stages
 
 
@@ -61,6 +63,7 @@ class SetSection(_Section):
     frequency_error: Positive | None = None
     mac_error: Positive | None = None
     orthogonality_error: Positive | None = None
+    discrepancy: Literal["assumed", "evidence"] | None = None
     prior: Literal["study", "evidence", "gcv", "l-curve"] | None = None
     loss: Literal["squares", "huber", "tukey"] | None = None
     starts: int | None = Field(default=None, gt=0)

@@ -314,3 +314,12 @@ def reweighed(terms: Sequence[Term], frequency: float, mac: float) -> tuple[Term
         else:
             out.append(replace(t, std=mac) if isinstance(t, Mac) else t)
     return tuple(out)
+
+
+def widened(term: Term, by: float) -> Term:
+    """A kind of residuals with standard deviations `by` times as large."""
+    if isinstance(term, Eigenvalues | Frequencies | Mac | CrossOrthogonality):
+        return replace(term, std=by * term.std)
+    if isinstance(term, Shapes):
+        return replace(term, mac=by**2 * term.mac)
+    return replace(term, factor=term.factor / by**2) if isinstance(term, Weighted) else Weighted(term, by**-2)

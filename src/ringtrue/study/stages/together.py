@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 
@@ -19,9 +19,10 @@ from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.multistart import latin_hypercube, multi_start
 from ringtrue.update.objective import DOUBT, Target, aicc
+from ringtrue.update.residuals import widened
 from ringtrue.update.several import Configuration, Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve, staged
-from ringtrue.update.weights import regularised
+from ringtrue.update.weights import discrepancy_by_evidence, regularised
 
 
 def together(
@@ -165,11 +166,24 @@ def _settled(
     near = solve(_aimed(problem, [a.doubting() for a in aims]), method, start=start, iterations=u.iterations)
     path += near.history[1:] if path else near.history
     settled = _aimed(problem, [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)])
+    weighed = _weighed(settled, near.end) if u.discrepancy == "evidence" else settled
     if u.prior != "study":
-        done = regularised(settled, u.prior, method, start=near.y).solution
+        done = regularised(weighed, u.prior, method, start=near.y).solution
     else:
-        done = solve(settled, method, start=near.y, iterations=u.iterations)
+        done = solve(weighed, method, start=near.y, iterations=u.iterations)
+    if weighed is not settled:  # J as all sets have it
+        done = replace(done, history=(*done.history[:-1], settled.evaluate(done.y, done.end)))
     return done, [*path, *done.history[1:]]
+
+
+def _weighed(problem: Problem, at: Evaluated) -> Problem:
+    """The problem with the errors of each kind of residuals that make the data most likely."""
+    found = zip(np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True)
+    by, kinds = dict(found), count()  # a kind may have no row: all its modes are lost
+    parts = [
+        replace(c, terms=tuple(widened(t, by.get(next(kinds), 1.0)) for t in c.terms)) for c in problem.configurations
+    ]
+    return replace(problem, configurations=tuple(parts))
 
 
 def _verified(models: Sequence[AtChannels], members: Sequence[str], done: Solution) -> tuple[list[AtChannels], float]:
