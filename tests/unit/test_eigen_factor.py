@@ -41,6 +41,28 @@ def test_inertia_counts_eigenvalues_below_the_shift(method):
     pencil.close()
 
 
+@pytest.mark.skipif("pardiso" not in ENGINES, reason="pymklpardiso is not installed")
+@pytest.mark.parametrize("entries", [0, 10**9])
+def test_patterns_by_blocks(monkeypatch, entries):
+    """A grid of 20 x 15 nodes with three directions each: eigenvalues (a_i + a_j) b_k; by blocks and by entries."""
+    monkeypatch.setattr(engines, "ENTRIES", entries)
+    b = np.array([[2.0, 0.5, 0.3], [0.5, 3.0, 0.2], [0.3, 0.2, 5.0]])
+    grid = sparse.kron(chain(20), sparse.eye_array(15)) + sparse.kron(sparse.eye_array(20), chain(15))
+    k = sparse.csr_array(sparse.kron(grid, b))
+    a, c = (2 - 2 * np.cos(np.pi * np.arange(1, n + 1) / (n + 1)) for n in (20, 15))
+    exact = np.sort(np.multiply.outer(np.add.outer(a, c).ravel(), np.linalg.eigvalsh(b)).ravel())
+    pencil = Pencil(k, sparse.csr_array(sparse.eye_array(900)), method="pardiso")
+    x = np.random.default_rng(2).standard_normal((900, 11))
+    for below in (0, 5, 300, 899):
+        shift = (exact[below - 1] + exact[below]) / 2 if below else -1.0
+        assert pencil.at(float(shift)).negatives == below
+        assert np.allclose(pencil.at(float(shift)).solve(k @ x - shift * x), x, atol=1e-8)
+    assert np.allclose(solve_modes(pencil, 12).values, exact[:12], rtol=1e-9)
+    hole = sparse.csr_array(sparse.block_diag([k, np.zeros((1, 1))]))
+    with pytest.raises(SingularModel, match="row 900"):
+        factorise(hole, method="pardiso")
+
+
 def test_superlu_has_no_inertia():
     assert factorise(chain(10), method="superlu").negatives == -1
 
