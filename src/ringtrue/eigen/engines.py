@@ -208,7 +208,7 @@ class Pardiso:
         for i, value in (_IPARM | ({_BLOCKS: -FILLED} if self._blocks else {})).items():
             self._solver.set_iparm(i, value)
         self._solver.set_pattern(ia=pattern.indptr.astype(np.int64), ja=pattern.indices.astype(np.int64), n=self._rows)
-        memory.trim()
+        self._trim()
         with self._calls():
             self._solver.run_phase(11)
         memory.require(self.bytes, f"the factorisation of {self._rows} DOFs", limit)
@@ -223,6 +223,10 @@ class Pardiso:
             if "memory" in str(e):
                 raise OutOfMemory(f"{self._rows} DOFs: {e}", needed=self.bytes) from e
             raise NumericalError(f"{self._rows} DOFs: {e}") from e
+
+    def _trim(self) -> None:
+        if self._blocks:  # it takes some milliseconds, as long as a small factorisation
+            memory.trim()
 
     @property
     def bytes(self) -> int:
@@ -239,10 +243,10 @@ class Pardiso:
 
     def refactor(self, values: Any_) -> None:
         """Other values on the same pattern."""
-        memory.trim()
+        self._trim()
         with self._calls():
             self._solver.refactor_values(values)
-        memory.trim()  # by blocks, a fifth of the factor was needed to make it only
+        self._trim()  # a fifth of a factor by blocks was needed to make it only
 
     def strengthen(self, values: Any_) -> bool:
         """With scaling and weighted matching: slower, for matrices that plain pivoting cannot treat."""
