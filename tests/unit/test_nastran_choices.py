@@ -36,6 +36,14 @@ def test_a_file_name_broken_at_a_blank(tmp_path: Path) -> None:
     assert frequencies(path) == pytest.approx([1.5 / (2 * np.pi)])
 
 
+def test_a_file_name_in_another_case(tmp_path: Path) -> None:
+    write(tmp_path, SPRING, "Wing/Nodes.bdf")
+    assert frequencies(write(tmp_path, "INCLUDE 'WING\\nodes.BDF'\n")) == pytest.approx([1.5 / (2 * np.pi)])
+    write(tmp_path, SPRING, "Wing/NODES.bdf")
+    with pytest.raises(DeckError, match="is not there"):
+        read_deck(write(tmp_path, "INCLUDE 'wing/nodes.bdf'\n"))
+
+
 def test_scalar_points_alone_are_a_model(tmp_path: Path) -> None:
     """Two masses 2 and 1 on springs 50 to ground and 100 between them."""
     path = write(tmp_path, "SPOINT,1,2\nCELAS2,1,100.,1,,2\nCELAS4,2,50.,1\nCMASS4,3,2.,1\nCMASS2,4,1.,2\n")

@@ -94,11 +94,20 @@ class _Reading:
     def _locate(self, quoted: bytes, path: Path, line: int) -> Path:
         names = [Path(n) for n in _spellings(quoted)]
         tried = [folder / name for name in names for folder in (path.parent, self.main.parent)]
-        for candidate in tried:
+        for candidate in (*tried, *(there for t in tried if (there := _any_case(t)))):
             if candidate.is_file():
                 return candidate.resolve()
         places = ", ".join(dict.fromkeys(str(t) for t in tried))
         raise DeckError(f"the included file is not there; looked for {places}", path=path, line=line, card="INCLUDE")
+
+
+def _any_case(path: Path) -> Path | None:
+    """The one file of this name in any case, as decks of Windows may name it; None without one or with several."""
+    found = [Path(path.anchor or ".")]
+    for part in path.parts[bool(path.anchor) :]:
+        inside = [f / part for f in found] if part == ".." else []
+        found = inside or [e for f in found if f.is_dir() for e in f.iterdir() if e.name.lower() == part.lower()]
+    return found[0] if len(found) == 1 else None
 
 
 def _spellings(quoted: bytes) -> list[str]:
