@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fem_cases import cards, grid, model, spc, steel
+from fem_cases import cards, grid, model, ragged, spc, steel
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
@@ -94,6 +94,34 @@ def test_what_is_held_or_heavy_is_left_alone() -> None:
     strict = free(5, (1, 0, 0), AUTOSPC="NO")
     with EmbeddedSolver().open(strict) as analysis:
         assert not analysis.spins
+
+
+@pytest.mark.parametrize("offset", [(0.2, 0.1, 0.0), (0.2, 0.0, 0.1), (0.2, 0.1, 0.1)])
+def test_an_offset_mass_joins_the_turns(offset: Float) -> None:
+    """A clamped beam has no spin, whatever its tip mass couples; the mass on a stiff bar in place of an offset."""
+    xyz, bars = chain(8, (1, 0, 0))
+    out = dict(zip(("X1", "X2", "X3"), offset, strict=True))
+    mass = cards("CONM2", EID=[50], G=9, M=10.0, **out)
+    root = spc([1], "123456")
+    arm = grid(np.vstack([xyz, xyz[-1] + np.array(offset)]))
+    link = cards("RBE2", EID=[60], GN=9, CM="123456", GM=ragged([10]))
+    on_arm = cards("CONM2", EID=[50], G=10, M=10.0)
+    own = model(grid(xyz), bars, SECTION, steel(), mass, root, spc=1)
+    both = [own, model(arm, bars, SECTION, steel(), link, on_arm, root, spc=1)]
+    assert not any(spins(m, assemble(m)).size for m in both)
+    found = []
+    for m in both:
+        with EmbeddedSolver().open(m) as analysis:
+            found.append(analysis.modes(ModesRequest(4)).modes.frequencies)
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("n", range(2, 9))
+def test_a_spin_that_is_not_held_is_named(n: int) -> None:
+    """By rounding K - σM can be factorised for some of them."""
+    strict = free(n, (1, 2, 3), AUTOSPC="NO")
+    with EmbeddedSolver().open(strict) as analysis, pytest.raises(SingularModel, match="mechanism"):
+        analysis.modes(ModesRequest(9))
 
 
 def test_statics_and_derivatives() -> None:

@@ -42,7 +42,7 @@ def spins(model: Model, system: System) -> Int:
     if not at.size:
         return none
     K, M = (A[at][:, at] for A in (system.stiffness, system.mass))
-    count, label = connected_components(K, directed=False)
+    count, label = connected_components(abs(K) + abs(M), directed=False)
     chain: Int = label.astype(np.int64)
     R = _turns(system, at)
     energy, inertia = (_shares(R, A, chain, count) for A in (K, M))
@@ -74,7 +74,10 @@ def _turns(system: System, at: Int) -> Float:
 
 
 def _shares(R: Float, A: sparse.csr_array, chain: Int, count: int) -> Float:
-    """RᵀAR of each chain, (count, 3, 3), in shares of what its terms would be without their signs."""
+    """RᵀAR of each chain, (count, 3, 3), in shares of what its terms would be without their signs.
+
+    No entry of A joins two chains.
+    """
     AR, whole = np.asarray(A @ R), np.einsum("ia,ia->i", np.abs(R), np.asarray(abs(A) @ np.abs(R)))
     size = np.bincount(chain, whole, count)
     out = np.zeros((count, 3, 3))
