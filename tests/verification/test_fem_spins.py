@@ -116,6 +116,19 @@ def test_an_offset_mass_joins_the_turns(offset: Float) -> None:
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
+@pytest.mark.parametrize(("offset", "count"), [((0.2, 0.0, 0.0), 1), ((0.2, 0.1, 0.0), 0)])
+def test_a_rigid_tip_spins_with_its_line(offset: Float, count: int) -> None:
+    """The free node of the rigid element is on no bar; off the line it carries the mass about."""
+    xyz, bars = chain(6, (1, 0, 0))
+    link = cards("RBE2", EID=[60], GN=8, CM="123456", GM=ragged([7]))
+    mass = cards("CONM2", EID=[50], G=8, M=10.0)
+    m = model(grid(np.vstack([xyz, xyz[-1] + np.array(offset)])), bars, SECTION, steel(), link, mass)
+    assert spins(m, assemble(m)).size == count
+    with EmbeddedSolver().open(m) as analysis:
+        f = analysis.modes(ModesRequest(8)).modes.frequencies
+    assert (np.abs(f) < 1e-2).sum() == 6 - count
+
+
 @pytest.mark.parametrize("n", range(2, 9))
 def test_a_spin_that_is_not_held_is_named(n: int) -> None:
     """By rounding K - σM can be factorised for some of them."""

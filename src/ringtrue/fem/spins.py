@@ -21,8 +21,9 @@ from ringtrue.fem.assembly import System
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
-JOINTS = {  # cards with rotational stiffness and no inertia, and their nodes
-    **dict.fromkeys(("CBAR", "CBUSH"), ("GA", "GB")),
+JOINTS = {  # cards with rotational stiffness and no inertia of their own, and their nodes
+    **dict.fromkeys(("CBAR", "CBUSH", "RBAR"), ("GA", "GB")),
+    "RBE2": ("GN",),
     **dict.fromkeys(("CROD", "CONROD", "CTUBE", "CELAS1", "CELAS2"), ("G1", "G2")),
 }
 TURNS = 1e-3  # of a unit turn, that a row must move to hold it
