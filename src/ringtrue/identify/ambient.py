@@ -248,7 +248,8 @@ def _notes(history: TimeHistory, left_out: list[str], modes: int, bands: tuple[B
     span = f"{bands[-1].low:.3g} .. {bands[0].high:.3g} Hz"
     if modes:
         return left_out
-    return [*left_out, f"no mode found in {span}: {history.duration:.4g} s look like noise"]
+    slower = f"; modes below {50 / history.duration:.3g} Hz need a longer record (50 cycles)"
+    return [*left_out, f"no mode found in {span}: {history.duration:.4g} s look like noise{slower}"]
 
 
 def identify_ambient(
