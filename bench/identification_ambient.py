@@ -109,7 +109,8 @@ class Frame:
         psi = r.modes.shapes[:, at]
         top = np.abs(psi).argmax(0)
         free = np.arange(10)[:, None] != top
-        gap = (np.abs(psi) - np.abs(self.shapes / self.shapes[top, range(10)])) / r.uncertainty.shape[:, at]
+        stated = np.where(free, r.uncertainty.shape[:, at], 1.0)
+        gap = (np.abs(psi) - np.abs(self.shapes / self.shapes[top, range(10)])) / stated
         e[:, lost], s[:, lost], gap[:, lost] = np.nan, np.nan, np.nan
         return e, s, gap[free]
 

@@ -17,6 +17,7 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.signal.stream import Fir
 
 AT_ONCE = 1 << 20  # samples of all channels that are transformed together: they stay in the cache
+INVERSE = 10.0  # inverse transforms of a block over transforms of a segment: 8 references
 LOOKS = 48  # segments that `glance` takes
 
 
@@ -55,7 +56,8 @@ def segments(samples: int, blocks: int, lags: int, band: Fir, decimation: Fir) -
     lead = -(-(max(band.taps.size, decimation.taps.size) // 2 + 16) // factor) * factor
     beside = 2 * lead + lags
     block = -(-samples // blocks)
-    each = max(1, round(block / (3 * beside)))
+    # long ones overlap less, but each block has the inverse transforms of all its correlations
+    each = max(1, round(np.sqrt(INVERSE * block / beside)))
     hop = -(-block // (each * factor)) * factor
     size = factor * int(next_fast_len(-(-(hop + beside) // factor), real=True))
     return Segments(blocks, each, hop, lead, size, lags, factor)
