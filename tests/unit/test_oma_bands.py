@@ -81,6 +81,14 @@ def test_deviation_of_a_modulus_near_zero_and_far_from_it():
     assert stated[1:] == pytest.approx(seen[1:], rel=0.03)
 
 
+def test_the_interval_of_a_modulus_reaches_to_zero_as_often_as_it_should():
+    rng, n = np.random.default_rng(5), 4000
+    node = 0.01 * (rng.standard_normal(n) + 1j * rng.standard_normal(n))
+    d = np.broadcast_to(np.array([[0.0, 0.0], [0.01, 0.01j]]), (n, 2, 2))
+    stated = var.modulus_std(np.stack([np.ones(n), node]), d)[1]
+    assert (np.abs(node) < 1.96 * stated).mean() == pytest.approx(0.95, abs=0.02)
+
+
 def test_the_scale_of_a_shape_does_not_change_its_deviation():
     rng = np.random.default_rng(4)
     psi = rng.standard_normal((5, 2)) + 0.1j * rng.standard_normal((5, 2))
