@@ -11,9 +11,11 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.identify.ambient import AmbientSettings, bands_for
+from ringtrue.identify.ambient_verdict import settled
 from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.merge import merge_modes
 from ringtrue.identify.ssi import SsiCov, decompose
+from ringtrue.identify.stabilise import Candidates
 from ringtrue.identify.variance import frequency_damping, hankel
 from ringtrue.shapes.mac import mac
 
@@ -131,3 +133,14 @@ def test_a_common_channel_that_is_wrong_in_one_record_is_undone_and_said(wrong):
     rows = [m.modes.channels.index(f"{i}+X") for i in range(9)]
     assert np.diag(mac(m.modes.shapes[rows], truth.astype(complex))).min() > 0.99
     assert merge_modes([records[0], records[2]]).notes == ()
+
+
+@pytest.mark.parametrize(("halves", "done"), [(0.9, True), (0.4, False), (0.1, True)])
+def test_a_mode_in_doubt_asks_for_all_orders(halves: float, done: bool):
+    none = np.zeros((1, 8), np.complex128)
+    c = Candidates(
+        np.array([-0.1 + 10j]), none, np.ones((4, 1), np.complex128), np.zeros((1, 4, 8), np.complex128),
+        np.array([0.9]), np.array([[18, 20]]), np.array([9.0]), np.ones(1), np.array([halves]),
+        np.zeros(20, np.int64), np.ones(20, np.bool_), np.zeros(1, np.bool_),
+    )  # fmt: skip
+    assert settled(c, 40) == done
