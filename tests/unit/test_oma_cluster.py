@@ -14,7 +14,7 @@ from ringtrue.identify.ambient import AmbientSettings, bands_for
 from ringtrue.identify.ambient_verdict import settled
 from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.merge import merge_modes
-from ringtrue.identify.ssi import SsiCov, decompose
+from ringtrue.identify.ssi import SsiCov, decompose, hankel_gram
 from ringtrue.identify.stabilise import Candidates
 from ringtrue.identify.variance import frequency_damping, hankel
 from ringtrue.shapes.mac import mac
@@ -133,6 +133,13 @@ def test_a_common_channel_that_is_wrong_in_one_record_is_undone_and_said(wrong):
     rows = [m.modes.channels.index(f"{i}+X") for i in range(9)]
     assert np.diag(mac(m.modes.shapes[rows], truth.astype(complex))).min() > 0.99
     assert merge_modes([records[0], records[2]]).notes == ()
+
+
+@pytest.mark.parametrize("rows", [7, 12])
+def test_the_gram_matrix_of_a_hankel_matrix_by_convolution(rows: int):
+    r = np.random.default_rng(8).standard_normal((2 * rows, 3, 2))
+    h = hankel(r, rows)
+    assert hankel_gram(r, rows) @ np.eye(2 * rows) == pytest.approx(h.T @ h, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize(("halves", "done"), [(0.9, True), (0.4, False), (0.1, True)])

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import qr, solve_triangular, svd
-from scipy.sparse.linalg import eigsh
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
@@ -24,6 +25,7 @@ from ringtrue.signal.pyramid import Signals
 from ringtrue.signal.stream import Fir
 
 MAX_REFERENCES = 8
+WIDE = 1500  # columns of a Hankel matrix, beyond which convolutions take less time than products
 AS_IS = Fir(np.ones(1))
 
 
@@ -96,8 +98,8 @@ class BandPoles:
     perturbations: var.Perturbations
 
 
-def decompose(h: Float, order: int) -> tuple[Float, Float, Float]:
-    """Leading singular triplets U (i, order), s, V (j, order) of `h`, from its Gram matrix where that is small.
+def decompose(h: Float, order: int, gram: LinearOperator | None = None) -> tuple[Float, Float, Float]:
+    """Leading singular triplets U (i, order), s, V (j, order) of `h` from hᵀh (`gram`, if there is a faster way to it).
 
     A Rayleigh-Ritz step follows where the square of a singular value comes near the rounding of the largest.
     """
@@ -105,7 +107,7 @@ def decompose(h: Float, order: int) -> tuple[Float, Float, Float]:
     if j <= 4 * order:
         u, s, vt = svd(h, full_matrices=False)
         return u[:, :order], s[:order], vt[:order].T
-    size, v = eigsh(h.T @ h, order, v0=np.ones(j), tol=1e-8)
+    size, v = eigsh(h.T @ h if gram is None else gram, order, v0=np.ones(j), tol=1e-8)
     rank = np.argsort(-size, kind="stable")
     size, v = size[rank], v[:, rank]
     if size[-1] > 1e-10 * size[0]:
@@ -116,11 +118,29 @@ def decompose(h: Float, order: int) -> tuple[Float, Float, Float]:
     return basis @ u[:, :order], s[:order], vt[:order].T
 
 
+def hankel_gram(r: Float, rows: int) -> LinearOperator:
+    """HᵀH of the block-Hankel matrix H of `r` (lag, ch, ref): two convolutions, no matrix of rows·ref squared."""
+    size = int(next_fast_len(2 * rows - 1, real=True))
+    spectrum = rfft(r[1 : 2 * rows], size, axis=0)
+    back = np.ascontiguousarray(spectrum.transpose(0, 2, 1))
+
+    def convolved(x: Float, by: Complex) -> Float:  # (row, k) -> (row, l): Σ_j R[i + j] x_j
+        y = by @ rfft(x[::-1], size, axis=0)[:, :, None]
+        return np.asarray(irfft(y[:, :, 0], size, axis=0)[rows - 1 : 2 * rows - 1])
+
+    def product(v: Float) -> Float:
+        return convolved(convolved(v.reshape(rows, -1), spectrum), back).ravel()
+
+    columns = rows * r.shape[2]
+    return LinearOperator((columns, columns), matvec=product, dtype=np.float64)
+
+
 def subspace(r: Float, rows: int, order: int, rate: float) -> Subspace:
     """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank ends."""
     ch = r.shape[1]
     h = var.hankel(r, rows)
-    u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)))
+    gram = hankel_gram(r, rows) if h.shape[1] > WIDE else None
+    u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), gram)
     n = int((s > 1e-12 * s[0]).sum())
     return _factored(u[:, :n], s[:n], v[:, :n] / s[:n], ch, rate)
 
