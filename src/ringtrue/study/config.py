@@ -12,7 +12,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.study.config_errors import explain
-from ringtrue.study.config_update import AUTOMATIC, ConstraintSection, ResidualSection, SetSection, UpdateSection
+from ringtrue.study.config_update import (
+    AUTOMATIC,
+    ConstraintSection,
+    RemodelSection,
+    ResidualSection,
+    SetSection,
+    UncertaintySection,
+    UpdateSection,
+)
 from ringtrue.update.damping_regions import DampingRegion
 
 
@@ -151,14 +159,6 @@ class CorrelateSection(_Section):
         return value
 
 
-class RemodelSection(_Section):
-    """A stated edit of the deck before updating: cards added to one of its files."""
-
-    file: str
-    cards: str
-    reason: str
-
-
 class Candidate(_Section):
     """One uncertain region: `targets = ["MAT1 7 E", "PBUSH 3 K1,K2,K3"]`."""
 
@@ -204,14 +204,6 @@ class LocaliseSection(_Section):
     kinds: list[Literal["material", "property", "region", "spring", "mass"]] = ["material", "property", "spring"]
     pool: int = Field(default=24, ge=0)  # candidates made from the deck that are looked at closely; 0: none is made
     alike: float = Field(default=0.95, gt=0, le=1)  # |cosine| from which on the data cannot tell two apart
-
-
-class UncertaintySection(_Section):
-    """How well the updated parameters and what the model predicts are known."""
-
-    folds: int = Field(default=5, ge=2)  # of the used modes, each left out once
-    level: float = Field(default=0.9, gt=0, lt=1)  # of intervals and bands
-    samples: int = Field(default=0, ge=0)  # of the posterior by Markov chains; 0: the normal approximation alone
 
 
 class DampingRegionSection(_Section):
@@ -303,7 +295,7 @@ class StudyConfig(_Section):
     test: TestSection | None = None
     identify: IdentifySection = IdentifySection()
     correlate: CorrelateSection = CorrelateSection()
-    remodel: RemodelSection | None = None
+    remodel: list[RemodelSection] = []  # one [remodel] or several [[remodel]], in order
     candidate: list[Candidate] = []
     suspension: list[Candidate] = []
     configuration: list[ConfigurationSection] = []
@@ -316,6 +308,11 @@ class StudyConfig(_Section):
     damping: DampingSection = DampingSection()
     predict: PredictSection | None = None
     report: ReportSection = ReportSection()
+
+    @field_validator("remodel", mode="before")
+    @classmethod
+    def _steps(cls, value: object) -> object:
+        return [value] if isinstance(value, dict) else value
 
     @model_validator(mode="after")
     def _something(self) -> Self:

@@ -14,6 +14,14 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
+class RemodelSection(_Section):
+    """A stated edit of the deck before updating: cards added to one of its files."""
+
+    file: str
+    cards: str
+    reason: str
+
+
 class UpdateSection(_Section):
     """Updating."""
 
@@ -46,6 +54,14 @@ class UpdateSection(_Section):
         usual = self.step in ("gauss-newton", "published") and self.loss == "squares"
         usual = usual and self.prior == "study" and self.discrepancy == "assumed"
         return usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.starts == 1 and not self.stages
+
+
+class UncertaintySection(_Section):
+    """How well the updated parameters and what the model predicts are known."""
+
+    folds: int = Field(default=5, ge=2)  # of the used modes, each left out once
+    level: float = Field(default=0.9, gt=0, lt=1)  # of intervals and bands
+    samples: int = Field(default=0, ge=0)  # of the posterior by Markov chains; 0: the normal approximation alone
 
 
 AUTOMATIC = frozenset({"proposal", "best subset", "orthogonal sensitivities", "largest sensitivities"})  # sets

@@ -183,6 +183,17 @@ class CompareStage:
     evidence: Evidence | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class RemodelStep:
+    """The deck after one step of the remodelling against the test."""
+
+    reason: str
+    pairs: int
+    mean_deviation: float  # %
+    max_deviation: float
+    mean_mac: float  # %
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrelateStage:
     """The model as delivered against the test, and after the stated remodelling."""
@@ -202,6 +213,7 @@ class CorrelateStage:
     evidence_initial: Evidence | None = None
     evidence: Evidence | None = None  # of the remodelled deck
     placed: str = ""  # how the test was laid onto the deck, in words
+    history: tuple[RemodelStep, ...] = ()  # the deck as delivered, then each step
 
 
 @dataclass(frozen=True, slots=True, eq=False)

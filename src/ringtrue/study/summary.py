@@ -128,6 +128,7 @@ def summarise(run: StudyRun) -> dict[str, Any]:
         out["rigid_body"] = {"before": pairs(correlate.rigid_initial), "after": []}
         out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
         out |= {"alignment": correlate.placed} if correlate.placed else {}
+        out |= {"remodelling": [asdict(s) for s in correlate.history]} if correlate.history else {}
     out |= _localised(r) | _updated(r) | _known(r) | _used(r)
     out |= _configured(r)
     out["evidence"] = _all_evidence(r)

@@ -228,12 +228,19 @@ class Workbench:
         return Opened(read_deck(self.base / self.deck.deck), self.length)
 
     @cached_property
+    def steps(self) -> tuple[Opened, ...]:
+        """The deck as delivered, and after each step of the stated remodelling, read from `out/remodelled`."""
+        out, files = [self.initial], [Path(f).resolve() for f in self.initial.model.files]
+        for i, step in enumerate(self.config.remodel, start=1):
+            model, file = out[-1].model, self.base / step.file
+            if i > 1 and file.resolve() in files:
+                file = Path(model.files[files.index(file.resolve())])  # as the step before has left it
+            folder = self.out / "remodelled" / ("" if i == len(self.config.remodel) else f"step {i}")
+            main, *_ = add_cards(model, file, (self.base / step.cards).read_text(encoding="utf-8"), folder)
+            out.append(Opened(read_deck(main), self.length))
+        return tuple(out)
+
+    @property
     def remodelled(self) -> Opened:
-        """The deck after the stated remodelling, read from `out/remodelled`; the initial one if there is none."""
-        step = self.config.remodel
-        if step is None:
-            return self.initial
-        folder = self.out / "remodelled"
-        cards = (self.base / step.cards).read_text(encoding="utf-8")
-        main, *_ = add_cards(self.initial.model, self.base / step.file, cards, folder)
-        return Opened(read_deck(main), self.length)
+        """The deck after the whole remodelling; the initial one if there is none."""
+        return self.steps[-1]

@@ -13,6 +13,7 @@ from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import Block, Cell, Diff, Heading, Plot, Section, Table, Text, fixed, sentence, signs
 from ringtrue.report.sections import evidence
 from ringtrue.report.stages import Stages
+from ringtrue.study.results import RemodelStep
 
 FOLDED = "Orthogonality, channels and close modes"
 FEW = 8  # modes above the other set's band that are still listed one by one
@@ -119,9 +120,20 @@ def remodelled(data: Stages) -> Section | None:
     if c is None or not (c.diff or c.remodelling):
         return None
     body: list[Block] = [Text(sentence(c.remodelling))] if c.remodelling else []
+    body += [_history(c.history)] if len(c.history) > 2 else []
     body += [Diff(c.diff, "The remodelling as a change of the deck.")] if c.diff else []
     body += blocks(c.remodelled, data, "The remodelled deck against the test.", updating=True)
     return Section("remodelled", "Remodelling", [*body, *evidence.brief(c.evidence, c.remodelled, FOLDED)])
+
+
+def _history(steps: Sequence[RemodelStep]) -> Table:
+    """Each step of the remodelling against the test."""
+    rows = [
+        [str(i), s.reason, str(s.pairs), fixed(s.mean_deviation, 2), fixed(s.max_deviation, 2), fixed(s.mean_mac, 1)]
+        for i, s in enumerate(steps)
+    ]
+    heads = ("Step", "|What", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %")
+    return Table(heads, rows, "The deck as delivered and after each step of the remodelling, against the test.")
 
 
 def final(data: Stages) -> Section | None:

@@ -76,8 +76,7 @@ def _deck(desk: Workbench) -> list[Path]:
 
 
 def _remodelled(desk: Workbench) -> list[Path]:
-    step = desk.config.remodel
-    return [*_deck(desk), *([desk.base / step.cards] if step else [])]
+    return [*_deck(desk), *(desk.base / step.cards for step in desk.config.remodel)]
 
 
 def _residual_files(desk: Workbench) -> list[Path]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.io.nastran.edit import unified_diff
+from ringtrue.study.config import StudyConfig
 from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.placing import alignment, words
 from ringtrue.study.reference import Reference, elastic_table, left_out, reference_modes, rigid_table
-from ringtrue.study.results import CorrelateStage, Evidence
+from ringtrue.study.results import CorrelateStage, Evidence, RemodelStep
 from ringtrue.study.workbench import Workbench
 
 
@@ -52,11 +55,33 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         tables[0],
         tables[1],
         rigid_table(reference, initial, config),
-        config.remodel.reason if config.remodel else "",
+        _reasons(config),
         unified_diff([Path(f) for f in files[0]], [Path(f) for f in files[1]]),
         initial,
         remodelled,
         first,
         told,
         words(alignment(desk.get("identify").test, desk.initial, c.align)) if (c := config.correlate).align else "",
+        _history(desk, reference, out, tables),
+    )
+
+
+def _reasons(config: StudyConfig) -> str:
+    steps = [s.reason for s in config.remodel]
+    return steps[0] if len(steps) == 1 else "; ".join(f"{i}. {reason}" for i, reason in enumerate(steps, start=1))
+
+
+def _history(
+    desk: Workbench, reference: Reference, out: Int, ends: Sequence[CorrelationTable]
+) -> tuple[RemodelStep, ...]:
+    """The deck as delivered and after each step, against the test."""
+    if not desk.config.remodel:
+        return ()
+    between = [
+        elastic_table(reference, seen(desk, o), desk.config, out, seen(desk, desk.initial)) for o in desk.steps[1:-1]
+    ]
+    names = ("the deck as delivered", *(s.reason for s in desk.config.remodel))
+    return tuple(
+        RemodelStep(n, len(t), t.mean_deviation(), t.max_deviation(), t.mean_mac())
+        for n, t in zip(names, (ends[0], *between, ends[1]), strict=True)
     )
