@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -324,6 +325,16 @@ def test_a_deck_in_millimetres_gives_the_same(made: Path, tmp_path: Path) -> Non
     np.testing.assert_allclose(static.after, static.measured, rtol=0.02)
     np.testing.assert_allclose(weighed.after[:4], weighed.measured[:4], rtol=0.01)
     assert frfs.after.max() < 0.3 * frfs.before.max()
+
+
+def test_a_sensor_off_the_nodes_reads_the_nodes_around_it(made: Path, tmp_path: Path) -> None:
+    run = run_study(study(made, tmp_path, '[correlate]\nmatch = "rigid"\n'), until="correlate")
+    test = run.results["identify"].test
+    off = replace(test, xyz=test.xyz + np.array([0.2, 0.1, 0.0]))  # on the rim of the floors
+    near, around = (run.desk.initial.observation(off, 1.0, how).matrix for how in ("nearest", "rigid"))
+    assert (np.diff(near.indptr) == 1).all()
+    assert (np.diff(around.indptr) >= 4).all()
+    np.testing.assert_array_equal(run.desk.bridge(run.desk.initial, off).matrix.toarray(), around.toarray())
 
 
 def test_steps_of_a_remodelling_are_told_one_by_one(made: Path, tmp_path: Path) -> None:

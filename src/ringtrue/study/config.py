@@ -137,6 +137,7 @@ class CorrelateSection(_Section):
     forbid: list[str] = []  # that do not belong together
     rigid_below: float | None = None  # Hz: rigid-body modes lie below; None: the largest gap decides
     tolerance: float = Field(default=0.3, gt=0)  # m, sensor to node
+    match: Literal["nearest", "rigid"] = "nearest"  # a sensor off the nodes: the nearest node, or the nodes around it
     align: Literal["", "points", "nearest"] = (
         ""  # lay the test onto the deck by points numbered as nodes, or by nearest
     )

@@ -10,7 +10,7 @@ from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.observe import observe
+from ringtrue.correlate.observe import Method, observe
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
@@ -44,8 +44,8 @@ class Opened:
             self._modes[fmax] = self.analysis.modes(ModesRequest(band=(-1.0, fmax)))
         return self._modes[fmax]
 
-    def observation(self, test: TestModel, tolerance: float) -> Observation:
-        """The bridge to the channels of a test; `tolerance` in m."""
+    def observation(self, test: TestModel, tolerance: float, method: Method = "nearest") -> Observation:
+        """The bridge to the channels of a test; `tolerance` in m, `method` as in `correlate.observe`."""
         return observe(
             test,
             self.model["GRID"].ids,
@@ -53,6 +53,7 @@ class Opened:
             self.analysis.dofs,
             unit=self.length,
             tolerance=tolerance / self.length,
+            method=method,
         )
 
     def seen(self, modes: ModeSet, test: TestModel, tolerance: float) -> ModeSet:

@@ -23,6 +23,7 @@ from ringtrue.model.edit import carried
 from ringtrue.reduce.flexible import with_responses
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
+from ringtrue.study.evidence import on_sheet
 from ringtrue.study.measured import LENGTH, Measured, measured
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.parametric import AtChannels, build
@@ -117,7 +118,7 @@ class Workbench:
         """What was measured beside the modes on the deck of the study (`OWN`), or on another configuration."""
         if name not in self._measured:
             mine = [s for s in self.config.residual if (s.configuration or OWN) == name]
-            frfs = self.get("identify").frfs if mine and name == OWN else None
+            frfs = on_sheet(self.get("identify"), -1.0, np.inf) if mine and name == OWN else None
             self._measured[name] = tuple(measured(s, self.base, self.reference(name), frfs) for s in mine)
         return self._measured[name]
 
@@ -188,9 +189,10 @@ class Workbench:
     def bridge(self, opened: Opened, test: TestModel | None = None) -> Observation:
         """The bridge from a deck to the channels of a test, that of the study if not given, laid onto the deck."""
         test = test or self.get("identify").test
-        if how := self.config.correlate.align:
-            test = alignment(test, opened, how).move(test)
-        return opened.observation(test, self.config.correlate.tolerance)
+        c = self.config.correlate
+        if c.align:
+            test = alignment(test, opened, c.align).move(test)
+        return opened.observation(test, c.tolerance, c.match)
 
     def others(self, progress: Progress) -> tuple[AtChannels, ...]:
         """Reduced models of the other configurations over the candidates they carry, at their reference channels."""

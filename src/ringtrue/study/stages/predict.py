@@ -21,6 +21,7 @@ from ringtrue.model.model import Model
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.reduce.response import response_basis
 from ringtrue.study.config import PredictSection
+from ringtrue.study.objective import terms_of
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.results import (
     CorrelateStage,
@@ -37,13 +38,14 @@ from ringtrue.study.stages.together import others_at
 from ringtrue.study.stages.tune import suspended
 from ringtrue.study.stages.tune import target as rigid_target
 from ringtrue.study.stages.update import chosen_factors
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.damping_regions import matrices_of
 from ringtrue.update.harmonic import Damping, RegionDamping, Rows
 from ringtrue.update.kfold import discrepancy
 from ringtrue.update.plausible import plausibility
 from ringtrue.update.posterior import Posterior, laplace
 from ringtrue.update.predict import Output, Unbalance, plane, run_up, validated_band
+from ringtrue.update.residuals import reweighed
 from ringtrue.update.several import Configuration, Problem
 
 UNIT = {"SI": "m", "mm-t-s": "mm"}
@@ -198,8 +200,16 @@ def _posterior(desk: Workbench, progress: Progress) -> tuple[Posterior, float]:
     error = discrepancy(shown, np.zeros(shown.size)) if shown.size else aim.weights.frequency
     active = model.with_parameters(at, np.zeros(len(every)))
     weights = replace(aim.weights, frequency=max(error, aim.weights.frequency))
-    others = (replace(c, target=replace(c.target, weights=weights)) for c in others_at(desk, best, progress))
-    parts = [_laplace((Configuration(active, replace(aim, weights=weights)), *others), best.factor)]
+    first = Configuration(active, aim, terms_of(desk, OWN, active, desk.config.update))
+    every_one = [
+        replace(
+            c,
+            target=replace(c.target, weights=weights),
+            terms=reweighed(c.terms, weights.frequency, weights.mac),
+        )
+        for c in (first, *others_at(desk, best, progress))
+    ]
+    parts = [_laplace(tuple(every_one), best.factor)]
     if desk.config.suspension:
         springs = suspended(desk, progress)
         tuned = desk.get("tune").factors
