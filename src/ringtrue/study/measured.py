@@ -22,12 +22,12 @@ from ringtrue.io.statics import StaticTests, read_statics
 from ringtrue.model.model import Model
 from ringtrue.reduce.affine import AffineSystem
 from ringtrue.study.config_update import AntiResonanceResidual, DataResidual, FrfResidual, MassResidual, StaticResidual
+from ringtrue.study.evidence import MASS
 from ringtrue.update.harmonic import Damping
 from ringtrue.update.residuals import Block, Term
 from ringtrue.update.residuals_frf import AntiResonances, Frf
 from ringtrue.update.residuals_static import MassProperties, RigidMass, StaticDeflections
 
-MASS = {"SI": 1.0, "mm-t-s": 1e3}  # kg a unit of mass of the deck
 LENGTH = {"SI": 1.0, "mm-t-s": 1e-3}  # m a unit of length
 ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 DECIBEL = 20 / np.log(10)
