@@ -19,6 +19,14 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify import variance as var
+from ringtrue.identify.ambient_record import (
+    long_enough,
+    references,
+    response_slope,
+    spectrum,
+    struck,
+    with_nothing_found,
+)
 from ringtrue.identify.ambient_verdict import (
     Found,
     confidence,
@@ -51,7 +59,6 @@ from ringtrue.identify.stabilise import (
     steady,
 )
 from ringtrue.identify.struck import by_references, even_halves, event_weights
-from ringtrue.identify.whittle import SpectralBins
 from ringtrue.signal.events import NONE, Events, find_events
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.lines import steady_lines, with_feet, without_lines
@@ -61,7 +68,6 @@ LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 BLOCKS_EACH = 4  # of one stretch of a long record
 ENOUGH = 0.6  # of the orders, where the modes appear in the first third of them
-FEW = 8  # events
 BESIDE = "; where a mode may stand beside it, take the line out (oma --remove-harmonics)"
 Progress = Callable[[float, str], None]
 
@@ -161,18 +167,6 @@ def _halves(
     return half(parts[0]), half(parts[1])
 
 
-def _spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) -> tuple[Float, Float]:
-    """Frequencies and level (dB) of the first singular value of the spectral matrix of up to 4 channels."""
-    pick = np.unique(np.linspace(0, scale.size - 1, most).round().astype(np.int64))
-    n = bins.freqs.size // join
-    if not n:
-        return np.empty(0), np.empty(0)
-    part = bins.cross[: n * join, pick[:, None], pick] * np.outer(scale[pick], scale[pick])
-    mean = part.reshape(n, join, pick.size, pick.size).mean(1)
-    top = np.linalg.svd(mean, compute_uv=False, hermitian=True)[:, 0].astype(np.float64)
-    return bins.freqs[: n * join].reshape(n, join).mean(1), 10 * np.log10(np.maximum(top, np.finfo(np.float64).tiny))
-
-
 def _candidates(
     sums: BandSums, r: Any_, weights: Float, parts: tuple[Int, Int], choice: Choice | None, least: float, driven: bool
 ) -> tuple[BandPoles, Candidates, Int, list[tuple[int, int]]]:
@@ -231,25 +225,9 @@ def _found(
     return Found(table, unit(scaled), std, sure, _diagram(poles, table, sums), picked, turning)
 
 
-def _slope(history: TimeHistory) -> tuple[float, float]:
-    """Exponent of the frequency in the responses' spectrum under a flat force, and its standard deviation."""
-    kinds = {c.quantity for c in history.channels}
-    known = {"acceleration": 4.0, "velocity": 2.0, "displacement": 0.0, "strain": 0.0}
-    kind = kinds.pop() if len(kinds) == 1 else "unknown"
-    return (known[kind], 1.5) if kind in known else (2.0, 3.0)
-
-
 def _diagram(poles: BandPoles, table: Candidates, sums: BandSums) -> StableDiagram:
     shown = poles.poles.rescaled(sums.scale)
-    return StableDiagram(shown, table.stable, table.label, *_spectrum(sums.bins, sums.scale[sums.eyes]))
-
-
-def _notes(history: TimeHistory, left_out: list[str], modes: int, bands: tuple[Band, ...]) -> list[str]:
-    span = f"{bands[-1].low:.3g} .. {bands[0].high:.3g} Hz"
-    if modes:
-        return left_out
-    slower = f"; modes below {50 / history.duration:.3g} Hz need a longer record (50 cycles)"
-    return [*left_out, f"no mode found in {span}: {history.duration:.4g} s look like noise{slower}"]
+    return StableDiagram(shown, table.stable, table.label, *spectrum(sums.bins, sums.scale[sums.eyes]))
 
 
 def identify_ambient(
@@ -318,8 +296,8 @@ def identify_stretches(
         raise DataError("no stretch of a record to identify")
     second = next(coming, None)
     good, states = usable(first)
-    refs = _references(good, settings.references)
-    bands = _long_enough(bands_for(good.rate, good.duration, settings), good, settings)
+    refs = references(good, settings.references)
+    bands = long_enough(bands_for(good.rate, good.duration, settings), good)
     tell(0.0, "filtering into bands")
     whole = uncut(good, states)  # an amplitude that is cut off looks steady
     sines = steady_lines(whole, low=bands[-1].low, high=bands[0].high) if whole else ()
@@ -343,7 +321,7 @@ def identify_stretches(
     found = []
     for k, x in enumerate(sums):
         tell((k + 1) / (len(bands) + 2), f"identifying {x.band.low:.3g} .. {x.band.high:.3g} Hz")
-        found.append(_band(x, settings, _slope(good), choice, any(e.driven for e in heard)))
+        found.append(_band(x, settings, response_slope(good), choice, any(e.driven for e in heard)))
     result = _assemble(good, found, lines, bands, settings, choice, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.reasons)
@@ -355,16 +333,7 @@ def identify_stretches(
     notes = tuple(f"channel {s.id}: {s.why}{'' if s.usable else '; left out'}" for s in states)
     if whole is None:
         notes += ("every channel is clipped: machines are not told from modes",)
-    return replace(result, notes=notes + _struck(heard) + result.notes)
-
-
-def _struck(heard: list[Events]) -> tuple[str, ...]:
-    if not (count := sum(e.count for e in heard)):
-        return ()
-    level = max(heard, key=lambda e: e.count).level
-    use = "the decays after them are used" if any(e.driven for e in heard) else "no correlation reaches across them"
-    few = "; so few make the stated deviations rough" if count < FEW and any(e.driven for e in heard) else ""
-    return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest (a jump, a blow): {use}{few}",)
+    return replace(result, notes=notes + struck(heard) + result.notes)
 
 
 def _continued(
@@ -385,26 +354,6 @@ def _continued(
         bad = [c.id for c, x in zip(part.channels, lost, strict=True) if x]
         raise DataError(f"{coming.source}: channels {' '.join(bad[:8])} fail later in the record; leave them out")
     return out, events
-
-
-def _references(history: TimeHistory, names: tuple[str, ...]) -> Int | None:
-    if not names:
-        return None
-    ids = [c.id for c in history.channels]
-    if lost := [n for n in names if n not in ids]:
-        raise DataError(f"{history.source}: no usable reference channel {' '.join(lost[:8])}; there are {ids[:40]}")
-    return np.array([ids.index(n) for n in names], dtype=np.int64)
-
-
-def _long_enough(bands: tuple[Band, ...], history: TimeHistory, settings: AmbientSettings) -> tuple[Band, ...]:
-    """The bands with samples enough for ten block rows."""
-    long = tuple(b for b in bands if history.duration * b.rate >= 200)
-    if not long:
-        raise DataError(
-            f"{history.source}: {history.duration:.4g} s are too short for modes above "
-            f"{bands[-1].low:.3g} Hz; needed are {200 / bands[0].rate:.4g} s"
-        )
-    return long
 
 
 def _assemble(
@@ -450,5 +399,5 @@ def _assemble(
         tuple(x.diagram for x in found),
         tuple("; ".join(filter(None, (by_hand.said.get((b, i)), reason(found[b], i)))) for b, i in at),
         lines,
-        tuple(_notes(history, left_out, len(at), bands)),
+        tuple(with_nothing_found(history, left_out, len(at), bands)),
     )

@@ -1,0 +1,74 @@
+"""What an ambient record allows and tells beside its modes: bands, references, spectra, events, notes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.identify.whittle import SpectralBins
+from ringtrue.signal.events import Events
+from ringtrue.signal.preprocess import Band
+
+FEW = 8  # events
+
+
+def spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) -> tuple[Float, Float]:
+    """Frequencies and level (dB) of the first singular value of the spectral matrix of up to 4 channels."""
+    pick = np.unique(np.linspace(0, scale.size - 1, most).round().astype(np.int64))
+    n = bins.freqs.size // join
+    if not n:
+        return np.empty(0), np.empty(0)
+    part = bins.cross[: n * join, pick[:, None], pick] * np.outer(scale[pick], scale[pick])
+    mean = part.reshape(n, join, pick.size, pick.size).mean(1)
+    top = np.linalg.svd(mean, compute_uv=False, hermitian=True)[:, 0].astype(np.float64)
+    return bins.freqs[: n * join].reshape(n, join).mean(1), 10 * np.log10(np.maximum(top, np.finfo(np.float64).tiny))
+
+
+def response_slope(history: TimeHistory) -> tuple[float, float]:
+    """Exponent of the frequency in the responses' spectrum under a flat force, and its standard deviation."""
+    kinds = {c.quantity for c in history.channels}
+    known = {"acceleration": 4.0, "velocity": 2.0, "displacement": 0.0, "strain": 0.0}
+    kind = kinds.pop() if len(kinds) == 1 else "unknown"
+    return (known[kind], 1.5) if kind in known else (2.0, 3.0)
+
+
+def with_nothing_found(history: TimeHistory, left_out: list[str], modes: int, bands: tuple[Band, ...]) -> list[str]:
+    """The notes, with a word on what the record is good for where no mode was found."""
+    span = f"{bands[-1].low:.3g} .. {bands[0].high:.3g} Hz"
+    if modes:
+        return left_out
+    slower = f"; modes below {50 / history.duration:.3g} Hz need a longer record (50 cycles)"
+    return [*left_out, f"no mode found in {span}: {history.duration:.4g} s look like noise{slower}"]
+
+
+def struck(heard: list[Events]) -> tuple[str, ...]:
+    """A note on the events of all stretches."""
+    if not (count := sum(e.count for e in heard)):
+        return ()
+    level = max(heard, key=lambda e: e.count).level
+    use = "the decays after them are used" if any(e.driven for e in heard) else "no correlation reaches across them"
+    few = "; so few make the stated deviations rough" if count < FEW and any(e.driven for e in heard) else ""
+    return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest (a jump, a blow): {use}{few}",)
+
+
+def references(history: TimeHistory, names: tuple[str, ...]) -> Int | None:
+    """Rows of the reference channels, None where each band is to choose."""
+    if not names:
+        return None
+    ids = [c.id for c in history.channels]
+    if lost := [n for n in names if n not in ids]:
+        raise DataError(f"{history.source}: no usable reference channel {' '.join(lost[:8])}; there are {ids[:40]}")
+    return np.array([ids.index(n) for n in names], dtype=np.int64)
+
+
+def long_enough(bands: tuple[Band, ...], history: TimeHistory) -> tuple[Band, ...]:
+    """The bands with samples enough for ten block rows."""
+    long = tuple(b for b in bands if history.duration * b.rate >= 200)
+    if not long:
+        raise DataError(
+            f"{history.source}: {history.duration:.4g} s are too short for modes above "
+            f"{bands[-1].low:.3g} Hz; needed are {200 / bands[0].rate:.4g} s"
+        )
+    return long
