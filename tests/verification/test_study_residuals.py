@@ -226,6 +226,7 @@ def test_constraint_holds(made: Path, tmp_path: Path) -> None:
         ("pull,303+X,1e3,1e-3\npull,303+X,,1e-3\n", "pull.csv:3: channel 303+X is given twice"),
         ("pull,303+X,much,1e-3\n", "pull.csv:2: load 'much' is not a number"),
         ("pull,99999+X,1e3,1e-3\n", "99999"),
+        ("pull,1+X,1e3,1e-3\n", "1+X is held in the deck"),
     ],
 )
 def test_static_tables_are_checked(made: Path, tmp_path: Path, text: str, told: str) -> None:

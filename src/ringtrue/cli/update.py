@@ -25,7 +25,7 @@ from ringtrue.reduce.flexible import with_responses
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.config_update import DataResidual, FrfResidual, MassResidual, StaticResidual
-from ringtrue.study.measured import LENGTH, Data, measured, residual_data, rigid_mass
+from ringtrue.study.measured import LENGTH, Data, check_moving, measured, residual_data, rigid_mass
 from ringtrue.study.objective import KINDS as KINDS_OF_MODES
 from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
 from ringtrue.study.opened import Opened
@@ -209,6 +209,7 @@ def _problem(
     observation = at_dofs(tuple(named), opened.analysis.dofs)
     count = len(opened.modes(ABOVE * float(target.frequencies.max())).modes)
     basis = reduced(model, parameters, observation, count)
+    check_moving(found, at, basis.basis.observe)
     if loaded.size:
         static = any(m.statics is not None for m in found)
         basis, _ = with_responses(basis, loaded, np.zeros(len(parameters)), sensitivities=static)

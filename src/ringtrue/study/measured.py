@@ -227,6 +227,24 @@ def residual_data(
     return Data(found.name, s.kind, term, s.weight, labels, ("Hz",) * f.size, f, s.error * f)
 
 
+def check_moving(found: Sequence[Measured], at: Mapping[str, int], observe: Float) -> None:
+    """Refuse channels that are held in the deck where a response or a load needs one that moves.
+
+    Parameters
+    ----------
+    observe : (channel, r) float64
+        Motion of the channels in a basis.
+
+    Raises
+    ------
+    DataError
+    """
+    for m in found:
+        need = m.inputs if m.statics is not None else (*m.outputs, *m.inputs)
+        if still := [c for c in need if not observe[at[c]].any()]:
+            raise DataError(f"[[residual]] {m.name}: channel {still[0]} is held in the deck, it cannot move")
+
+
 def _frf_data(found: Measured, s: FrfResidual, at: Mapping[str, int], units: str) -> Data:
     frfs = found.frfs
     assert frfs is not None

@@ -14,7 +14,7 @@ from ringtrue.model.edit import carried
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.evidence import channel_mass
-from ringtrue.study.measured import Data, residual_data, rigid_mass
+from ringtrue.study.measured import Data, check_moving, residual_data, rigid_mass
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import STILL, AtChannels
 from ringtrue.study.workbench import OWN, Workbench
@@ -110,6 +110,7 @@ def data_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Data, ...]:
         if f[0] <= STILL * f[-1]:
             raise DataError(f"a static test needs a structure that is held; mode 1 of the deck is at {f[0]:.3g} Hz")
     at = {c: i for i, c in enumerate(desk.channels(name))}
+    check_moving(found, at, model.model.basis.observe)
     active = tuple(model.model.active)
     return tuple(residual_data(m, at, desk.deck.units, lambda: _rigid(desk, name), active) for m in found)
 
