@@ -91,8 +91,8 @@ def test_pair_that_is_close_in_the_test_alone() -> None:
     np.testing.assert_allclose(test, model, atol=1e-9)
     turn = turning(a, b, p)
     np.testing.assert_allclose(turn.T @ turn, np.eye(4), atol=1e-12)
-    far = pair_modes(modes([10, 20, 24, 40], mixed), b)
-    assert not far.subspace.any()
+    assert not pair_modes(modes([10, 20, 24, 40], mixed), b).subspace.any()
+    assert not pair_modes(a, modes([10, 18, 22, 40], phi)).subspace.any()
 
 
 def test_close_modes_that_match_one_to_one_are_not_rotated() -> None:

@@ -14,6 +14,7 @@ from ringtrue.shapes.subspace import close_groups, rotation, subspace_mac
 
 TIE = 1e-3
 LOCKED = 1e6  # worth of a forced pair, above that of all others together
+APART = 4.0  # times the distance of close modes: as far may be in B what is close in A
 SOFT = 0.02  # 1 − MAC below this brings no further gain: it is noise
 
 
@@ -172,7 +173,10 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
     groups_b = close_groups(fb, settings.close, settings.largest_group)
     for ga in (g for g in groups_a if g.size > 1):
         share = np.where((np.abs(error[ga]) <= settings.frequency_gate).any(axis=0), subspace_mac(b, a[:, ga]), 0.0)
-        groups_b = _joined(groups_b, _mixed(single[ga], share, settings), settings.largest_group)
+        if share.any():
+            here = fb[share.argmax()]
+            share[np.abs(fb - here) > APART * settings.close * here] = 0.0
+            groups_b = _joined(groups_b, _mixed(single[ga], share, settings), settings.largest_group)
     for gb in (np.array(g) for g in groups_b if len(g) > 1):
         share = subspace_mac(a, b[:, gb])  # no rotation inside the group reaches more
         gains = np.asarray(share > single[:, gb].max(axis=1) + SOFT - TIE)
