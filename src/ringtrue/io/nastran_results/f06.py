@@ -24,7 +24,8 @@ _ROW = re.compile(rb"^[ 0]?[ ]*(\d+)[ ]+([A-Z0-9]+)[ ]+([^\r\n]*)", re.M)
 _STURM = re.compile(rb"CYCLES *= *(" + _NUMBER + rb") +NUMBER OF EIGENVALUES BELOW THIS VALUE *= *(\d+)")
 _COMPLEX = re.compile(rb"C O M P L E X   E I G E N V E C T O R")
 _FATAL = re.compile(
-    rb"^.*(?:(?:USER|SYSTEM) FATAL MESSAGE|\*ERROR +\d+|FATAL ERROR|PROCESSING TERMINATED).*(?:\n.*){0,3}", re.M | re.I
+    rb"^.*(?:(?:USER|SYSTEM) FATAL MESSAGE|\*ERROR +(?:\d+|:)|FATAL ERROR|PROCESSING TERMINATED).*(?:\n.*){0,3}",
+    re.M | re.I,
 )
 _HEAD = 4000  # bytes from a title of a page to its rows, at most
 
