@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.backends.observed import reduced
+from ringtrue.backends.observed import FullModel, reduced
+from ringtrue.backends.registry import solver
 from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
@@ -21,6 +22,7 @@ from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import field_changes
 from ringtrue.model.model import Model
+from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.reduce.flexible import with_responses
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig, read_config
@@ -42,6 +44,7 @@ from ringtrue.update.weights import RULES, regularised
 
 ABOVE = 1.5  # modes of the model up to here over the highest test mode
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
+PRINTED = 1e-4  # change of an unknown that ends an updating on what programs print
 STARTED = 30  # iterations of each of several starts
 SIDES = ("measured", "before", "after")
 Progress = Any
@@ -62,6 +65,7 @@ class Asked:
     starts: int
     seed: int
     checkpoint: Path | None
+    solver: str
 
 
 def update(
@@ -93,6 +97,12 @@ def update(
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keep the last iterate here; go on from it if it is there.")
     ] = None,
+    solver_name: Annotated[
+        str,
+        typer.Option(
+            "--solver", help="The engine: embedded, or mystran, nastran, slepc or a plug-in, solved anew at each point."
+        ),
+    ] = "embedded",
     json: Annotated[
         str | None,
         typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
@@ -104,20 +114,29 @@ def update(
 
     Example: ringtrue update study.toml modes.json --leave-out 3,7 --out updated
     """
-    asked = Asked(method, prior, loss, starts, seed, checkpoint)
+    asked = Asked(method, prior, loss, starts, seed, checkpoint, solver_name)
+    engine = solver(solver_name)
     _check(asked)
     config = _settings(read_config(study), residuals, frequency, mac_percent, (frf, static, mass))
     if config.model is None or not config.candidate:
         raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
+    anew = solver_name != "embedded"
+    if anew and config.residual:
+        raise ConfigError(
+            f"--solver {solver_name} gives modes alone: FRFs, static tests and a weighed mass need the embedded solver"
+        )
     with progress("updating") as show:
         show(0.0, "reading")
         model, (target, modes) = read_deck(study.parent / config.model.deck), _target(config, test, leave_out)
-        show(0.1, "reduced basis")
-        problem, extra = _problem(model, config, target, modes, study.parent)
+        show(0.1, f"first runs of {solver_name}" if anew else "reduced basis")
+        if anew:
+            problem, extra = _by_runs(model, config, target, modes, engine), tuple[Data, ...]()
+        else:
+            problem, extra = _problem(model, config, target, modes, study.parent)
         before = problem.evaluate(np.zeros(problem.size)).points[0]
         done = _solved(replace(problem, loss=LOSSES[loss]), asked, lambda f, t: show(0.3 + 0.7 * f, t))
     written = _edited(model, config, done, folder)
-    summary = _summary(config, target, before, done, written) | _measured(extra, before, done)
+    summary = _summary(config, target, before, done, written, asked) | _measured(extra, before, done)
     if json:
         write_json(summary, json)
     if json != "-":
@@ -222,9 +241,25 @@ def _problem(
     return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data
 
 
+def _by_runs(model: Model, config: StudyConfig, target: Target, modes: ModeSet, engine: ModalSolver) -> Problem:
+    """The objective on the modes that a solver finds anew at each point."""
+    assert config.model is not None
+    parameters, opened = config.candidates(), Opened(model, LENGTH[config.model.units])
+    with engine.open(model) as analysis:
+        observation = at_dofs(modes.channels, analysis.dofs)
+    full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)
+    full = full.reaching(ABOVE * float(target.frequencies.max()))
+    terms = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config))
+    rows, limits = constraints(config, parameters)
+    return Problem((Configuration(full, target, terms),), rows=rows, limits=limits)
+
+
 def _solved(problem: Problem, asked: Asked, show: Progress) -> Verified:
-    """Starts and weight of the prior on the basis, then the end verified by full solutions."""
+    """Starts and weight of the prior on the model, then the end, on a basis verified by full solutions."""
+    full = problem.configurations[0].model
     method, start = Method(asked.method), np.zeros(problem.size)  # type: ignore[arg-type]
+    if isinstance(full, FullModel):
+        method = replace(method, step=PRINTED)
     if asked.starts > 1:
         more = latin_hypercube(problem.parameters, asked.starts - 1, np.random.default_rng(asked.seed))
         found = multi_start(problem, np.vstack([start, more]), method, iterations=STARTED, finish=3, progress=show)
@@ -234,6 +269,8 @@ def _solved(problem: Problem, asked: Asked, show: Progress) -> Verified:
         problem, start = chosen.problem, np.array(chosen.solution.y)
     if asked.checkpoint is not None:
         start = np.array(solve(problem, method, start=start, checkpoint=asked.checkpoint, progress=show).y)
+    if isinstance(full, FullModel):
+        return Verified(solve(problem, method, start=start, progress=show), problem, 0.0, full.ledger.runs)
     return solve_verified(problem, method, start=start, tolerance=AGREE, progress=show)
 
 
@@ -247,7 +284,9 @@ def _edited(model: Model, config: StudyConfig, done: Verified, folder: Path | No
     return edit_fields(model, field_changes(model, parameters.take(moved), factors[moved]), folder)
 
 
-def _summary(config: StudyConfig, target: Target, before: Point, done: Verified, written: list[Path]) -> dict[str, Any]:
+def _summary(
+    config: StudyConfig, target: Target, before: Point, done: Verified, written: list[Path], asked: Asked
+) -> dict[str, Any]:
     end, parameters = done.solution, config.candidates()
     std = end.std * parameters.slope(end.x) / end.factors
     flags = plausibility(parameters, end.x, end.identifiability)
@@ -255,6 +294,7 @@ def _summary(config: StudyConfig, target: Target, before: Point, done: Verified,
         "outcome": end.outcome.value,
         "why": end.why if end.outcome.ok else f"{end.outcome.value} ({end.why})",
         "objective": [done.solution.history[0].cost, end.cost],
+        "solver": asked.solver,
         "basis_error": done.error,
         "full_solutions": done.full_solutions,
         "parameters": [
@@ -311,9 +351,11 @@ def _print(study: Path, summary: dict[str, Any]) -> None:
         rows("beside the modes", ("", "what", "unit", *SIDES), body)
     for line in (summary["why"], *summary["flags"], *(f"deck: {p}" for p in summary["deck"])):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
-    told = (
-        f"{summary['full_solutions']} full solutions; the reduced model is off by {summary['basis_error']:.1e} at most"
-    )
+    if summary["solver"] == "embedded":
+        error = summary["basis_error"]
+        told = f"{summary['full_solutions']} full solutions; the reduced model is off by {error:.1e} at most"
+    else:
+        told = f"{summary['full_solutions']} runs of {summary['solver']}"
     out.print(told, markup=False, highlight=False, soft_wrap=True)
 
 
