@@ -13,6 +13,8 @@ import small_study
 
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io import codec
+from ringtrue.study import results
+from ringtrue.study.results import RemodelStep
 from ringtrue.study.run import StudyRun, load_study, run_study
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.store import Store
@@ -141,3 +143,13 @@ def _with_run(stage: Stage, run: Callable[..., None]) -> Stage:
 def test_a_stage_that_cannot_be_run_is_refused(finished: Path, options: dict[str, str], told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         run_study(finished, **options)  # type: ignore[arg-type]
+
+
+def test_types_named_by_the_module_that_results_once_were_still_load(tmp_path: Path) -> None:
+    store = Store(tmp_path / "study.h5")
+    store.save("correlate", "1", RemodelStep("a rib", 3, 1.0, 2.0, 98.0))
+    with h5py.File(store.path, "a") as f:
+        assert f["correlate"].attrs["class"] == "ringtrue.study.results.correlated:RemodelStep"
+        f["correlate"].attrs["class"] = "ringtrue.study.results:RemodelStep"
+    assert store.load("correlate") == RemodelStep("a rib", 3, 1.0, 2.0, 98.0)
+    assert {n for n, t in vars(results).items() if isinstance(t, type)} == set(results.__all__)

@@ -1,0 +1,72 @@
+"""What each stage of a study leaves in the store: one frozen type a stage, nothing filled in later.
+
+A store names a type by its module: one written before this was a package finds it here.
+"""
+
+from ringtrue.study.results.correlated import (
+    CompareStage,
+    ConfigurationsStage,
+    ConfiguredStage,
+    ConfiguredTest,
+    CorrelateStage,
+    DeliveredConfiguration,
+    Evidence,
+    FrfEvidence,
+    RemodelStep,
+)
+from ringtrue.study.results.identified import (
+    IdentifiedRecord,
+    IdentifyStage,
+    RecordSummary,
+)
+from ringtrue.study.results.model import (
+    ModelStage,
+    PlanStage,
+    Provenance,
+    Scene,
+)
+from ringtrue.study.results.updated import (
+    DampedModes,
+    DampedRegions,
+    DampingStage,
+    DataResult,
+    FinalStage,
+    LocaliseStage,
+    PredictStage,
+    SensitivityStage,
+    SetResult,
+    TuneStage,
+    UncertaintyStage,
+    UpdateStage,
+)
+
+__all__ = [
+    "CompareStage",
+    "ConfigurationsStage",
+    "ConfiguredStage",
+    "ConfiguredTest",
+    "CorrelateStage",
+    "DampedModes",
+    "DampedRegions",
+    "DampingStage",
+    "DataResult",
+    "DeliveredConfiguration",
+    "Evidence",
+    "FinalStage",
+    "FrfEvidence",
+    "IdentifiedRecord",
+    "IdentifyStage",
+    "LocaliseStage",
+    "ModelStage",
+    "PlanStage",
+    "PredictStage",
+    "Provenance",
+    "RecordSummary",
+    "RemodelStep",
+    "Scene",
+    "SensitivityStage",
+    "SetResult",
+    "TuneStage",
+    "UncertaintyStage",
+    "UpdateStage",
+]

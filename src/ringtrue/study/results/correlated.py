@@ -1,0 +1,120 @@
+"""Test against test and model against test, of the deck of the study and of other configurations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.correlate.complete import CompleteCorrelation
+from ringtrue.correlate.frf import FrfComparison
+from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.track import Tracks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrfEvidence:
+    """Measured FRFs against those of the initial and of the final model, in the band of the identified modes."""
+
+    initial: FrfComparison
+    final: FrfComparison
+    lines: Float  # (l,) Hz, of the FDAC
+    fdac_initial: Float  # (test line, model line) -1..1, over all responses and references
+    fdac_final: Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a correlation rests on beside deviation and MAC."""
+
+    measures: CompleteCorrelation
+    auto_mac: Float  # (a, a) of the first set
+    tracks: Tracks | None = None  # FE modes followed by their shapes at the channels: final, remodelled, initial
+    frfs: FrfEvidence | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompareStage:
+    """Ambient against hammer."""
+
+    table: CorrelationTable
+    evidence: Evidence | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RemodelStep:
+    """The deck after one step of the remodelling against the test."""
+
+    reason: str
+    pairs: int
+    mean_deviation: float  # %
+    max_deviation: float
+    mean_mac: float  # %
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrelateStage:
+    """The model as delivered against the test, and after the stated remodelling."""
+
+    reference: ModeSet  # the elastic test modes that the model is judged by, real shapes
+    reference_uncertainty: Uncertainty
+    rigid: ModeSet  # the rigid-body test modes
+    rigid_uncertainty: Uncertainty
+    left_out: Int  # positions in `reference` that the updating must not see
+    initial: CorrelationTable
+    remodelled: CorrelationTable
+    rigid_initial: CorrelationTable
+    remodelling: str  # in words
+    diff: str  # unified diff of the deck
+    fe_initial: ModeSet  # observed at the channels
+    fe_remodelled: ModeSet
+    evidence_initial: Evidence | None = None
+    evidence: Evidence | None = None  # of the remodelled deck
+    placed: str = ""  # how the test was laid onto the deck, in words
+    history: tuple[RemodelStep, ...] = ()  # the deck as delivered, then each step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConfiguredTest:
+    """Another configuration: its deck before the updating against its own test."""
+
+    name: str
+    files: tuple[str, ...]  # of the deck
+    source: str  # of the test modes, in words
+    test: TestModel | None  # None: the channels are DOFs of the deck
+    reference: ModeSet  # its elastic test modes, real shapes
+    reference_uncertainty: Uncertainty
+    rigid: ModeSet  # its rigid-body test modes
+    rigid_uncertainty: Uncertainty
+    left_out: Int  # positions in `reference` that the updating must not see
+    initial: CorrelationTable
+    fe_initial: ModeSet  # observed at the channels
+    carried: tuple[str, ...]  # candidates and suspensions that its deck has
+    notes: tuple[str, ...]  # fields of candidates that its deck lacks, or has with another value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConfigurationsStage:
+    """All other configurations before the updating."""
+
+    items: tuple[ConfiguredTest, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeliveredConfiguration:
+    """Another configuration with what was found written into its deck, read back."""
+
+    name: str
+    files: tuple[str, ...]
+    changes: tuple[str, ...]
+    table: CorrelationTable
+    observed: ModeSet  # at the channels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConfiguredStage:
+    """All other configurations after the updating."""
+
+    items: tuple[DeliveredConfiguration, ...]

@@ -1,0 +1,103 @@
+"""The deck, the planned test, and where all of it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.plan.rehearsal import Rehearsal
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What is drawn of the model: skin triangles and lines, by group (property or region).
+
+    Attributes
+    ----------
+    node : (n,) int64
+    xyz : (n, 3) float64, m, basic
+    triangles : (t, 3) int64, positions in `node`
+    triangle_group : (t,) int64, positions in `groups`
+    lines : (l, 2) int64
+    line_group : (l,) int64
+    groups : tuple of str
+    """
+
+    node: Int
+    xyz: Float
+    triangles: Int
+    triangle_group: Int
+    lines: Int
+    line_group: Int
+    groups: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelStage:
+    """The deck and its modes."""
+
+    title: str
+    files: tuple[str, ...]
+    units: str
+    cards: dict[str, int]
+    findings: tuple[str, ...]
+    nodes: int
+    dof: int
+    mass: float
+    cg: Float
+    inertia: Float
+    modes: ModeSet  # at the scene's translations: labels node+X.. of the scene nodes
+    residuals: Float
+    proof: str
+    scene: Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanStage:
+    """The planned test."""
+
+    candidates: int
+    target_modes: Int  # positions in the deck's modes
+    test: TestModel  # the planned channels
+    ambient: tuple[str, ...]  # channels planned for the ambient tests
+    references: tuple[str, ...]  # hammer points
+    auto_mac: Float  # (target, target)
+    worst_off_diagonal: float
+    frequency_step: float  # Hz
+    block: float  # s
+    record_length: float  # s
+    damping: float  # assumed ratio
+    expected_modes: Int  # positions in the deck's modes: rigid-body and first elastic ones, of the ambient tests
+    expected_std_frequency: Float  # (expected,) relative, 1 sigma
+    expected_std_damping: Float  # (expected,) relative
+    rule: str  # the selection rule in words
+    target_frequencies: Float = field(default_factory=lambda: np.zeros(0))  # (target,) Hz
+    reasons: tuple[str, ...] = ()  # why each target mode is one
+    reach: Float = field(default_factory=lambda: np.zeros(0))  # (target,) share of the best driving-point residue
+    shown: Float = field(default_factory=lambda: np.zeros(0))  # (target,) MAC of the mode with its drawing
+    left_by_loss: float = 1.0  # least share of information left when the worst sensor point fails
+    loaded: Float = field(default_factory=lambda: np.zeros(0))  # (target,) relative shift by the mass of the sensors
+    suspension: tuple[int, ...] = ()  # nodes to hang from
+    suspension_motion: float = 0.0  # their largest motion in a target mode, squared, over the largest of the mode
+    steady: bool = False  # the centre of gravity hangs between them
+    rehearsal: Rehearsal | None = None  # the virtual test
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Provenance:
+    """Where everything came from."""
+
+    version: str
+    python: str
+    packages: dict[str, str]
+    platform: str
+    seed: int
+    started: str
+    inputs: dict[str, str]  # file -> SHA-256
+    settings: str  # the resolved study.toml
+    timings: dict[str, float]  # stage -> s
+    home: str = "."  # the folder of study.toml, seen from that of the store
