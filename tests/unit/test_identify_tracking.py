@@ -177,7 +177,7 @@ def test_regressors_that_tell_nothing() -> None:
 
 # --- the command
 
-RATE, SECONDS, HOURS = 16.0, 240.0, 10
+RATE, SECONDS, HOURS = 16.0, 300.0, 10
 
 
 @pytest.fixture(scope="module")
