@@ -91,7 +91,7 @@ def test_decays_after_events_give_the_damping_that_the_whole_record_gets_wrong(
 
     with_events = error()
     assert with_events.max() < 0.1
-    monkeypatch.setattr("ringtrue.identify.ambient.find_events", lambda data, rate: find_events(data[:, :1], rate))
+    monkeypatch.setattr("ringtrue.identify.stretches.find_events", lambda data, rate: find_events(data[:, :1], rate))
     assert error().max() > 2 * with_events.max()
 
 

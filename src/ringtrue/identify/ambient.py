@@ -39,7 +39,7 @@ from ringtrue.identify.ambient_verdict import (
     unexplained,
     unresolved,
 )
-from ringtrue.identify.bands import STEP, BandSums, begin, more
+from ringtrue.identify.bands import STEP, BandSums
 from ringtrue.identify.choice import chosen, with_picks
 from ringtrue.identify.poles import PoleSet, StableDiagram, unit
 from ringtrue.identify.repeated import loosened, with_pairs
@@ -58,10 +58,10 @@ from ringtrue.identify.stabilise import (
     refined,
     steady,
 )
+from ringtrue.identify.stretches import gathered, steady_sines
 from ringtrue.identify.struck import by_references, even_halves, event_weights
-from ringtrue.signal.events import NONE, Events, find_events
 from ringtrue.signal.harmonics import steady_amplitudes
-from ringtrue.signal.lines import steady_lines, with_feet, without_lines
+from ringtrue.signal.lines import with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic, block_weights, harmonics, uncut, usable
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
@@ -303,24 +303,14 @@ def identify_stretches(
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
     tell(0.0, "filtering into bands")
     whole = uncut(good, states)  # an amplitude that is cut off looks steady
-    sines = steady_lines(whole, low=bands[-1].low, high=bands[0].high) if whole else ()
-    sines = tuple(h for h in sines if all(abs(h.frequency / f - 1) > 1e-5 for f in leave))
-    if second is not None:  # no second look
-        unsteady = with_feet(without_lines(good, [h.frequency for h in sines]), [h.frequency for h in sines])
-        sines = tuple(h for h in sines if h.frequency not in unsteady)
+    sines = steady_sines(good, whole, bands, leave, once=second is not None)
     places = [h.frequency for h in sines]
     clean = without_lines(good, places)
     whole, good = clean if whole is good else whole and without_lines(whole, places), clean
     lines = tuple(h for h in harmonics(whole, low=bands[-1].low) if h.frequency < bands[0].high) if whole else ()
     ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH)
-    heard = [find_events(good.data, good.rate)]
-    sums = begin(good.data, good.rate, bands, ssi, refs, heard[0])
-    duration = good.duration
-    for part in chain(() if second is None else (second,), coming):
-        tell(0.0, f"filtering into bands, {duration:.4g} s done")
-        sums, events = _continued(sums, good, part, places)
-        heard.append(events)
-        duration += part.duration
+    more_to_come = chain(() if second is None else (second,), coming)
+    sums, heard = gathered(good, more_to_come, bands, ssi, refs, places, tell)
     found = []
     for k, x in enumerate(sums):
         tell((k + 1) / (len(bands) + 2), f"identifying {x.band.low:.3g} .. {x.band.high:.3g} Hz")
@@ -337,26 +327,6 @@ def identify_stretches(
     if whole is None:
         notes += ("every channel is clipped: machines are not told from modes",)
     return replace(result, notes=notes + struck(heard) + result.notes)
-
-
-def _continued(
-    sums: list[BandSums], first: TimeHistory, coming: TimeHistory, places: list[float]
-) -> tuple[list[BandSums], Events]:
-    """The sums with one more stretch and its events, unless it is too short for the lags of the lowest band."""
-    part = coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
-    if not np.isclose(part.rate, first.rate):
-        raise DataError(f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
-    share = part.duration / first.duration
-    if share < 0.5:  # edges of the filters would weigh too much
-        return sums, NONE
-    part = without_lines(part, places)
-    events = find_events(part.data, part.rate)
-    out = more(sums, part.data, part.rate, events)
-    lost = np.asarray(~np.isfinite(out[0].parts[-1]).all((0, 1, 3)))
-    if lost.any():
-        bad = [c.id for c, x in zip(part.channels, lost, strict=True) if x]
-        raise DataError(f"{coming.source}: channels {' '.join(bad[:8])} fail later in the record; leave them out")
-    return out, events
 
 
 def _assemble(

@@ -1,0 +1,72 @@
+"""From the stretches of a record to the sums of its bands: what is kept does not grow with the record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from ringtrue.core.arrays import Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.identify.bands import BandSums, begin, more
+from ringtrue.identify.ssi import SsiCov
+from ringtrue.signal.events import NONE, Events, find_events
+from ringtrue.signal.lines import steady_lines, with_feet, without_lines
+from ringtrue.signal.preprocess import Band, Harmonic
+
+Progress = Callable[[float, str], None]
+
+
+def steady_sines(
+    good: TimeHistory, whole: TimeHistory | None, bands: tuple[Band, ...], leave: tuple[float, ...], *, once: bool
+) -> tuple[Harmonic, ...]:
+    """Lines that are taken out, but for those to `leave`; with one look at the record, only those without a foot."""
+    if whole is None:
+        return ()
+    found = steady_lines(whole, low=bands[-1].low, high=bands[0].high)
+    found = tuple(h for h in found if all(abs(h.frequency / f - 1) > 1e-5 for f in leave))
+    places = [h.frequency for h in found]
+    unsteady = with_feet(without_lines(good, places), places) if once else ()
+    return tuple(h for h in found if h.frequency not in unsteady)
+
+
+def gathered(
+    good: TimeHistory,
+    coming: Iterable[TimeHistory],
+    bands: tuple[Band, ...],
+    ssi: SsiCov,
+    refs: Int | None,
+    places: list[float],
+    tell: Progress,
+) -> tuple[list[BandSums], list[Events]]:
+    """Sums of each band over all stretches, and the events of each stretch."""
+    heard = [find_events(good.data, good.rate)]
+    sums = begin(good.data, good.rate, bands, ssi, refs, heard[0])
+    duration = good.duration
+    for part in coming:
+        tell(0.0, f"filtering into bands, {duration:.4g} s done")
+        sums, events = _continued(sums, good, part, places)
+        heard.append(events)
+        duration += part.duration
+    return sums, heard
+
+
+def _continued(
+    sums: list[BandSums], first: TimeHistory, coming: TimeHistory, places: list[float]
+) -> tuple[list[BandSums], Events]:
+    """The sums with one more stretch and its events, unless it is too short for the lags of the lowest band."""
+    part = coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
+    if not np.isclose(part.rate, first.rate):
+        raise DataError(f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
+    share = part.duration / first.duration
+    if share < 0.5:  # edges of the filters would weigh too much
+        return sums, NONE
+    part = without_lines(part, places)
+    events = find_events(part.data, part.rate)
+    out = more(sums, part.data, part.rate, events)
+    lost = np.asarray(~np.isfinite(out[0].parts[-1]).all((0, 1, 3)))
+    if lost.any():
+        bad = [c.id for c, x in zip(part.channels, lost, strict=True) if x]
+        raise DataError(f"{coming.source}: channels {' '.join(bad[:8])} fail later in the record; leave them out")
+    return out, events
