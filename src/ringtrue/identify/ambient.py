@@ -172,10 +172,9 @@ def _candidates(
 ) -> tuple[BandPoles, Candidates, Int, list[tuple[int, int]]]:
     """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower orders.
 
-    Of all orders where modes still appear late or are in doubt, unless fewer are believed then.
+    Of all orders where modes still appear late or are in doubt.
     """
     ssi, band, tries = sums.ssi, sums.band, sums.ssi.order_max // sums.ssi.order_step
-    tried = []
     for share in (ENOUGH, 1.0):
         pairs: list[tuple[int, int]] = []
         some = replace(ssi, order_max=max(2 * int(share * ssi.order_max / 2), 2))
@@ -191,11 +190,9 @@ def _candidates(
             table = replace(table, halves=agreed)
             table, pairs = with_pairs(table, poles, halves, tries, least)
             picked = np.pad(picked, (0, table.pole.size - picked.size), constant_values=-1)
-        believed = int((confidence(table, tries) >= least).sum())
-        tried.append((believed, (poles, table, picked, pairs)))
         if settled(table, tries):
             break
-    return max(reversed(tried), key=lambda one: one[0])[1]
+    return poles, table, picked, pairs
 
 
 def _band(
