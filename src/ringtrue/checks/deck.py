@@ -14,6 +14,7 @@ from ringtrue.checks.geometry import check_geometry
 from ringtrue.checks.materials import check_materials
 from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
+from ringtrue.io.nastran.constraint_sets import KINDS
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged
 from ringtrue.model.references import NODES, REFERENCES, missing, unused
@@ -156,7 +157,8 @@ def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool
 
 def _unchosen(model: Model) -> Iterator[Finding]:
     """Supports and equations of a deck whose case control takes none of them."""
-    for name, chosen, cards in (("SPC", model.case.spc, ("SPC", "SPC1")), ("MPC", model.case.mpc, ("MPC",))):
+    for name, (_, cards) in KINDS.items():
+        chosen = getattr(model.case, name.lower())
         for card in cards:
             if not chosen and card in model and len(model[card]):
                 rows = np.arange(len(model[card]))
@@ -165,7 +167,7 @@ def _unchosen(model: Model) -> Iterator[Finding]:
 
 def _lost_sets(model: Model) -> Iterator[Finding]:
     """SPCADD and MPCADD of sets that are not in the deck."""
-    for add, cards in (("SPCADD", ("SPC", "SPC1")), ("MPCADD", ("MPC",))):
+    for add, cards in KINDS.values():
         if add in model:
             there = np.concatenate([np.empty(0, dtype=np.int64), *(model[c].ids for c in cards if c in model)])
             rows = _naming_none(model[add].ragged("S"), there)

@@ -23,11 +23,20 @@ from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import field_changes
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
-from ringtrue.reduce.flexible import with_responses
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.config_update import DataResidual, FrfResidual, MassResidual, StaticResidual
-from ringtrue.study.measured import LENGTH, Data, check_moving, measured, residual_data, rigid_mass
+from ringtrue.study.measured import (
+    LENGTH,
+    Data,
+    channels_of,
+    check_moving,
+    excited,
+    flexible,
+    measured,
+    residual_data,
+    rigid_mass,
+)
 from ringtrue.study.objective import KINDS as KINDS_OF_MODES
 from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
 from ringtrue.study.opened import Opened
@@ -221,18 +230,15 @@ def _problem(
     assert config.model is not None
     parameters, units = config.candidates(), config.model.units
     found = [measured(s, base, modes) for s in config.residual]
-    named = dict.fromkeys([*modes.channels, *(c for m in found for c in (*m.outputs, *m.inputs))])
+    named = tuple(dict.fromkeys((*modes.channels, *channels_of(found))))
     at = {c: i for i, c in enumerate(named)}
-    loaded = np.array([at[c] for c in dict.fromkeys(c for m in found for c in m.inputs)], dtype=np.int64)
+    loaded = excited(found, at)
     opened = Opened(model, LENGTH[units])
-    observation = at_dofs(tuple(named), opened.analysis.dofs)
+    observation = at_dofs(named, opened.analysis.dofs)
     count = len(opened.modes(ABOVE * float(target.frequencies.max())).modes)
     basis = reduced(model, parameters, observation, count)
     check_moving(found, at, basis.basis.observe)
-    if loaded.size:
-        static = any(m.statics is not None for m in found)
-        basis, _ = with_responses(basis, loaded, np.zeros(len(parameters)), sensitivities=static)
-    seen = AtChannels(basis, np.arange(len(modes.channels)), loaded)
+    seen = AtChannels(flexible(basis, found, loaded), np.arange(len(modes.channels)), loaded)
     every = tuple(range(len(parameters)))
     data = tuple(residual_data(m, at, units, lambda: rigid_mass(model, parameters), every) for m in found)
     modal = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config))

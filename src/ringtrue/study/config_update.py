@@ -10,6 +10,12 @@ ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac", "orthogonalit
 Positive = Annotated[float, Field(gt=0)]
 
 
+Step = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]
+Discrepancy = Literal["assumed", "evidence"]
+Prior = Literal["study", "evidence", "gcv", "l-curve"]
+Robust = Literal["squares", "huber", "tukey"]
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -28,16 +34,16 @@ class UpdateSection(_Section):
     propose: bool = False  # the proposal of the localisation is a parameter set; the only one without [[candidate]]
     choose: int = Field(default=6, gt=0)
     left_out: int = Field(default=5, ge=0)
-    step: Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"] = "gauss-newton"
+    step: Step = "gauss-newton"
     shape_weight: float = Field(default=1.0, ge=0)
     iterations: int = Field(default=30, gt=0)
     residuals: list[ModalKind] = ["eigenvalues", "shapes"]  # of the paired modes
     frequency_error: Positive = 0.01  # relative, that the best model of this form keeps; the test's own is added
     mac_error: Positive = 0.05  # of 1 - MAC
     orthogonality_error: Positive = 0.05  # of a term of the cross-orthogonality
-    discrepancy: Literal["assumed", "evidence"] = "assumed"  # errors of the kinds of residuals, as given or as likely
-    prior: Literal["study", "evidence", "gcv", "l-curve"] = "study"  # rule for the weight of the prior
-    loss: Literal["squares", "huber", "tukey"] = "squares"  # against a wrong mode
+    discrepancy: Discrepancy = "assumed"  # errors of the kinds of residuals, as given or as likely
+    prior: Prior = "study"  # rule for the weight of the prior
+    loss: Robust = "squares"  # against a wrong mode
     starts: int = Field(default=1, gt=0)  # the first is the deck
     stages: list[list[str]] = []  # growing sets of candidates that are freed one after the other
 
@@ -73,15 +79,15 @@ class SetSection(_Section):
 
     name: str
     candidates: list[str] = []  # by name; empty: all
-    step: Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"] | None = None
+    step: Step | None = None
     shape_weight: float | None = Field(default=None, ge=0)
     residuals: list[ModalKind] | None = None
     frequency_error: Positive | None = None
     mac_error: Positive | None = None
     orthogonality_error: Positive | None = None
-    discrepancy: Literal["assumed", "evidence"] | None = None
-    prior: Literal["study", "evidence", "gcv", "l-curve"] | None = None
-    loss: Literal["squares", "huber", "tukey"] | None = None
+    discrepancy: Discrepancy | None = None
+    prior: Prior | None = None
+    loss: Robust | None = None
     starts: int | None = Field(default=None, gt=0)
 
     def own(self) -> dict[str, object]:

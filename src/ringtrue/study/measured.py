@@ -21,6 +21,8 @@ from ringtrue.io.frfs import read_frfs
 from ringtrue.io.statics import StaticTests, read_statics
 from ringtrue.model.model import Model
 from ringtrue.reduce.affine import AffineSystem
+from ringtrue.reduce.flexible import with_responses
+from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config_update import AntiResonanceResidual, DataResidual, FrfResidual, MassResidual, StaticResidual
 from ringtrue.study.evidence import MASS
 from ringtrue.update.harmonic import Damping
@@ -225,6 +227,24 @@ def residual_data(
     term = AntiResonances(at[s.output], at[s.input], f, s.error, s.gate)
     labels = tuple(f"{s.output} / {s.input}: zero {i + 1}" for i in range(f.size))
     return Data(found.name, s.kind, term, s.weight, labels, ("Hz",) * f.size, f, s.error * f)
+
+
+def channels_of(found: Sequence[Measured]) -> tuple[str, ...]:
+    """Channels that were measured or excited, each once."""
+    return tuple(dict.fromkeys(c for m in found for c in (*m.outputs, *m.inputs)))
+
+
+def excited(found: Sequence[Measured], at: Mapping[str, int]) -> Int:
+    """Positions of the channels at which something was struck or pulled."""
+    return np.array([at[c] for c in dict.fromkeys(c for m in found for c in m.inputs)], dtype=np.int64)
+
+
+def flexible(model: ReducedModel, found: Sequence[Measured], loaded: Int) -> ReducedModel:
+    """With the static responses to what was struck or pulled; their derivatives where deflections were read."""
+    if not loaded.size:
+        return model
+    static = any(m.statics is not None for m in found)
+    return with_responses(model, loaded, np.zeros(len(model.parameters)), sensitivities=static)[0]
 
 
 def check_moving(found: Sequence[Measured], at: Mapping[str, int], observe: Float) -> None:

@@ -118,8 +118,7 @@ def data_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Data, ...]:
 def _rigid(desk: Workbench, name: str) -> RigidMass:
     """Over all candidates and suspensions that the deck has, as its reduced model."""
     if name not in desk.weighed:
-        every = ParameterSet(desk.parameters.parameters + desk.config.suspensions().parameters)
-        model = desk.deck_of(name)[0].model
+        every, model = desk.everything, desk.deck_of(name)[0].model
         desk.weighed[name] = rigid_mass(model, every if name == OWN else carried(model, every))
     return desk.weighed[name]
 

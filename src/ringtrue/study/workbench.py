@@ -20,11 +20,10 @@ from ringtrue.errors import ConfigError
 from ringtrue.io.nastran.edit import add_cards
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import carried
-from ringtrue.reduce.flexible import with_responses
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
 from ringtrue.study.evidence import on_sheet
-from ringtrue.study.measured import LENGTH, Measured, measured
+from ringtrue.study.measured import LENGTH, Measured, channels_of, excited, flexible, measured
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.parametric import AtChannels, build
 from ringtrue.study.placing import alignment
@@ -92,14 +91,18 @@ class Workbench:
             self.generated = self.get("localise").parameters
         return self.generated
 
+    @property
+    def everything(self) -> ParameterSet:
+        """All candidates and suspensions."""
+        return ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
+
     def _built(self, parameters: ParameterSet, progress: Progress) -> ReducedModel:
         seen = self._extended(self.bridge(self.remodelled), OWN)
         return build(self.remodelled, parameters, seen, self.deck.fmax, progress)
 
     def _extended(self, seen: Observation, name: str) -> Observation:
         """With the channels of what was measured beside the modes; those that are not on the sheet are DOFs."""
-        named = dict.fromkeys(c for m in self.measured(name) for c in (*m.outputs, *m.inputs))
-        more = tuple(c for c in named if c not in set(seen.channels))
+        more = tuple(c for c in channels_of(self.measured(name)) if c not in set(seen.channels))
         seen = seen.and_also(at_dofs(more, seen.dofs)) if more else seen
         self._channels[name] = seen.channels
         return seen
@@ -110,9 +113,7 @@ class Workbench:
 
     def _loaded(self, name: str) -> Int:
         """Positions of the channels at which something was excited or pulled."""
-        named = dict.fromkeys(c for m in self.measured(name) for c in m.inputs)
-        at = {c: i for i, c in enumerate(self.channels(name))}
-        return np.array([at[c] for c in named], dtype=np.int64)
+        return excited(self.measured(name), {c: i for i, c in enumerate(self.channels(name))})
 
     def measured(self, name: str) -> tuple[Measured, ...]:
         """What was measured beside the modes on the deck of the study (`OWN`), or on another configuration."""
@@ -133,21 +134,13 @@ class Workbench:
     def _reduced(self, progress: Progress) -> ReducedModel:
         """All candidates and suspensions on the remodelled deck, seen at every channel of the sheet."""
         if self._model is None:
-            every = ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
-            self._model = self._loaded_basis(self._built(every, progress), OWN)
+            model = self._built(self.everything, progress)
+            self._model = flexible(model, self.measured(OWN), self._loaded(OWN))
         return self._model
-
-    def _loaded_basis(self, model: ReducedModel, name: str) -> ReducedModel:
-        """With the static responses to what was pulled or struck; their derivatives where deflections were read."""
-        loaded = self._loaded(name)
-        if not loaded.size:
-            return model
-        static = any(m.statics is not None for m in self.measured(name))
-        return with_responses(model, loaded, np.zeros(len(model.parameters)), sensitivities=static)[0]
 
     def apart(self, parameters: ParameterSet, progress: Progress) -> AtChannels:
         """A reduced model over other parameters at the channels of the elastic reference modes; it is not kept."""
-        return AtChannels(self._built(parameters, progress), self._rows(self.get("correlate").reference.channels))
+        return AtChannels(self._built(parameters, progress), self._rows(self.reference(OWN).channels))
 
     def _rows(self, channels: Sequence[str]) -> Int:
         at = {c: i for i, c in enumerate(self.get("identify").test.channels)}
@@ -203,11 +196,11 @@ class Workbench:
             if section.name not in self._others:
                 opened, channels = self.configured(section), item.reference.channels
                 seen = self._extended(self.observed(opened, item.test, channels), section.name)
-                every = ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
-                mine, count = carried(opened.model, every), len(carried(opened.model, self.parameters))
+                mine, count = carried(opened.model, self.everything), len(carried(opened.model, self.parameters))
                 rows = np.array([seen.channels.index(c) for c in channels], dtype=np.int64)
-                base = self._loaded_basis(build(opened, mine, seen, self.deck.fmax, progress), section.name)
-                model = AtChannels(base, rows, self._loaded(section.name))
+                loaded = self._loaded(section.name)
+                base = build(opened, mine, seen, self.deck.fmax, progress)
+                model = AtChannels(flexible(base, self.measured(section.name), loaded), rows, loaded)
                 self._others[section.name] = model.with_parameters(range(count), np.zeros(len(mine)))
         return tuple(self._others[s.name] for s in self.config.configuration)
 

@@ -17,7 +17,6 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.outcome import Outcome
 from ringtrue.errors import InputError
 from ringtrue.update.posterior import Posterior, laplace
-from ringtrue.update.residuals import reweighed
 from ringtrue.update.several import Configuration, Evaluated, Problem
 from ringtrue.update.trust import Method, solve
 
@@ -110,11 +109,6 @@ def discrepancy(error: Float, known: Float) -> float:
     return float(grid[np.argmin((e2 / total + np.log(total)).sum(axis=1))])
 
 
-def _weighed(c: Configuration, frequency: float, mac: float) -> Configuration:
-    weights = replace(c.target.weights, frequency=frequency, mac=mac)
-    return replace(c, target=replace(c.target, weights=weights), terms=reweighed(c.terms, frequency, mac))
-
-
 def k_fold(
     configuration: Configuration,
     folds: Sequence[Sequence[int]],
@@ -204,7 +198,7 @@ def with_discrepancy(
         s = discrepancy(held.error, np.hypot(held.parameter_std, held.test_std))
         before = now.target.weights
         shape = max(float(np.nanmean(1 - held.mac)), LEAST)
-        now, *others = (_weighed(c, s, shape) for c in (now, *others))
+        now, *others = (c.weighed(s, shape) for c in (now, *others))
         if abs(np.log(s / before.frequency)) < SETTLED and abs(np.log(shape / before.mac)) < SETTLED:
             break
     return now, held

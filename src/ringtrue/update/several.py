@@ -16,7 +16,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.update.objective import Target
-from ringtrue.update.residuals import NO_MODE, Block, Point, Term, Whole, default_terms, point
+from ringtrue.update.residuals import NO_MODE, Block, Point, Term, Whole, default_terms, point, reweighed
 from ringtrue.update.robust import Loss, Squares, squares
 
 APART = 1_000_000  # test modes of configuration i are numbered from i times this
@@ -42,6 +42,12 @@ class Configuration:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", tuple(self.terms) or default_terms(self.target))
+
+    def weighed(self, frequency: float, mac: float) -> Configuration:
+        """The same with other model discrepancies of a frequency (relative) and of 1 − MAC, in target and terms."""
+        weights = replace(self.target.weights, frequency=frequency, mac=mac)
+        terms = reweighed(self.terms, frequency, mac)
+        return replace(self, target=replace(self.target, weights=weights), terms=terms)
 
     def at(self, x: Float, held: Int | None = None, *, slopes: bool = True) -> Point:
         """The modes at x, paired; all that the model can give where a kind of residuals reads more than the test's."""

@@ -10,12 +10,12 @@ import numpy as np
 from ringtrue.errors import DeckError
 from ringtrue.model.model import CaseControl, Model, Table
 
-_KINDS = {"SPC": ("SPCADD", ("SPC", "SPC1")), "MPC": ("MPCADD", ("MPC",))}
+KINDS = {"SPC": ("SPCADD", ("SPC", "SPC1")), "MPC": ("MPCADD", ("MPC",))}
 
 
 def sets(tables: Mapping[str, Table], kind: str) -> list[int]:
     """Ids that case control may name, ascending."""
-    add, own = _KINDS[kind]
+    add, own = KINDS[kind]
     found = [tables[c].ids for c in (add, *own) if c in tables]
     return np.unique(np.concatenate(found)).tolist() if found else []
 
@@ -26,7 +26,7 @@ def only_sets(case: CaseControl, tables: Mapping[str, Table]) -> CaseControl:
 
 
 def _only(tables: Mapping[str, Table], kind: str) -> int:
-    add = _KINDS[kind][0]
+    add = KINDS[kind][0]
     united: list[int] = np.unique(tables[add].ids).tolist() if add in tables else []
     every = united or sets(tables, kind)
     return every[0] if len(every) == 1 else 0
@@ -41,7 +41,7 @@ def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
         Whether the deck has case control.
     """
     out = []
-    for kind in _KINDS:
+    for kind in KINDS:
         there, asked = sets(model.tables, kind), int(getattr(model.case, kind.lower()))
         names = ", ".join(map(str, there))
         where = model.files[0] if model.files else None

@@ -62,7 +62,7 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         first,
         told,
         words(alignment(desk.get("identify").test, desk.initial, c.align)) if (c := config.correlate).align else "",
-        _history(desk, reference, out, tables),
+        _history(desk, reference, out, initial, tables),
     )
 
 
@@ -72,14 +72,12 @@ def _reasons(config: StudyConfig) -> str:
 
 
 def _history(
-    desk: Workbench, reference: Reference, out: Int, ends: Sequence[CorrelationTable]
+    desk: Workbench, reference: Reference, out: Int, initial: ModeSet, ends: Sequence[CorrelationTable]
 ) -> tuple[RemodelStep, ...]:
     """The deck as delivered and after each step, against the test."""
     if not desk.config.remodel:
         return ()
-    between = [
-        elastic_table(reference, seen(desk, o), desk.config, out, seen(desk, desk.initial)) for o in desk.steps[1:-1]
-    ]
+    between = [elastic_table(reference, seen(desk, o), desk.config, out, initial) for o in desk.steps[1:-1]]
     names = ("the deck as delivered", *(s.reason for s in desk.config.remodel))
     return tuple(
         RemodelStep(n, len(t), t.mean_deviation(), t.max_deviation(), t.mean_mac())

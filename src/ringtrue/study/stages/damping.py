@@ -20,6 +20,7 @@ from ringtrue.fem.response import coupled
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.study.evidence import MASS, on_sheet
 from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.parametric import STILL
 from ringtrue.study.results import CorrelateStage, DampedModes, DampedRegions, DampingStage, FinalStage
 from ringtrue.study.stages.final import deliver, said
 from ringtrue.study.workbench import Workbench
@@ -27,7 +28,6 @@ from ringtrue.update.damping import DampingFit, fit_poles, mode_damping
 from ringtrue.update.damping_regions import Dampers, DampingRegion, dampers, default_regions
 
 SPAN = 3.0  # half-power half-bandwidths around a resonance in which FRFs are compared
-STILL = 1e-3  # of the highest frequency: below is a mode without stiffness
 SILENT = 0.8  # standard deviation over that before the data: they said little
 BEYOND = 2.0  # standard deviations from what was expected
 MANY = 5  # cards or regions that are named

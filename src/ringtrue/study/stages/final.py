@@ -42,7 +42,7 @@ def deliver(desk: Workbench) -> tuple[Opened, tuple[str, ...], list[str]]:
 
 def delivered_factors(desk: Workbench) -> tuple[ParameterSet, Float]:
     """All candidates and suspensions with their factors; 1 for those not chosen."""
-    parameters = ParameterSet(desk.parameters.parameters + desk.config.suspensions().parameters)
+    parameters = desk.everything
     tuned = desk.get("tune").factors if desk.config.suspension else {}
     springs = [tuned[p.name] for p in desk.config.suspensions().parameters]
     return parameters, np.concatenate([chosen_factors(desk), np.array(springs)])

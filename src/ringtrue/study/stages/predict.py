@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -45,7 +44,6 @@ from ringtrue.update.kfold import discrepancy
 from ringtrue.update.plausible import plausibility
 from ringtrue.update.posterior import Posterior, laplace
 from ringtrue.update.predict import Output, Unbalance, plane, run_up, validated_band
-from ringtrue.update.residuals import reweighed
 from ringtrue.update.several import Configuration, Problem
 
 UNIT = {"SI": "m", "mm-t-s": "mm"}
@@ -199,17 +197,10 @@ def _posterior(desk: Workbench, progress: Progress) -> tuple[Posterior, float]:
     shown = out if out.size else final.table.deviation_percent / 100
     error = discrepancy(shown, np.zeros(shown.size)) if shown.size else aim.weights.frequency
     active = model.with_parameters(at, np.zeros(len(every)))
-    weights = replace(aim.weights, frequency=max(error, aim.weights.frequency))
+    wide = max(error, aim.weights.frequency)
     first = Configuration(active, aim, terms_of(desk, OWN, active, desk.config.update))
-    every_one = [
-        replace(
-            c,
-            target=replace(c.target, weights=weights),
-            terms=reweighed(c.terms, weights.frequency, weights.mac),
-        )
-        for c in (first, *others_at(desk, best, progress))
-    ]
-    parts = [_laplace(tuple(every_one), best.factor)]
+    every_one = tuple(c.weighed(wide, aim.weights.mac) for c in (first, *others_at(desk, best, progress)))
+    parts = [_laplace(every_one, best.factor)]
     if desk.config.suspension:
         springs = suspended(desk, progress)
         tuned = desk.get("tune").factors

@@ -61,8 +61,9 @@ def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest, u: UpdateSe
 def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[str, Int], Float]:
     """Parameter sets by their rule, and the weighted sensitivities (r, p) that the simple ones come from."""
     names, count = model.parameters.names, min(desk.config.update.choose, len(model.parameters))
-    u, models = desk.config.update, (model, *desk.others(progress)) if desk.config.joint else ()
-    several = problem_of(desk, models, targets(desk), u) if desk.config.joint else None
+    several = None
+    if desk.config.joint:
+        several = problem_of(desk, (model, *desk.others(progress)), targets(desk), desk.config.update)
     if several is None:
         weighted = choose.weighted_sensitivities(model, target(desk))
     else:

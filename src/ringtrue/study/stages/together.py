@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import count, pairwise
 
@@ -13,7 +13,7 @@ from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.iterates import Iterates
 from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
 from ringtrue.study.opened import Progress
-from ringtrue.study.parametric import CLOSE, ROUNDS, STILL, AtChannels, not_verified, verified
+from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
@@ -87,30 +87,29 @@ def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Con
     factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
     out, models = [], desk.others(progress)
     for model, aim, done in zip(models, targets(desk)[1:], delivered.items, strict=True):
-        active = _tuned(desk, model, best.parameters)
-        p = active.parameters
-        x = p.vector(np.array([factor[n] for n in p.names]))
-        if not _agrees(active.modes(x).frequencies, done.observed.frequencies):
-            active, _ = active.enrich(x)
+        active, x = as_delivered(desk, model, factor, done.observed.frequencies, progress)
         terms = terms_of(desk, done.name, active, desk.config.update)
         out.append(Configuration(active, aim.settled(active.linearise(x)), terms, done.name))
     return tuple(out)
 
 
-def _tuned(desk: Workbench, model: AtChannels, members: Sequence[str]) -> AtChannels:
-    """The model over those of the parameters that it has, its springs as tuned."""
+def as_delivered(
+    desk: Workbench, model: AtChannels, factor: Mapping[str, float], truth: Float, progress: Progress
+) -> tuple[AtChannels, Float]:
+    """The model over those of the parameters that it has, springs as tuned, and x at their factors.
+
+    Solved anew there if its frequencies are not those of the delivered deck, `truth`, Hz.
+    """
     every, mine = model.model.system.parameters, model.parameters.names
     springs = every.take(range(len(mine), len(every)))
     tuned = desk.get("tune").factors if len(springs) else {}
     base = np.concatenate([np.zeros(len(mine)), springs.vector(np.array([tuned[n] for n in springs.names]))])
-    return model.with_parameters([mine.index(m) for m in members if m in mine], base)
-
-
-def _agrees(found: Float, truth: Float) -> bool:
-    """Whether the elastic modes of the reduced model are those of the full one."""
-    n = min(found.size, truth.size)
-    moving = truth[:n] > STILL * truth.max(initial=0.0)
-    return bool(np.abs(found[:n][moving] / truth[:n][moving] - 1).max(initial=0.0) < CLOSE)
+    active = model.with_parameters([mine.index(m) for m in factor if m in mine], base)
+    x = active.parameters.vector(np.array([factor[n] for n in active.parameters.names]))
+    if frequency_error(active.modes(x).frequencies, truth) >= CLOSE:
+        progress(0.9, "modes at the updated point")
+        active, _ = active.enrich(x)
+    return active, x
 
 
 def _held(model: AtChannels, members: Sequence[str]) -> AtChannels:

@@ -12,10 +12,10 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.reduce.condense import condensed
 from ringtrue.study.objective import scales, terms_of
 from ringtrue.study.opened import Progress
-from ringtrue.study.parametric import CLOSE, AtChannels
+from ringtrue.study.parametric import AtChannels
 from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
 from ringtrue.study.stages.sensitivity import target
-from ringtrue.study.stages.together import others_at
+from ringtrue.study.stages.together import as_delivered, others_at
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
@@ -39,8 +39,12 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     done: UpdateStage = desk.get("update")
     final: FinalStage = desk.get("final")
     best, asked, aim = done.sets[done.chosen], desk.config.uncertainty, target(desk)
-    model = _delivered(desk, best, final, lambda f, t: progress(0.4 * f, t))
-    x = model.parameters.vector(best.factor)
+    factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
+
+    def early(fraction: float, text: str) -> None:
+        progress(0.4 * fraction, text)
+
+    model, x = as_delivered(desk, desk.candidates(early), factor, final.observed.frequencies, early)
     paired = _paired(aim, model, final, x)
     count = int(paired.used.sum())
     if count < FEWEST:
@@ -60,7 +64,8 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     if not asked.samples:
         return told
     rng = np.random.default_rng([desk.config.study.seed, 7])
-    problem = Problem((_likelihood(likely), *(_likelihood(_weighed(c, likely.target.weights)) for c in others)))
+    w = likely.target.weights
+    problem = Problem((_likelihood(likely), *(_likelihood(c.weighed(w.frequency, w.mac)) for c in others)))
     chains = _sampled(problem, posterior, asked.samples, rng, lambda f, t: progress(0.8 + 0.2 * f, t))
     return _with_draws(told, chains, posterior.parameters)
 
@@ -77,10 +82,6 @@ def _others(
         near = _near(desk, c.model, p.vector(factor), np.array([std[n] for n in p.names]), rng)
         out.append(replace(c, model=near))
     return tuple(out)
-
-
-def _weighed(c: Configuration, found: Weights) -> Configuration:
-    return replace(c, target=replace(c.target, weights=found))
 
 
 def _posterior(assumed: tuple[Configuration, ...], found: Weights, x: Float) -> tuple[Posterior, Float]:
@@ -107,22 +108,6 @@ def _likelihood(found: Configuration) -> Configuration:
         return as_likelihood(found, w.frequency, w.mac, independent=HANDFUL)
     rest = tuple(t for t in found.terms if isinstance(t, Weighted))
     return replace(found, terms=(Eigenvalues(w.frequency), *rest))
-
-
-def _delivered(desk: Workbench, best: SetResult, final: FinalStage, progress: Progress) -> AtChannels:
-    """The reduced model over the chosen parameters, the suspension as tuned; exact at the delivered point."""
-    model, springs, every = desk.candidates(progress), desk.config.suspensions(), desk.parameters.names
-    tuned = desk.get("tune").factors if len(springs) else {}
-    base = np.concatenate([np.zeros(len(every)), springs.vector(np.array([tuned[n] for n in springs.names]))])
-    active = model.with_parameters([every.index(n) for n in best.parameters], base)
-    x = active.parameters.vector(best.factor)
-    truth, found = final.observed.frequencies, active.modes(x).frequencies
-    n = min(truth.size, found.size)
-    elastic = truth[:n] > 1e-3 * truth.max(initial=0.0)
-    if np.abs(found[:n][elastic] / truth[:n][elastic] - 1).max(initial=0.0) < CLOSE:
-        return active
-    progress(0.9, "modes at the updated point")
-    return active.enrich(x)[0]
 
 
 def _paired(aim: Target, model: AtChannels, final: FinalStage, x: Float) -> Target:
