@@ -191,6 +191,15 @@ def candidates(storeys: Iterable[int]) -> str:
     return "".join(form.format(k) for k in storeys)
 
 
+WHOLE = """
+[[candidate]]
+name = "stiffness"
+targets = ["MAT1 1 E", "MAT1 2 E", "MAT1 3 E", "MAT1 10 E"]
+
+[[candidate]]
+name = "density"
+targets = ["MAT1 1 RHO", "MAT1 2 RHO", "MAT1 3 RHO", "MAT1 10 RHO"]
+"""  # candidates over the whole frame
 FULL = MODEL + TEST + SETTINGS + candidates(TRUTH)
 
 

@@ -24,6 +24,14 @@ def sines(m: int, n: int = 10) -> np.ndarray:
     return np.sin(np.pi * np.outer(np.arange(1, n + 1), np.arange(1, m + 1)) / (n + 1))
 
 
+def mixed(phi: np.ndarray, first: int, angle: float) -> np.ndarray:
+    """The shapes with `first` and the next one turned into each other."""
+    c, s = np.cos(angle), np.sin(angle)
+    out = phi.copy()
+    out[:, first : first + 2] = phi[:, first : first + 2] @ np.array([[c, -s], [s, c]])
+    return out
+
+
 def test_pairs_do_not_depend_on_order_sign_scale_or_channel_order() -> None:
     rng = np.random.default_rng(0)
     phi = sines(6)
@@ -53,10 +61,7 @@ def test_two_poor_pairs_never_outvote_a_good_one() -> None:
 
 def test_rotated_close_pair_is_a_subspace() -> None:
     phi = sines(4)
-    c, s = np.cos(np.pi / 4), np.sin(np.pi / 4)
-    turned = phi.copy()
-    turned[:, 1:3] = phi[:, 1:3] @ np.array([[c, -s], [s, c]])
-    a, b = modes([10, 20, 20.1, 40], phi), modes([10, 21, 21.1, 40], turned, Norm.MASS)
+    a, b = modes([10, 20, 20.1, 40], phi), modes([10, 21, 21.1, 40], mixed(phi, 1, np.pi / 4), Norm.MASS)
     p = pair_modes(a, b)
     assert len(p) == 4
     assert p.subspace.tolist() == [False, True, True, False]
@@ -67,10 +72,7 @@ def test_rotated_close_pair_is_a_subspace() -> None:
 def test_rotated_pair_beside_a_third_close_mode() -> None:
     """In the test the third mode is close to the pair, in the model it is not."""
     phi = sines(3)
-    c, s = np.cos(np.pi / 4), np.sin(np.pi / 4)
-    turned = phi.copy()
-    turned[:, :2] = phi[:, :2] @ np.array([[c, -s], [s, c]])
-    p = pair_modes(modes([20, 20.3, 20.6], phi), modes([20, 20.2, 21.5], turned, Norm.MASS))
+    p = pair_modes(modes([20, 20.3, 20.6], phi), modes([20, 20.2, 21.5], mixed(phi, 0, np.pi / 4), Norm.MASS))
     assert p.a.tolist() == p.b.tolist() == [0, 1, 2]
     assert p.subspace.tolist() == [True, True, False]
     np.testing.assert_allclose(p.mac, 1.0, rtol=1e-9)
@@ -79,10 +81,8 @@ def test_rotated_pair_beside_a_third_close_mode() -> None:
 def test_pair_that_is_close_in_the_test_alone() -> None:
     """The model has the two modes 4 % apart; the test has them 0.3 % apart, and mixed."""
     phi = sines(4)
-    c, s = np.cos(np.pi / 5), np.sin(np.pi / 5)
-    mixed = phi.copy()
-    mixed[:, 1:3] = phi[:, 1:3] @ np.array([[c, -s], [s, c]])
-    a, b = modes([10, 20, 20.06, 40], mixed), modes([10, 19.5, 20.3, 40], phi, Norm.MASS)
+    turned = mixed(phi, 1, np.pi / 5)
+    a, b = modes([10, 20, 20.06, 40], turned), modes([10, 19.5, 20.3, 40], phi, Norm.MASS)
     p = pair_modes(a, b)
     assert p.a.tolist() == p.b.tolist() == [0, 1, 2, 3]
     assert p.subspace.tolist() == [False, True, True, False]
@@ -91,7 +91,7 @@ def test_pair_that_is_close_in_the_test_alone() -> None:
     np.testing.assert_allclose(test, model, atol=1e-9)
     turn = turning(a, b, p)
     np.testing.assert_allclose(turn.T @ turn, np.eye(4), atol=1e-12)
-    assert not pair_modes(modes([10, 20, 24, 40], mixed), b).subspace.any()
+    assert not pair_modes(modes([10, 20, 24, 40], turned), b).subspace.any()
     assert not pair_modes(a, modes([10, 18, 22, 40], phi)).subspace.any()
 
 

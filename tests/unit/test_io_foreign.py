@@ -303,6 +303,12 @@ SIGNAL = np.random.default_rng(7).standard_normal((3, 500))  # (channel, sample)
 TIMES = np.arange(500) / 256
 
 
+def _is_the_signal(got):
+    assert [c.id for c in got.channels] == ["a", "b", "c"]
+    assert got.rate == pytest.approx(256, rel=1e-3)
+    np.testing.assert_allclose(got.data, SIGNAL, rtol=1e-8)
+
+
 def _rows(times, delimiter=",", ending=""):
     cells = ([t, *(f"{v:.9e}" for v in row)] for t, row in zip(times, SIGNAL.T, strict=True))
     return "".join(delimiter.join(c) + ending + "\n" for c in cells)
@@ -324,10 +330,7 @@ def _rows(times, delimiter=",", ending=""):
 def test_csv_of_loggers(tmp_path, head, body):
     path = tmp_path / "r.csv"
     path.write_text(head + body, encoding="utf-8")
-    got = read_record(path)
-    assert [c.id for c in got.channels] == ["a", "b", "c"]
-    assert got.rate == pytest.approx(256, rel=1e-3)
-    np.testing.assert_allclose(got.data, SIGNAL, rtol=1e-8)
+    _is_the_signal(read_record(path))
 
 
 def test_csv_with_a_short_or_wrong_line_is_refused(tmp_path):
@@ -395,10 +398,7 @@ def test_csv_as_loggers_write_it(tmp_path, name):
     head, rows = LOGGERS[name]
     path = tmp_path / "r.csv"
     path.write_text(head + "\n".join(rows), encoding="utf-8")
-    got = read_record(path)
-    assert [c.id for c in got.channels] == ["a", "b", "c"]
-    assert got.rate == pytest.approx(256, rel=1e-3)
-    np.testing.assert_allclose(got.data, SIGNAL, rtol=1e-8)
+    _is_the_signal(read_record(path))
 
 
 def test_times_too_coarse_for_a_rate_want_one(tmp_path):

@@ -30,19 +30,10 @@ from ringtrue.study.run import StudyRun, load_study, run_study
 TRUTH = {"stiffness": 0.75, "density": 0.9}
 CORNERS = [small_study.node(3, i, j) for i, j in small_study.CORNERS]
 MASS = "".join(f"CONM2,{9000 + k},{n},,800.0\n" for k, n in enumerate(CORNERS))
-CANDIDATES = """
-[[candidate]]
-name = "stiffness"
-targets = ["MAT1 1 E", "MAT1 2 E", "MAT1 3 E", "MAT1 10 E"]
-
-[[candidate]]
-name = "density"
-targets = ["MAT1 1 RHO", "MAT1 2 RHO", "MAT1 3 RHO", "MAT1 10 RHO"]
-"""
 LOADED = '\n[[configuration]]\nname = "loaded"\ncards = "deck/mass.bdf"\nsheet = "loaded/sensors.csv"\n'
 LOADED += 'log = "loaded/campaign.json"\nleft_out = 2\n'
 OWN = '\n[[configuration]]\nname = "loaded"\ndeck = "deck/loaded.bdf"\nmodes = "loaded.json"\nleft_out = 1\n'
-PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS + CANDIDATES
+PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS + small_study.WHOLE
 
 
 def truth(e: float, rho: float, *, loaded: bool) -> str:

@@ -33,16 +33,7 @@ from ringtrue.study.summary import summarise
 from ringtrue.virtual.logbook import write_sheet
 
 TRUTH = {"stiffness": 0.75, "density": 0.9}
-CANDIDATES = """
-[[candidate]]
-name = "stiffness"
-targets = ["MAT1 1 E", "MAT1 2 E", "MAT1 3 E", "MAT1 10 E"]
-
-[[candidate]]
-name = "density"
-targets = ["MAT1 1 RHO", "MAT1 2 RHO", "MAT1 3 RHO", "MAT1 10 RHO"]
-"""
-PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS + CANDIDATES
+PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS + small_study.WHOLE
 STATIC = '[[residual]]\nkind = "static"\nname = "pull"\nfile = "pull.csv"\n'
 FRF = '[[residual]]\nkind = "frf"\nname = "hammer"\n'
 LOADED, READ = "303+X", ("303+X", "203+X", "103+X")
