@@ -150,14 +150,14 @@ def test_check_counts_and_weighs_the_whole_structure(deck: Path, capsys: Capture
 
 
 def test_check_lists_unsupported_cards_with_their_place(deck: Path, capsys: Capture) -> None:
-    deck.write_text(deck.read_text().replace("ENDDATA", "CGAP,900,9,101,102\nENDDATA"))
-    line = deck.read_text().splitlines().index("CGAP,900,9,101,102") + 1
+    deck.write_text(deck.read_text().replace("ENDDATA", "CRAC2D,900,9,101,102\nENDDATA"))
+    line = deck.read_text().splitlines().index("CRAC2D,900,9,101,102") + 1
     found = parsed(capsys, "check", deck, status=1)
-    assert found["unsupported"]["CGAP"].endswith(f"frame.bdf:{line}")
+    assert found["unsupported"]["CRAC2D"].endswith(f"frame.bdf:{line}")
     status, out, _ = call(capsys, "check", deck)
     assert status == 1
     assert f"frame.bdf:{line}" in out
-    assert "CGAP is not supported" in refused(capsys, "modes", deck)
+    assert "CRAC2D is not supported" in refused(capsys, "modes", deck)
 
 
 def test_check_lists_what_is_not_there(deck: Path, capsys: Capture) -> None:

@@ -145,12 +145,12 @@ def test_errors_name_file_line_card_and_field(tmp_path: Path, bad: str, message:
 @pytest.mark.parametrize(
     "card",
     [
-        "CSHEAR,1",
+        "CSEAM,1",
         "PCOMPS,1",
         "MAT3,1",
-        "RSPLINE,1",
+        "RSSCON,1",
         "CNEW,1",
-        "CGAP,1,1",
+        "CRAC2D,1,1",
     ],
 )
 def test_unsupported_cards_stop_the_reader_and_are_listed_by_survey(tmp_path: Path, card: str) -> None:

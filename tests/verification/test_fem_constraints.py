@@ -126,6 +126,6 @@ def test_structural_damping_is_the_imaginary_part() -> None:
 
 
 def test_a_card_that_is_not_assembled_is_refused() -> None:
-    m = Model({"GRID": grid(XYZ)}, kept={"CSHEAR": 3})
-    with pytest.raises(UnsupportedCard, match="CSHEAR"):
+    m = Model({"GRID": grid(XYZ)}, kept={"CSEAM": 3})
+    with pytest.raises(UnsupportedCard, match="CSEAM"):
         assemble(m)

@@ -28,6 +28,7 @@ _PROPERTIES = {
     "PTUBE": ("OD", "T", "NSM"),
     "PBAR": ("A", "I1", "I2", "I12", "J", "NSM", "K1", "K2"),
     "PSHELL": ("T", "I12T3", "TST", "NSM", "Z1", "Z2"),
+    "PSHEAR": ("T", "NSM"),
     "PELAS": ("K", "GE"),
     "PBUSH": (*(f"{k}{i}" for k in "KB" for i in range(1, 7)), "GE"),
     "PBEAM": ("A", "I1", "I2", "I12", "J", "NSM", "AB", "I1B", "I2B", "I12B", "JB", "NSMB", "K1", "K2"),

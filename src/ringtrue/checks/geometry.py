@@ -21,7 +21,7 @@ _LINES = {
     "CBAR": ("GA", "GB"),
     "CBEAM": ("GA", "GB"),
 }
-_SURFACES = {"CTRIA3": 3, "CTRIAR": 3, "CTRIA6": 3, "CQUAD4": 4, "CQUADR": 4, "CQUAD8": 4}
+_SURFACES = {"CTRIA3": 3, "CTRIAR": 3, "CTRIA6": 3, "CQUAD4": 4, "CQUADR": 4, "CQUAD8": 4, "CSHEAR": 4}
 _SOLIDS = {"CTETRA": 4, "CPYRAM": 5, "CPENTA": 6, "CHEXA": 8}
 _SPOKES = {  # the corners that edges join to each corner, right-handed; the apex of a pyramid has four: left out
     "CTETRA": ((1, 2, 3), (2, 0, 3), (0, 1, 3), (0, 2, 1)),

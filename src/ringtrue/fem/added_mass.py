@@ -16,7 +16,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.fem.elements import bar, rod, shell3, shell4, shell8
+from ringtrue.fem.elements import bar, rod, shear, shell3, shell4, shell8
 from ringtrue.fem.mesh import error
 from ringtrue.model.model import Model, Table
 
@@ -29,15 +29,17 @@ LINES: Mapping[str, Measure] = {
     **dict.fromkeys(("CROD", "CONROD", "CTUBE"), rod.measure),
     **dict.fromkeys(("CBAR", "CBEAM"), bar.measure),
 }
-AREAS: Mapping[str, Measure] = {
+SHELLS: Mapping[str, Measure] = {
     **dict.fromkeys(("CQUAD4", "CQUADR"), shell4.measure),
     **dict.fromkeys(("CTRIA3", "CTRIAR"), shell3.measure),
     **dict.fromkeys(("CQUAD8", "CTRIA6"), shell8.measure),
 }
+AREAS = {**SHELLS, "CSHEAR": shear.measure}
 MEASURES = {**LINES, **AREAS}
 PROPERTIES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # TYPE: property cards, element cards
-    "PSHELL": (("PSHELL",), tuple(AREAS)),
-    "PCOMP": (("PCOMP", "PCOMPG"), tuple(AREAS)),
+    "PSHELL": (("PSHELL",), tuple(SHELLS)),
+    "PCOMP": (("PCOMP", "PCOMPG"), tuple(SHELLS)),
+    "PSHEAR": (("PSHEAR",), ("CSHEAR",)),
     **dict.fromkeys(("PBAR", "PBARL"), (("PBAR",), ("CBAR",))),
     **dict.fromkeys(("PBEAM", "PBEAML"), (("PBEAM",), ("CBEAM",))),
     "PROD": (("PROD",), ("CROD",)),

@@ -20,8 +20,9 @@ _FACES = {
     "CTETRA": ((0, 2, 1, 1), (0, 1, 3, 3), (1, 2, 3, 3), (2, 0, 3, 3)),
     "CQUAD4": ((0, 1, 2, 3),),
     "CTRIA3": ((0, 1, 2, 2),),
+    "CSHEAR": ((0, 1, 2, 3),),
 }
-_CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4, "CQUAD4": 4, "CTRIA3": 3}
+_CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4, "CQUAD4": 4, "CTRIA3": 3, "CSHEAR": 4}
 _LINES = {
     "CBAR": ("GA", "GB"),
     "CBEAM": ("GA", "GB"),

@@ -33,6 +33,7 @@ SPREAD: Mapping[str, tuple[float, float]] = MappingProxyType(
 Catalogue = Mapping[str, tuple[tuple[str, str, str], ...]]
 SECTIONS = {
     "PSHELL": (("T", "thickness", "length"), ("NSM", "non-structural mass", "line")),
+    "PSHEAR": (("T", "thickness", "length"), ("NSM", "non-structural mass", "line")),
     "PROD": (("A", "area", "area"), ("J", "torsion constant", "inertia"), ("NSM", "non-structural mass", "line")),
     "CONROD": (("A", "area", "area"), ("J", "torsion constant", "inertia")),
     "PTUBE": (("OD", "outer diameter", "length"), ("T", "wall", "length")),
