@@ -56,10 +56,11 @@ def _rbe2(m: Mesh) -> Equations:
     pair, c = np.nonzero(components(t["CM"][of]))
     row = np.repeat(np.arange(pair.size), 6)
     column = node_dofs(gn[pair][:, None]).reshape(-1)
-    return Equations(6 * gm[pair] + c, row, column, A[pair, c].reshape(-1), _names(t, of[pair]))
+    return Equations(6 * gm[pair] + c, row, column, A[pair, c].reshape(-1), names(t, of[pair]))
 
 
-def _names(t: Table, at: Int) -> tuple[str, ...]:
+def names(t: Table, at: Int) -> tuple[str, ...]:
+    """The cards of rows `at`, as they are called in messages."""
     return tuple(f"{t.card} {i}" for i in t.ids[at].tolist())
 
 
@@ -73,20 +74,20 @@ def _rbar(m: Mesh) -> Equations:
     dependent = np.stack([components(t["CMA"]), components(t["CMB"])], axis=1)
     blank = ~dependent.any(axis=(1, 2))
     dependent[blank] = ~independent[blank]
-    return _rigid(m, t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6)))
+    return rigid(m, t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6)))
 
 
 def _rbe1(m: Mesh) -> Equations:
     t = m.model["RBE1"]
     n, k = t.ragged("GN"), t.ragged("GM")
     independent = owners(n), n.values, components(t.ragged("CN").values)
-    return _rigid(m, t, independent, (owners(k), k.values, components(t.ragged("CM").values)))
+    return rigid(m, t, independent, (owners(k), k.values, components(t.ragged("CM").values)))
 
 
 Ends = tuple[Int, Int, Bool]  # owner (k,), node id (k,), components (k, 6)
 
 
-def _rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
+def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
     """u_m = Φ_m Φ_n⁻¹ u_n with Φ the rigid motions at the independent (n, six an element) and dependent DOFs."""
     of, g, c = _listed(m, t, independent)
     count = np.bincount(of, minlength=len(t))
@@ -114,7 +115,7 @@ def _rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
         raise error(m.model, t, i, "a component is both independent and dependent")
     row = np.repeat(np.arange(at.size), 6)
     keep = np.abs(X.reshape(-1)) > ROUNDING * np.abs(X).max(initial=0.0)
-    return Equations(6 * h + d, row[keep], column.reshape(-1)[keep], X.reshape(-1)[keep], _names(t, at))
+    return Equations(6 * h + d, row[keep], column.reshape(-1)[keep], X.reshape(-1)[keep], names(t, at))
 
 
 def _listed(m: Mesh, t: Table, ends: Ends) -> tuple[Int, Int, Int]:
@@ -179,7 +180,7 @@ def _spread(m: Mesh, t: Table, X: Float, of: Int, g: Int, ref: Int) -> Equations
     row = np.broadcast_to(number[of][:, :, None], X.shape).reshape(-1)
     column = np.broadcast_to(node_dofs(g[:, None])[:, None, :], X.shape).reshape(-1)
     keep = (row >= 0) & (X.reshape(-1) != 0)
-    return Equations(6 * ref[element] + c, row[keep], column[keep], X.reshape(-1)[keep], _names(t, element))
+    return Equations(6 * ref[element] + c, row[keep], column[keep], X.reshape(-1)[keep], names(t, element))
 
 
 def _resolved(m: Mesh, t: Table, eq: Equations, of: Int) -> Equations:
@@ -253,7 +254,7 @@ def _mpc(m: Mesh) -> Equations:
     number[rows] = np.arange(rows.size)
     rest = use & ~first
     value = -A.values[rest] / lead[of[rest]]
-    return Equations(dof[use & first], number[of[rest]], dof[rest], value, _names(t, rows))
+    return Equations(dof[use & first], number[of[rest]], dof[rest], value, names(t, rows))
 
 
 def _sets(m: Mesh, add: str, sid: int) -> Int:
@@ -268,7 +269,9 @@ _RIGID = {"RBAR": _rbar, "RBE1": _rbe1, "RBE2": _rbe2, "RBE3": _rbe3}
 
 def equations(m: Mesh) -> Equations:
     """All dependent DOFs of the chosen sets."""
-    parts = [read(m) for card, read in _RIGID.items() if card in m.model]
+    from ringtrue.fem.rigid import RIGID  # it builds on this module
+
+    parts = [read(m) for card, read in (_RIGID | dict(RIGID)).items() if card in m.model]
     parts += [_mpc(m)] if "MPC" in m.model and m.model.case.mpc else []
     shift = np.cumsum([0, *(p.dependent.size for p in parts)])
     none: Int = np.empty(0, dtype=np.int64)

@@ -67,7 +67,9 @@ ELEMENTS: Mapping[str, Build] = {
     "CONM2": mass.build,
 }
 SOLIDS = {s.card: s for s in (hexa.HEXA, penta.PENTA, pyramid.PYRAMID, tetra.TETRA)}
-RIGID = frozenset(("RBAR", "RBE1", "RBE2", "RBE3"))  # eliminated, see `fem.constraints`
+RIGID = frozenset(
+    ("RBAR", "RBAR1", "RBE1", "RBE2", "RBE3", "RJOINT", "RROD", "RSPLINE", "RTRPLT", "RTRPLT1")
+)  # eliminated, see `fem.constraints`
 SHELLS = ("CQUAD4", "CQUADR", "CTRIA3", "CTRIAR", "CQUAD8", "CTRIA6")
 PROPERTY = {
     "CROD": "PROD",

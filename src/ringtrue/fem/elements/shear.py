@@ -115,7 +115,7 @@ def areas(share: Any_, thickness: Any_, area: Float, length: Float) -> Any_:
 
     Source: MSC Nastran Quick Reference Guide, PSHEAR.
     """
-    return np.where(np.real(share) <= FULL, share * thickness * area / length, 0.5 * share * thickness**2)
+    return np.asarray(np.where(np.real(share) <= FULL, share * thickness * area / length, 0.5 * share * thickness**2))
 
 
 def stringers(x: Float, E: Any_, F1: Any_, F2: Any_, thickness: Any_) -> Any_:

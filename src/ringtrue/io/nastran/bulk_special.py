@@ -110,6 +110,13 @@ def _rbe1(t: Table) -> Iterator[str]:
         yield format_card("RBE1", fields)
 
 
+def _rspline(t: Table) -> Iterator[str]:
+    g, c = t.ragged("G"), t.ragged("C")
+    for i, (eid, ratio) in enumerate(zip(t["EID"].tolist(), t["DL"].tolist(), strict=True)):
+        pairs = list(zip(g.row(i).tolist(), c.row(i).tolist(), strict=True))
+        yield format_card("RSPLINE", [eid, ratio, pairs[0][0], *(v or None for pair in pairs[1:] for v in pair)])
+
+
 def _laminate(t: Table) -> Iterator[str]:
     names = (("GPLYID",) if t.card == "PCOMPG" else ()) + ("MID", "T", "THETA", "SOUT")
     plies = [t.ragged(n) for n in names]
@@ -148,6 +155,7 @@ SPECIAL: dict[str, Callable[[Table], Iterator[str]]] = {
     "NSM1": _nsm_lists,
     "NSML1": _nsm_lists,
     "RBE1": _rbe1,
+    "RSPLINE": _rspline,
     "PCOMP": _laminate,
     "PCOMPG": _laminate,
     "DMIG": _dmig,

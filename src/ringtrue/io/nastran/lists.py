@@ -101,6 +101,23 @@ def rbe1(cards: Sequence[Card], files: Files) -> Table:
     return Table("RBE1", cols, *places(cards))
 
 
+def rspline(cards: Sequence[Card], files: Files) -> Table:
+    """RSPLINE: its nodes in order, each with its dependent components; the first and the last have none."""
+    cols: dict[str, NDArray[Any] | Ragged] = {}
+    readers = [Reader(c, files) for c in cards]
+    cols["EID"] = np.array([r.whole(0, "EID") for r in readers], dtype=np.int64)
+    cols["DL"] = np.array([r.real(1, "D/L", 0.1) for r in readers])
+    places_ = [[2, *(i for i in range(3, len(r.card.fields), 2) if r.text(i))] for r in readers]
+    for r, at in zip(readers, places_, strict=True):
+        if len(at) < 2:
+            raise r.fail("G", "a spline has two nodes or more")
+        if any(r.text(i) for i in range(at[-1] + 1, len(r.card.fields))):
+            raise r.fail("G", "the last node is independent: no components stand behind it")
+    g = [[r.whole(i, "G") for i in at] for r, at in zip(readers, places_, strict=True)]
+    c = [["", *(r.text(i + 1) for i in at[1:])] for r, at in zip(readers, places_, strict=True)]
+    return Table("RSPLINE", cols | {"G": ragged(g, np.int64), "C": ragged(c, np.str_)}, *places(cards))
+
+
 _HEAD = ("IFO", "TIN", "TOUT", "POLAR")
 _TERM = ("GI", "CI", "A", "B")
 

@@ -13,7 +13,7 @@ from ringtrue.errors import UnsupportedCard
 from ringtrue.io.nastran import added_mass
 from ringtrue.io.nastran.beams import pbarl, pbeam, pbeaml
 from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
-from ringtrue.io.nastran.lists import dmig, pcomp, pcompg, rbe1
+from ringtrue.io.nastran.lists import dmig, pcomp, pcompg, rbe1, rspline
 from ringtrue.model.model import Ragged, Table
 
 
@@ -187,6 +187,7 @@ EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyTyp
         "MPC": _mpc,
         "RBE1": rbe1,
         "RBE3": _rbe3,
+        "RSPLINE": rspline,
         **{f"CORD1{k}": _several(f"CORD1{k}", "CID", ("G1", "G2", "G3"), whole=True) for k in "RCS"},
         "PELAS": _several("PELAS", "PID", ("K", "GE", "S")),
         "PMASS": _several("PMASS", "PID", ("M",)),

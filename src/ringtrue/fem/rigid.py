@@ -1,0 +1,173 @@
+"""Rigid elements of few nodes: RROD, RBAR1, RJOINT, RTRPLT, RTRPLT1; and RSPLINE, which interpolates between two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.fem.algebra import arm, rotation
+from ringtrue.fem.constraints import Equations, names, owners, rigid
+from ringtrue.fem.mesh import Mesh, error
+from ringtrue.fem.place import components, node_dofs, segment
+
+ALONG = 1e-3  # least part of the dependent component along a rod
+
+
+def rrod(m: Mesh) -> Equations:
+    """a·(u_B − u_A) = 0 along the line, solved for the one translation that CMA or CMB names."""
+    t = m.model["RROD"]
+    every = np.arange(len(t))
+    node = np.stack([m.nodes(t[g], t, every) for g in ("GA", "GB")], axis=1)
+    named = np.concatenate([components(t["CMA"]), components(t["CMB"])], axis=1)
+    one = (named.sum(axis=1) == 1) & ~named[:, [3, 4, 5, 9, 10, 11]].any(axis=1)
+    if not one.all():
+        i = int(np.flatnonzero(~one)[0])
+        raise error(m.model, t, i, "CMA or CMB must name one translation, 1 to 3, and the other be blank")
+    x = m.xyz[node]
+    short = (x[:, 0] == x[:, 1]).all(axis=1)
+    if short.any():
+        raise error(m.model, t, int(np.flatnonzero(short)[0]), "its two ends are at one place")
+    axis = segment(x)[1]
+    along = np.einsum("nkij,nj->nki", m.cd[node], axis) * np.array([-1.0, 1.0])[:, None]
+    at = named.argmax(axis=1)
+    end, c = at // 6, at % 6
+    lead = along[every, end, c]
+    if (np.abs(lead) < ALONG).any():
+        i = int(np.flatnonzero(np.abs(lead) < ALONG)[0])
+        raise error(m.model, t, i, f"component {c[i] + 1} is across the rod; name one along it")
+    value = -(along / lead[:, None, None]).reshape(-1)
+    column = (6 * node[:, :, None] + np.arange(3)).reshape(-1)
+    dependent = 6 * node[every, end] + c
+    row = np.repeat(every, 6)
+    rest = (column != dependent[row]) & (value != 0)
+    return Equations(dependent, row[rest], column[rest], value[rest], names(t, every))
+
+
+def _nodes(m: Mesh, card: str, ends: tuple[str, ...], free: tuple[str, ...], bound: tuple[str, ...]) -> Equations:
+    """A rigid body on nodes `ends`, components independent by the fields `free`, dependent by `bound`.
+
+    Without `free` all six of the first node are; where all of `bound` are blank, the rest is dependent.
+    """
+    t = m.model[card]
+    of, ids = np.repeat(np.arange(len(t)), len(ends)), t.stack(*ends).reshape(-1)
+    independent = np.zeros((len(t), len(ends), 6), dtype=bool)
+    for k, name in enumerate(free):
+        independent[:, k] = components(t[name])
+    independent[~independent.any(axis=(1, 2)), 0] = True
+    dependent = np.zeros_like(independent)
+    for k, name in enumerate(bound, len(ends) - len(bound)):
+        dependent[:, k] = components(t[name])
+    if free:
+        blank = ~dependent.any(axis=(1, 2))
+        dependent[blank] = ~independent[blank]
+    else:  # each blank field stands for all six
+        dependent[:, 1:][~dependent[:, 1:].any(axis=2)] = True
+    return rigid(m, t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6)))
+
+
+def rbar1(m: Mesh) -> Equations:
+    """All six of GA are independent, CB of GB dependent, all six where it is blank."""
+    return _nodes(m, "RBAR1", ("GA", "GB"), (), ("CB",))
+
+
+def rjoint(m: Mesh) -> Equations:
+    """As RBAR1; its ends stand at one place, and what CB leaves out is the joint."""
+    return _nodes(m, "RJOINT", ("GA", "GB"), (), ("CB",))
+
+
+def rtrplt(m: Mesh) -> Equations:
+    """A rigid triangle: six independent components, the others dependent where CMA, CMB, CMC are blank."""
+    return _nodes(m, "RTRPLT", ("GA", "GB", "GC"), ("CNA", "CNB", "CNC"), ("CMA", "CMB", "CMC"))
+
+
+def rtrplt1(m: Mesh) -> Equations:
+    """A rigid triangle: all six of GA are independent, CMB and CMC dependent, all six where blank."""
+    return _nodes(m, "RTRPLT1", ("GA", "GB", "GC"), (), ("CMB", "CMC"))
+
+
+def rspline(m: Mesh) -> Equations:
+    """Nodes interpolated by a chain of straight beams between two that are independent.
+
+    The chain is a thin tube of diameter D, DL times the length of the whole spline: EI = GJ = 1, EA = 8/D² (as in
+    NASTRAN-95, CRSPLINE). Its flexibility between the ends 1 and N, added up from 1 in the basic frame, is C_N; that up to node i
+    is C_i: u_i = R_i [u_1 + C_i C_N⁻¹ (R_N⁻¹ u_N − u_1)], R the rigid motion by that of node 1. Components that are not
+    dependent at a node between do not count for the others.
+    """
+    t = m.model["RSPLINE"]
+    G, flags = t.ragged("G"), components(t.ragged("C").values)
+    of = owners(G)
+    node = m.nodes(G.values, t, of)
+    end = ~flags.any(axis=1)
+    _refuse_splines(m, t, of, end)
+    first = np.flatnonzero(end & (np.r_[of[1:], -1] == of))  # of the section that begins there
+    section = np.cumsum(np.isin(np.arange(of.size), first)) - 1  # a node that ends one belongs to the next, if any
+    last = np.flatnonzero(end & (np.r_[-1, of[:-1]] == of))
+    x = m.xyz[node]
+    link = np.flatnonzero(of[1:] == of[:-1])
+    C = np.zeros((of.size, 6, 6))  # flexibility of the section's beams up to this node
+    start = section[link]  # the section of each link is that of its first node
+    C[link + 1] = _tubes(m, t, x, of, link, x[first[start]])
+    total = np.cumsum(C, axis=0)
+    inner = np.flatnonzero(~end)
+    a, b = first[section[inner]], last[section[inner]]
+    part, whole = total[inner] - total[a], total[b] - total[a]
+    share = np.swapaxes(np.linalg.solve(whole, np.swapaxes(part, 1, 2)), 1, 2)
+    R = arm(x[inner] - x[a])
+    by_last = R @ share @ arm(x[a] - x[b])
+    by_first = R @ (np.eye(6) - share)
+    return _interpolated(m, t, node[inner], flags[inner], of[inner], ((node[a], by_first), (node[b], by_last)))
+
+
+def _refuse_splines(m: Mesh, t: Any_, of: Int, end: Bool) -> None:
+    outer = np.zeros(of.size, dtype=bool)
+    outer[np.unique(of, return_index=True)[1]] = True
+    outer[np.flatnonzero(np.r_[of[1:] != of[:-1], True])] = True
+    wrong = outer & ~end
+    if wrong.any() or len(t) != np.unique(of).size:
+        i = int(of[wrong][0]) if wrong.any() else int(np.setdiff1d(np.arange(len(t)), of)[0])
+        raise error(m.model, t, i, "its first and last nodes are independent: give them no components")
+
+
+def _tubes(m: Mesh, t: Any_, x: Float, of: Int, link: Int, origin: Float) -> Float:
+    """Flexibility (k, 6, 6) of the beams from node `link` (k,) to the next, moved to `origin` (k, 3)."""
+    ends = np.stack([x[link], x[link + 1]], axis=1)
+    d = ends[:, 1] - ends[:, 0]
+    L = np.linalg.norm(d, axis=1)
+    if (L == 0).any():
+        raise error(m.model, t, int(of[link[L == 0][0]]), "two nodes that follow each other are at one place")
+    D = (t["DL"] * np.bincount(of[link], L, len(t)))[of[link]]
+    I = np.eye(3)
+    along = np.einsum("ki,kj->kij", d, d)
+    f = np.zeros((link.size, 6, 6))
+    f[:, 3:, 3:] = L[:, None, None] * I
+    f[:, :3, :3] = (L**3 / 12)[:, None, None] * I + ((D**2 / (8 * L)) - L / 12)[:, None, None] * along
+    A = arm(origin - ends.mean(axis=1))
+    return np.asarray(A @ f @ A.swapaxes(1, 2))
+
+
+def _interpolated(m: Mesh, t: Any_, node: Int, flags: Bool, of: Int, by: tuple[tuple[Int, Float], ...]) -> Equations:
+    """Components `flags` (k, 6) of nodes (k,) by the motions of others, each (node (k,), matrix (k, 6, 6)) in basic."""
+    entry, c = np.nonzero(flags)
+    mine = rotation(m.cd[node], 1)
+    columns, values = [], []
+    for other, A in by:
+        local = mine @ A @ rotation(m.cd[other], 1).swapaxes(1, 2)
+        columns.append(node_dofs(other[entry][:, None]))
+        values.append(local[entry, c])
+    column, value = np.concatenate(columns, axis=1), np.concatenate(values, axis=1)
+    row = np.repeat(np.arange(entry.size), column.shape[1])
+    keep = np.abs(value.reshape(-1)) > 1e-14 * np.abs(value).max(initial=0.0)
+    dependent = 6 * node[entry] + c
+    return Equations(dependent, row[keep], column.reshape(-1)[keep], value.reshape(-1)[keep], names(t, of[entry]))
+
+
+RIGID: Mapping[str, Callable[[Mesh], Equations]] = {
+    "RROD": rrod,
+    "RBAR1": rbar1,
+    "RJOINT": rjoint,
+    "RTRPLT": rtrplt,
+    "RTRPLT1": rtrplt1,
+    "RSPLINE": rspline,
+}
