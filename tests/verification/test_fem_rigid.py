@@ -1,4 +1,4 @@
-"""RROD, RBAR1, RJOINT, RTRPLT, RTRPLT1, RSPLINE: rigid motions pass, each is what it is made of, splines bend as beams."""
+"""RROD, RBAR1, RJOINT, RTRPLT, RTRPLT1, RSPLINE: rigid motions pass, each is what it is made of, splines bend."""
 
 from __future__ import annotations
 

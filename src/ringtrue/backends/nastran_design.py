@@ -31,6 +31,8 @@ _PROPERTIES = {
     "PSHEAR": ("T", "NSM"),
     "PELAS": ("K", "GE"),
     "PBUSH": (*(f"{k}{i}" for k in "KB" for i in range(1, 7)), "GE"),
+    "PBUSH1D": ("K", "C", "M"),
+    "PGAP": ("KA", "KB", "KT"),
     "PBEAM": ("A", "I1", "I2", "I12", "J", "NSM", "AB", "I1B", "I2B", "I12B", "JB", "NSMB", "K1", "K2"),
     "PCOMP": ("Z0", "NSM", "GE"),
     "PMASS": ("M",),

@@ -92,5 +92,5 @@ def ground_findings(model: Model, check: GroundCheck) -> list[Finding]:
 def _grounded(model: Model) -> bool:
     """Whether a spring or bush has a blank end."""
     ends = {"CELAS1": ("G1", "G2"), "CELAS2": ("G1", "G2"), "CELAS3": ("S1", "S2"), "CELAS4": ("S1", "S2")}
-    ends |= {"CBUSH": ("GA", "GB")}
+    ends |= {"CBUSH": ("GA", "GB"), "CBUSH1D": ("GA", "GB")}
     return any(bool((model[card].stack(*names) == 0).any()) for card, names in ends.items() if card in model)

@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.fem.algebra import arm, rotation
 from ringtrue.fem.constraints import Equations, names, owners, rigid
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components, node_dofs, segment
+from ringtrue.model.model import Table
 
 ALONG = 1e-3  # least part of the dependent component along a rod
 
@@ -91,15 +92,15 @@ def rspline(m: Mesh) -> Equations:
     """Nodes interpolated by a chain of straight beams between two that are independent.
 
     The chain is a thin tube of diameter D, DL times the length of the whole spline: EI = GJ = 1, EA = 8/D² (as in
-    NASTRAN-95, CRSPLINE). Its flexibility between the ends 1 and N, added up from 1 in the basic frame, is C_N; that up to node i
-    is C_i: u_i = R_i [u_1 + C_i C_N⁻¹ (R_N⁻¹ u_N − u_1)], R the rigid motion by that of node 1. Components that are not
-    dependent at a node between do not count for the others.
+    NASTRAN-95, CRSPLINE). Its flexibility between the ends 1 and N, added up from 1 in the basic frame, is C_N; that
+    up to node i is C_i: u_i = R_i [u_1 + C_i C_N⁻¹ (R_N⁻¹ u_N − u_1)], R the rigid motion by that of node 1. Components
+    that are not dependent at a node between do not count for the others.
     """
     t = m.model["RSPLINE"]
     G, flags = t.ragged("G"), components(t.ragged("C").values)
     of = owners(G)
     node = m.nodes(G.values, t, of)
-    end = ~flags.any(axis=1)
+    end = np.asarray(~flags.any(axis=1))
     _refuse_splines(m, t, of, end)
     first = np.flatnonzero(end & (np.r_[of[1:], -1] == of))  # of the section that begins there
     section = np.cumsum(np.isin(np.arange(of.size), first)) - 1  # a node that ends one belongs to the next, if any
@@ -120,7 +121,7 @@ def rspline(m: Mesh) -> Equations:
     return _interpolated(m, t, node[inner], flags[inner], of[inner], ((node[a], by_first), (node[b], by_last)))
 
 
-def _refuse_splines(m: Mesh, t: Any_, of: Int, end: Bool) -> None:
+def _refuse_splines(m: Mesh, t: Table, of: Int, end: Bool) -> None:
     outer = np.zeros(of.size, dtype=bool)
     outer[np.unique(of, return_index=True)[1]] = True
     outer[np.flatnonzero(np.r_[of[1:] != of[:-1], True])] = True
@@ -130,7 +131,7 @@ def _refuse_splines(m: Mesh, t: Any_, of: Int, end: Bool) -> None:
         raise error(m.model, t, i, "its first and last nodes are independent: give them no components")
 
 
-def _tubes(m: Mesh, t: Any_, x: Float, of: Int, link: Int, origin: Float) -> Float:
+def _tubes(m: Mesh, t: Table, x: Float, of: Int, link: Int, origin: Float) -> Float:
     """Flexibility (k, 6, 6) of the beams from node `link` (k,) to the next, moved to `origin` (k, 3)."""
     ends = np.stack([x[link], x[link + 1]], axis=1)
     d = ends[:, 1] - ends[:, 0]
@@ -147,7 +148,7 @@ def _tubes(m: Mesh, t: Any_, x: Float, of: Int, link: Int, origin: Float) -> Flo
     return np.asarray(A @ f @ A.swapaxes(1, 2))
 
 
-def _interpolated(m: Mesh, t: Any_, node: Int, flags: Bool, of: Int, by: tuple[tuple[Int, Float], ...]) -> Equations:
+def _interpolated(m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: tuple[tuple[Int, Float], ...]) -> Equations:
     """Components `flags` (k, 6) of nodes (k,) by the motions of others, each (node (k,), matrix (k, 6, 6)) in basic."""
     entry, c = np.nonzero(flags)
     mine = rotation(m.cd[node], 1)

@@ -28,6 +28,7 @@ _LINES = {
     "CBEAM": ("GA", "GB"),
     "CROD": ("G1", "G2"),
     "CTUBE": ("G1", "G2"),
+    "CGAP": ("GA", "GB"),
     "CBUSH": ("GA", "GA"),  # a bush has no length worth drawing: a point
 }
 

@@ -65,7 +65,7 @@ _TRANSLATION = tuple((f"K{i}", f"stiffness along axis {i}", "stiffness") for i i
 _ROTATION = tuple((f"K{i + 3}", f"stiffness about axis {i}", "torsion") for i in (1, 2, 3))
 SPRINGS = {
     "PBUSH": (("K1+K2+K3+K4+K5+K6", "stiffness in all directions", "stiffness"), *_TRANSLATION, *_ROTATION),
-    **dict.fromkeys(("PELAS", "CELAS2", "CELAS4"), (("K", "stiffness", "stiffness"),)),
+    **dict.fromkeys(("PBUSH1D", "PELAS", "CELAS2", "CELAS4"), (("K", "stiffness", "stiffness"),)),
 }
 MASSES = {
     "CONM2": (("M+I11+I21+I22+I31+I32+I33", "mass and inertia", "mass"),),

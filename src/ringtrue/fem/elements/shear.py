@@ -107,7 +107,7 @@ def kernel(x: Float, G: Any_, nu: Any_, thickness: Any_) -> Any_:
     forces = np.concatenate([first, -second, -first, second], axis=1)
     plain, skew = flexibility(x)
     c = G * thickness / (plain + skew / (1 + nu))
-    return np.einsum("e,ei,ej->eij", c, forces, forces)
+    return np.asarray(np.einsum("e,ei,ej->eij", c, forces, forces))
 
 
 def areas(share: Any_, thickness: Any_, area: Float, length: Float) -> Any_:
