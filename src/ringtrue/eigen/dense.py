@@ -60,11 +60,11 @@ def spectrum(
     loose &= np.abs(theta) <= MASSLESS * usual_mass(mass) * (moved**2).sum(axis=0)
     if loose.any():
         raise SingularModel(labels(_most(moved[:, np.argmax(loose)])), LOOSE)
-    theta, y = theta[::-1], y[:, ::-1]
-    finite = theta > 1e-13 * theta[0]
-    theta, y = theta[finite], y[:, finite]
-    vectors = d[:, None] * y
-    return shift + 1 / theta, vectors / np.sqrt(np.einsum("ij,ij->j", vectors, m @ vectors))
+    theta, vectors = theta[::-1], moved[:, ::-1]
+    modal = np.einsum("ij,ij->j", vectors, m @ vectors)  # θ again, where θ is more than rounding
+    finite = (theta > 1e-13 * theta[0]) & (np.abs(modal - theta) < 0.1 * theta)
+    theta, vectors = theta[finite], vectors[:, finite]
+    return shift + 1 / theta, vectors / np.sqrt(modal[finite])
 
 
 def _loose(a: Float, d: Float) -> Int:

@@ -148,12 +148,17 @@ class Isotropic:
     rho: Any_
     loss: Any_
 
+    @property
+    def shear(self) -> Any_:
+        """E / (2 (1 + ν)) (e,): shear in the plane of shells and in solids, which do not use G (MAT1, usage table)."""
+        return self.E / (2 * (1 + self.nu))
+
 
 def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     """MAT1 properties of each element, the one of E, G, NU that is blank completed from the others.
 
     Where NU and one of E and G are blank, both are 0, as in Nastran (Quick Reference Guide, MAT1): E alone makes rods
-    and bars without torsion, and no shell or solid.
+    and bars without torsion and shells without transverse shear, G alone makes no shell or solid.
 
     Raises
     ------

@@ -85,7 +85,7 @@ def _mat1(model: Model, mid: Int, table: Table, row: Int, confined: Bool | None)
     if confined is not None and confined.any():
         c11, c12 = (np.where(confined, s, p) for s, p in zip(solid(iso.E, iso.nu), (c11, c12), strict=True))
     zero = 0 * iso.G
-    return Layer(_plane(c11, c12, c11, iso.G, zero, zero), _through(iso.G, zero, iso.G), iso.rho, iso.loss)
+    return Layer(_plane(c11, c12, c11, iso.shear, zero, zero), _through(iso.G, zero, iso.G), iso.rho, iso.loss)
 
 
 def _mat2(t: Table, row: Int, core: bool) -> Layer:

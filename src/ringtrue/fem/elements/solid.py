@@ -183,7 +183,7 @@ def kernel(
     if isinstance(material, Anisotropic):
         K = general(A, material.tensor)
     else:
-        K = elastic(A, *solid(material.E, material.nu), material.G)
+        K = elastic(A, *solid(material.E, material.nu), material.shear)
     if bubbles is not None:
         K = condense(K, np.arange(3 * n), np.arange(3 * n, K.shape[1]))
     return K, det
@@ -199,7 +199,7 @@ def projected(x: Any_, material: Isotropic | Anisotropic, rule: Rule, pressure: 
     _, det, g = jacobian(rule.derivatives, x)
     w = det * rule.weights
     kappa, c11, c12 = bulk(material)
-    K = elastic(gram(g, w), c11, c12, material.G)
+    K = elastic(gram(g, w), c11, c12, material.shear)
     moment = np.einsum("eg,gk,egna->ekna", w, pressure, g).reshape(len(g), pressure.shape[1], -1)
     H = np.einsum("eg,gk,gl->ekl", w, pressure, pressure)
     return K + scaled(kappa, moment.swapaxes(1, 2) @ np.linalg.solve(H, moment)), det
