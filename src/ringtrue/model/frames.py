@@ -2,152 +2,193 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DeckError
 from ringtrue.model.model import Model, Table
 from ringtrue.model.places import error
 
+_LINE = 1e-12  # sine under which three points lie on one line
+_NAMED = 10  # frames that an error lists
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """A frame in basic: origin (3,), axes (3, 3) with the axes as rows, kind R, C or S (degrees)."""
+class Frames:
+    """Frames in basic.
 
+    Attributes
+    ----------
+    cid : (n,) int64
+        Ascending; 0, the basic frame, is the first.
+    origin : (n, 3) float64
+    axes : (n, 3, 3) float64
+        Unit vectors as rows.
+    kind : (n,) str
+        R, C or S (degrees).
+    """
+
+    cid: Int
     origin: Float
     axes: Float
-    kind: str
+    kind: NDArray[np.str_]
 
-    def to_basic(self, x: Float) -> Float:
-        """Coordinates (n, 3) of this frame to basic (n, 3)."""
-        return self.origin + self._cartesian(x) @ self.axes
+    def find(self, cid: Int) -> Int:
+        """Row of each frame (k,), -1 where absent."""
+        at = np.searchsorted(self.cid, cid).clip(max=self.cid.size - 1)
+        return np.where(self.cid[at] == cid, at, -1)
 
-    def _cartesian(self, x: Float) -> Float:
-        if self.kind == "R":
-            return x
-        if self.kind == "C":
-            t = np.radians(x[:, 1])
-            return np.stack([x[:, 0] * np.cos(t), x[:, 0] * np.sin(t), x[:, 2]], axis=1)
-        r, t, p = x[:, 0], np.radians(x[:, 1]), np.radians(x[:, 2])
-        return np.stack([r * np.sin(t) * np.cos(p), r * np.sin(t) * np.sin(p), r * np.cos(t)], axis=1)
+    def to_basic(self, row: Int, x: Float) -> Float:
+        """Coordinates (k, 3), each in the frame of its row (k,), to basic (k, 3)."""
+        kind, u = self.kind[row], np.array(x, dtype=np.float64)
+        c, s = np.flatnonzero(kind == "C"), np.flatnonzero(kind == "S")
+        r, t = x[c, 0], np.radians(x[c, 1])
+        u[c, 0], u[c, 1] = r * np.cos(t), r * np.sin(t)
+        r, t, p = x[s, 0], np.radians(x[s, 1]), np.radians(x[s, 2])
+        u[s] = np.stack([r * np.sin(t) * np.cos(p), r * np.sin(t) * np.sin(p), r * np.cos(t)], axis=1)
+        return np.asarray(self.origin[row] + np.einsum("ki,kij->kj", u, self.axes[row]))
 
-    def axes_at(self, basic: Float) -> Float:
-        """Local unit vectors as rows at points (n, 3) of basic: (n, 3, 3)."""
-        n = len(basic)
-        if self.kind == "R":
-            return np.broadcast_to(self.axes, (n, 3, 3))
-        d = (basic - self.origin) @ self.axes.T
-        rho = np.hypot(d[:, 0], d[:, 1])
-        safe = np.where(rho > 0, rho, 1.0)
-        c, s = np.where(rho > 0, d[:, 0] / safe, 1.0), np.where(rho > 0, d[:, 1] / safe, 0.0)
-        zero = np.zeros(n)
-        if self.kind == "C":
-            local = np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1], axis=1)
-        else:
-            r = np.linalg.norm(d, axis=1)
-            safe_r = np.where(r > 0, r, 1.0)
-            ct, st = np.where(r > 0, d[:, 2] / safe_r, 1.0), rho / safe_r
-            local = np.stack([st * c, st * s, ct, ct * c, ct * s, -st, -s, c, zero], axis=1)
-        return np.asarray(local.reshape(n, 3, 3) @ self.axes)
+    def axes_at(self, row: Int, x: Float) -> Float:
+        """Local unit vectors as rows (k, 3, 3) at points (k, 3) of basic, each of the frame of its row (k,)."""
+        out, kind = self.axes[row], self.kind[row]
+        round_ = np.flatnonzero(kind != "R")
+        if round_.size:
+            at = row[round_]
+            d = np.einsum("ki,kji->kj", x[round_] - self.origin[at], self.axes[at])
+            local = np.where((kind[round_] == "C")[:, None, None], _cylindrical(d), _spherical(d))
+            out[round_] = local @ self.axes[at]
+        return np.asarray(out)
 
 
-def _from_points(a: Float, b: Float, c: Float, kind: str) -> Frame | None:
-    """None where the three points lie on one line."""
-    z = b - a
-    y = np.cross(z, c - a)
-    if np.linalg.norm(z) == 0 or np.linalg.norm(y) <= 1e-12 * np.linalg.norm(z) * np.linalg.norm(c - a):
-        return None
-    z, y = z / np.linalg.norm(z), y / np.linalg.norm(y)
-    return Frame(a, np.stack([np.cross(y, z), y, z]), kind)
+def _cylindrical(d: Float) -> Float:
+    c, s, _ = _azimuth(d)
+    zero = np.zeros(len(d))
+    return np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1], axis=1).reshape(-1, 3, 3)
 
 
-def _made(model: Model, t: Table, row: int, points: Float, kind: str) -> Frame:
-    """The frame of a card through its three points (3, 3), basic."""
-    found = _from_points(points[0], points[1], points[2], kind)
-    if found is None:
-        raise error(model, t, row, "its three points lie on one line")
-    return found
+def _spherical(d: Float) -> Float:
+    c, s, rho = _azimuth(d)
+    r = np.linalg.norm(d, axis=1)
+    safe = np.where(r > 0, r, 1.0)
+    ct, st = np.where(r > 0, d[:, 2] / safe, 1.0), rho / safe
+    return np.stack([st * c, st * s, ct, ct * c, ct * s, -st, -s, c, np.zeros(len(d))], axis=1).reshape(-1, 3, 3)
 
 
-def _definitions(model: Model) -> dict[int, Callable[[dict[int, Frame]], Frame | None]]:
-    """For each frame a function that resolves it from those known so far, or returns None."""
-    grid = model["GRID"]
-    made: dict[int, Callable[[dict[int, Frame]], Frame | None]] = {}
+def _azimuth(d: Float) -> tuple[Float, Float, Float]:
+    """Cosine and sine of the azimuth, 1 and 0 on the axis, and the distance from the axis."""
+    rho = np.hypot(d[:, 0], d[:, 1])
+    safe = np.where(rho > 0, rho, 1.0)
+    return np.where(rho > 0, d[:, 0] / safe, 1.0), np.where(rho > 0, d[:, 1] / safe, 0.0), rho
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Given:
+    """Cards of one name: their three points (n, 3, 3), in the frames `of` (n, 3)."""
+
+    table: Table
+    points: Float
+    of: Int
+
+
+def _given(model: Model) -> list[_Given]:
+    made = []
     for kind in "RCS":
         if (card := f"CORD2{kind}") in model:
             t = model[card]
-            abc = t.stack("A1", "A2", "A3", "B1", "B2", "B3", "C1", "C2", "C3").reshape(-1, 3, 3)
-            for row, (cid, rid, p) in enumerate(zip(t["CID"].tolist(), t["RID"].tolist(), abc, strict=True)):
-
-                def points(
-                    known: dict[int, Frame], rid: int = rid, p: Float = p, k: str = kind, t: Table = t, row: int = row
-                ) -> Frame | None:
-                    if rid not in known:
-                        return None
-                    return _made(model, t, row, known[rid].to_basic(p), k)
-
-                made[cid] = points
+            points = t.stack("A1", "A2", "A3", "B1", "B2", "B3", "C1", "C2", "C3").reshape(-1, 3, 3)
+            made.append(_Given(t, points, np.repeat(t["RID"][:, None], 3, axis=1)))
         if (card := f"CORD1{kind}") in model:
-            t = model[card]
-            for row, (cid, g) in enumerate(zip(t["CID"].tolist(), t.stack("G1", "G2", "G3"), strict=True)):
-
-                def nodes(
-                    known: dict[int, Frame], g: Int = g, k: str = kind, t: Table = t, row: int = row
-                ) -> Frame | None:
-                    at = grid.find(g)
-                    if (at < 0).any():
-                        raise error(model, t, row, f"node {g[at < 0][0]} is not in the deck")
-                    cp = grid["CP"][at]
-                    if not all(int(c) in known for c in cp):
-                        return None
-                    x = grid.stack("X1", "X2", "X3")[at]
-                    p = [known[int(c)].to_basic(xi[None])[0] for c, xi in zip(cp, x, strict=True)]
-                    return _made(model, t, row, np.array(p), k)
-
-                made[cid] = nodes
+            t, grid = model[card], model["GRID"]
+            nodes = t.stack("G1", "G2", "G3")
+            at = grid.find(nodes)
+            if (at < 0).any():
+                row, k = np.argwhere(at < 0)[0].tolist()
+                raise error(model, t, row, f"node {nodes[row, k]} is not in the deck")
+            made.append(_Given(t, grid.stack("X1", "X2", "X3")[at], grid["CP"][at]))
     return made
 
 
-def frames(model: Model) -> dict[int, Frame]:
-    """All frames by CID, 0 (basic) among them.
+def frames(model: Model) -> Frames:
+    """All frames, basic among them.
 
     Raises
     ------
     DeckError
-        On a frame that refers to one that is absent or to itself.
+        On a frame that refers to one that is absent or to itself, or whose three points lie on one line.
     """
-    known = {0: Frame(np.zeros(3), np.eye(3), "R")}
-    todo = _definitions(model)
-    while todo:
-        ready = {cid: f for cid, make in todo.items() if (f := make(known)) is not None}
-        if not ready:
-            raise DeckError(f"coordinate frames {sorted(todo)} refer to frames that are not in the deck")
-        known |= ready
-        todo = {cid: make for cid, make in todo.items() if cid not in ready}
+    known = Frames(np.zeros(1, dtype=np.int64), np.zeros((1, 3)), np.eye(3)[None], np.array(["R"]))
+    given = _given(model)
+    todo = [np.ones(len(g.table), dtype=bool) for g in given]
+    while any(left.any() for left in todo):  # as often as the longest chain of frames is long
+        ready = [left & (known.find(g.of) >= 0).all(axis=1) for g, left in zip(given, todo, strict=True)]
+        if not any(r.any() for r in ready):
+            lost = sorted(int(i) for g, left in zip(given, todo, strict=True) for i in g.table.ids[left])
+            more = f" and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
+            raise DeckError(f"coordinate frames {lost[:_NAMED]}{more} refer to frames that are not in the deck")
+        known = _joined([known, *(_resolved(model, known, g, r) for g, r in zip(given, ready, strict=True))])
+        todo = [left & ~r for left, r in zip(todo, ready, strict=True)]
     return known
 
 
+def _resolved(model: Model, known: Frames, g: _Given, ready: Bool) -> Frames:
+    rows = np.flatnonzero(ready)
+    points = known.to_basic(known.find(g.of[rows].ravel()), g.points[rows].reshape(-1, 3)).reshape(-1, 3, 3)
+    a, z, side = points[:, 0], points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    y = np.cross(z, side)
+    height, wide = np.linalg.norm(z, axis=1), np.linalg.norm(y, axis=1)
+    flat = (height == 0) | (wide <= _LINE * height * np.linalg.norm(side, axis=1))
+    if flat.any():
+        raise error(model, g.table, int(rows[np.flatnonzero(flat)[0]]), "its three points lie on one line")
+    z, y = z / height[:, None], y / wide[:, None]
+    kind = np.full(rows.size, g.table.card[-1])
+    return Frames(g.table.ids[rows], a, np.stack([np.cross(y, z), y, z], axis=1), kind)
+
+
+def _joined(parts: list[Frames]) -> Frames:
+    cid, origin, axes_, kind = (
+        np.concatenate([getattr(p, n) for p in parts]) for n in ("cid", "origin", "axes", "kind")
+    )
+    order = np.argsort(cid, kind="stable")
+    return Frames(cid[order], origin[order], axes_[order], kind[order])
+
+
 def positions(model: Model) -> Float:
-    """Basic coordinates of the GRID rows, (n, 3) float64."""
+    """Basic coordinates of the GRID rows, (n, 3) float64.
+
+    Raises
+    ------
+    DeckError
+        If a frame is absent.
+    """
     grid = model["GRID"]
     x, cp = grid.stack("X1", "X2", "X3"), grid["CP"]
     known, out = frames(model), x.copy()
-    for cid in np.unique(cp[cp != 0]).tolist():
-        if cid not in known:
-            raise error(model, grid, int(np.flatnonzero(cp == cid)[0]), f"frame CP {cid} is not in the deck")
-        out[cp == cid] = known[cid].to_basic(x[cp == cid])
+    at = np.flatnonzero(cp != 0)
+    row = known.find(cp[at])
+    if (row < 0).any():
+        i = int(at[np.flatnonzero(row < 0)[0]])
+        raise error(model, grid, i, f"frame CP {cp[i]} is not in the deck")
+    out[at] = known.to_basic(row, x[at])
     return out
 
 
 def axes(model: Model, cid: Int, basic: Float) -> Float:
-    """Unit vectors (rows) of frame `cid` (n,) at points `basic` (n, 3): (n, 3, 3) float64."""
-    known = frames(model)
+    """Unit vectors (rows) of frame `cid` (n,) at points `basic` (n, 3): (n, 3, 3) float64.
+
+    Raises
+    ------
+    DeckError
+        If a frame is absent.
+    """
     out = np.broadcast_to(np.eye(3), (len(basic), 3, 3)).copy()
-    for c in np.unique(cid[cid > 0]).tolist():
-        if c not in known:
-            raise DeckError(f"frame {c} is not in the deck")
-        out[cid == c] = known[c].axes_at(basic[cid == c])
+    at = np.flatnonzero(cid > 0)
+    if at.size:
+        known = frames(model)
+        row = known.find(cid[at])
+        if (row < 0).any():
+            raise DeckError(f"frame {cid[at[np.flatnonzero(row < 0)[0]]]} is not in the deck")
+        out[at] = known.axes_at(row, basic[at])
     return out
