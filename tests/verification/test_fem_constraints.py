@@ -62,6 +62,18 @@ def test_rbe3_shares_a_force_by_weight() -> None:
     assert s.expand(x)[12] == pytest.approx(1.0)
 
 
+def test_rotations_of_an_rbe3_are_weighted_by_the_square_of_the_mean_arm() -> None:
+    """Nodes 1 and 2 at x = 1 and 3, the reference at 0; v and θ at it, by least squares, for a unit turn of node 1.
+
+    2 v + 4 θ = 0 and 4 v + (10 + L²) θ = L², L = (1 + 3) / 2 although node 1 is listed twice.
+    """
+    at = grid(np.array([[1.0, 0, 0], [3.0, 0, 0], [0.0, 0, 0]]))
+    terms = {"G": ragged([1, 2, 1]), "C": ragged(["2", "2", "6"]), "WT": ragged([1.0, 1.0, 1.0])}
+    s = assemble(model(at, cards("RBE3", EID=[50], REFGRID=3, REFC="26", **terms), AUTOSPC="NO"))
+    turn = np.array([float(label == "1+RZ") for label in s.free.labels()])
+    np.testing.assert_allclose(s.expand(turn)[[13, 17]], [-4 / 3, 2 / 3], rtol=1e-12)
+
+
 def test_rbe3_that_is_not_determined_is_refused() -> None:
     with pytest.raises(DeckError, match=r"RBE3 50.*do not determine"):
         assemble(model(*NODES, rbe3(5, [1, 2])))

@@ -138,15 +138,17 @@ def _motion(m: Mesh, node: Int, component: Int, origin: Float, size: Float) -> F
 
 
 def _rbe3(m: Mesh) -> Equations:
-    """u_ref = (Σ SᵀWS)⁻¹ Σ SᵀWu, rotations weighted by the square of the mean arm; solved for UM where it is given."""
+    """u_ref = (Σ SᵀWS)⁻¹ Σ SᵀWu, rotations weighted by the square of a length; solved for UM where it is given.
+
+    As in MSC Nastran since version 70.7 the length is the mean distance of the nodes, each counted once, from REFGRID.
+    """
     t = m.model["RBE3"]
     G = t.ragged("G")
     of = owners(G)
     ref = m.nodes(t["REFGRID"], t, np.arange(len(t)))
     g = m.nodes(G.values, t, of)
     arms = m.xyz[g] - m.xyz[ref[of]]
-    length = np.bincount(of, np.linalg.norm(arms, axis=1), len(t)) / np.maximum(np.bincount(of, minlength=len(t)), 1)
-    length = np.where(length == 0, 1.0, length)
+    length = _mean_arm(of, g, arms, len(t))
     S = rotation(m.cd[g], 1) @ arm(arms)
     scale = np.ones((len(t), 6))
     scale[:, 3:] = length[:, None]
@@ -158,6 +160,13 @@ def _rbe3(m: Mesh) -> Equations:
     eq = _spread(m, t, X, of, g, ref)
     given = "GM" in t.columns and t.ragged("GM").values.size
     return _resolved(m, t, eq, np.nonzero(components(t["REFC"]))[0]) if given else eq
+
+
+def _mean_arm(of: Int, g: Int, arms: Float, count: int) -> Float:
+    """Mean length of the arms (k, 3) of each element (count,), a node in several groups once; 1 without any."""
+    once = np.unique(np.stack([of, g]), axis=1, return_index=True)[1]
+    total = np.bincount(of[once], np.linalg.norm(arms[once], axis=1), count)
+    return np.where(total == 0, 1.0, total / np.maximum(np.bincount(of[once], minlength=count), 1))
 
 
 def _inverse(m: Mesh, t: Table, normal: Float, scale: Float) -> Float:
