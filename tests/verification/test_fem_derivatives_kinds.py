@@ -25,7 +25,7 @@ def rich(I12: float = 4e-6) -> Model:
     bar = {"A": 0.01, "I1": 2e-5, "I2": 1e-5, "J": 3e-5, "NSM": 5.0, "I12": I12, "K1": 0.8, "K2": 0.7}
     tables = {
         **m.tables,
-        "PBUSH": cards("PBUSH", PID=[8], **bush, GE=0.05),
+        "PBUSH": cards("PBUSH", PID=[8], **bush, GE=0.05, GE2=0.2, GE5=0.1),
         "CBUSH": cards("CBUSH", EID=[8], PID=8, GA=4, GB=6, CID=0, S=0.3),
         "PBAR": cards("PBAR", PID=[5], MID=1, **bar),
     }
@@ -49,7 +49,7 @@ KINDS = {
     **{f"PSHELL {f}": parameter(("PSHELL", 1, f)) for f in ("T", "TST", "NSM")},
     **{f"PBAR {f}": parameter(("PBAR", 5, f)) for f in ("A", "I1", "I2", "I12", "J", "NSM", "K1", "K2")},
     **{f"PBEAM {f}": parameter(("PBEAM", 6, f)) for f in ("A", "I1", "I2", "J", "NSM", "K1", "K2")},
-    **{f"PBUSH {f}": parameter(("PBUSH", 8, f)) for f in ("K2", "K5", "B1", "B6", "GE")},
+    **{f"PBUSH {f}": parameter(("PBUSH", 8, f)) for f in ("K2", "K5", "B1", "B6", "GE", "GE2")},
     **{f"{c} {f}": parameter((c, i, f)) for c, i, f in (("PELAS", 9, "K"), ("CELAS2", 10, "K"), ("CONM2", 11, "M"))},
     "CONM2 I22": parameter(("CONM2", 11, "I22")),
     "CONM2 X1": parameter(("CONM2", 11, "X1")),

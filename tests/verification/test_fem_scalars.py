@@ -120,6 +120,15 @@ def bush(**more: object) -> Float:
     return s.stiffness.toarray()
 
 
+def test_a_bush_with_loss_factors_by_direction() -> None:
+    """Grounded in the turned frame of its node: H = diag(GEi Ki) in the free DOFs; blanks beside GE2 are 0."""
+    k = {f"K{i}": float(i) for i in range(1, 7)} | {"GE": 0.1, "GE2": 0.2, "GE6": 0.3}
+    bush = cards("CBUSH", EID=[1], PID=1, GA=2, CID=7)
+    s = assemble(model(*NODES, bush, cards("PBUSH", PID=[1], **k), AUTOSPC="YES"))
+    np.testing.assert_allclose(s.stiffness.toarray(), np.diag(np.arange(1.0, 7)), atol=EXACT)
+    np.testing.assert_allclose(s.structural.toarray(), np.diag([0.1, 0.4, 0, 0, 0, 1.8]), atol=EXACT)
+
+
 def test_a_bush_in_a_cylindrical_frame_is_turned_to_its_end_a() -> None:
     """GA stands at 45 degrees: radial K1, tangential K2."""
     r, t = np.array([1, 1, 0]) / np.sqrt(2), np.array([-1, 1, 0]) / np.sqrt(2)

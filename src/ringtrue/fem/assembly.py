@@ -220,6 +220,6 @@ def _totals(m: Mesh) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_arr
         M.add(p.dofs, p.mass)
         if len(p.viscous):
             B.add(p.dofs, p.viscous)
-        if (at := np.flatnonzero(p.loss)).size:
-            S.add(p.dofs[at], p.loss[at][:, None, None] * p.stiffness[at])
+        if len(structural := p.structural):
+            S.add(p.dofs, structural)
     return K.total(), sparse.csr_array(M.total() * m.model.param("WTMASS", 1.0)), B.total(), S.total()

@@ -234,7 +234,7 @@ def _carried(model: Model, system: System, dT: sparse.csr_array) -> list[sparse.
     parts = [build(m, card, at) for card, build, at in batches(model)]
     K, M = full_matrices(m, parts)
     D = sum_up(m.size, ((p.dofs, p.viscous) for p in parts if len(p.viscous)))
-    H = sum_up(m.size, ((p.dofs, p.loss[:, None, None] * p.stiffness) for p in parts))
+    H = sum_up(m.size, ((p.dofs, s) for p in parts if len(s := p.structural)))
     out = []
     for A in (K, M, D, H):
         half = sparse.csr_array(dT.T.tocsr() @ A @ system.transform)

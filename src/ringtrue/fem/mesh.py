@@ -151,7 +151,7 @@ class Isotropic:
     @property
     def shear(self) -> Any_:
         """E / (2 (1 + ν)) (e,): shear in the plane of shells and in solids, which do not use G (MAT1, usage table)."""
-        return self.E / (2 * (1 + self.nu))
+        return np.asarray(self.E / (2 * (1 + self.nu)))
 
 
 def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
@@ -194,6 +194,8 @@ class Matrices:
     loss : (e,)
         Structural damping factor g of the element, K (1 + i g).
     viscous : (e, d, d), or (0, d, d) where the element has none
+    lossy : (e, d, d), optional
+        Structural damping that is no one factor times the stiffness, in its place.
     """
 
     dofs: Int
@@ -201,3 +203,11 @@ class Matrices:
     mass: Any_
     loss: Any_
     viscous: Any_
+    lossy: Any_ | None = None
+
+    @property
+    def structural(self) -> Any_:
+        """Structural damping (e, d, d), or (0, d, d) where the elements have none."""
+        if self.lossy is not None:
+            return self.lossy
+        return self.loss[:, None, None] * self.stiffness if self.loss.any() else self.viscous[:0]

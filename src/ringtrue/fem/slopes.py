@@ -287,7 +287,7 @@ def _same(a: Any_) -> Float:
 
 def _slopes(m: Mesh, owner: Int, p: Matrices, take: object) -> ElementSlopes:
     assert callable(take)
-    loss = take(p.loss[:, None, None] * p.stiffness) if p.loss.any() else _NONE
+    loss = take(s) if len(s := p.structural) else _NONE
     viscous = take(p.viscous) if len(p.viscous) else _NONE
     mass = take(p.mass) * m.model.param("WTMASS", 1.0)
     return ElementSlopes(owner, p.dofs, take(p.stiffness), loss, mass, viscous)

@@ -97,7 +97,8 @@ SPECIAL = {
     "RBE1": "EID *GN *CN:s *GM *CM:s",  # independent pairs share the offsets of GN, dependent ones (UM) those of GM
     "RSPLINE": "EID DL:f=0.1 *G *C:s",  # one entry a node; without components it is independent
     "RBE3": "EID REFGRID REFC:s *G *C:s *WT:f *GM *CM:s",  # one entry of G an independent node; GM those of UM
-    "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f M:f",
+    "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f "
+    "GE2:f=nan GE3:f=nan GE4:f=nan GE5:f=nan GE6:f=nan M:f",  # GE is GE1, for all where the others are blank
     # the section at end A, at end B (a blank end B equals A), and at the stations between; nan: on the straight line
     "PBEAM": "PID MID A:f I1:f I2:f I12:f J:f NSM:f K1:f=1.0 K2:f=1.0 S1:f S2:f NSIA:f NSIB:f "
     "M1A:f M2A:f M1B:f M2B:f N1A:f N2A:f N1B:f N2B:f AB:f I1B:f I2B:f I12B:f JB:f NSMB:f "

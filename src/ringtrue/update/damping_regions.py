@@ -191,6 +191,9 @@ def undamped(model: Model) -> Model:
     for card, names in fields.items():
         for name in names if card in tables else ():
             tables[card] = tables[card].with_column(name, np.zeros(len(tables[card])))
+    for name in (f"GE{i}" for i in range(2, 7)):  # a blank one goes with GE, the others have a value of their own
+        if "PBUSH" in tables and name in tables["PBUSH"].columns:
+            tables["PBUSH"] = tables["PBUSH"].with_column(name, 0 * tables["PBUSH"][name])
     return replace(model, tables=tables)
 
 
@@ -216,8 +219,8 @@ def seen(model: Model, targets: Sequence[Target], shapes: Float) -> tuple[Float,
         for first in range(0, at.size, piece):
             part = build(m, card, at[first : first + piece])
             x = motion[part.dofs].reshape(part.dofs.shape[0], -1, n)
-            if np.any(part.loss):
-                h += np.einsum("edm,edn->mn", x, part.loss[:, None, None] * (part.stiffness @ x), optimize=True)
+            if len(structural := part.structural):
+                h += np.einsum("edm,edn->mn", x, structural @ x, optimize=True)
             if len(part.viscous):
                 d += np.einsum("edm,edn->mn", x, part.viscous @ x, optimize=True)
     return (d + d.T) / 2, (h + h.T) / 2

@@ -8,6 +8,7 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import arm, congruent, rotation
 from ringtrue.fem.mesh import Matrices, Mesh, error, lookup
 from ringtrue.fem.place import any_triad, frame, node_dofs, orientation, segment, triad
+from ringtrue.model.model import Table
 
 
 def _axes(m: Mesh, card: str, at: Int, a: Int, x: Float, grounded: Any_) -> Float:
@@ -53,12 +54,27 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     x = m.xyz[np.stack([a, b], axis=1)]
     row = lookup(m.model, "PBUSH", t["PID"][at], t, at)
     p = m.model["PBUSH"]
+    stiffness, loss = p.stack(*(f"K{i}" for i in range(1, 7)))[row], losses(p)[row]
     motion = _relative(_axes(m, card, at, a, x, grounded), _spring_point(m, card, at, x)[:, None] - x, grounded)
-    K, B = (congruent(motion, p.stack(*(f"{c}{i}" for i in range(1, 7)))[row][:, :, None] * np.eye(6)) for c in "KB")
+    K, H, B = (
+        congruent(motion, values[:, :, None] * np.eye(6))
+        for values in (stiffness, loss * stiffness, p.stack(*(f"B{i}" for i in range(1, 7)))[row])
+    )
     ends = np.tile([0.5, 0.5, 0.5, 0.0, 0.0, 0.0], 2) * np.repeat(np.stack([~grounded | True, ~grounded], 1), 6, axis=1)
     dofs = node_dofs(np.stack([a, b], axis=1))
     dofs[grounded, 6:] = -1
-    return Matrices(dofs, K, p["M"][row][:, None] * ends, p["GE"][row], B)
+    same = (loss == loss[:, :1]).all()
+    return Matrices(dofs, K, p["M"][row][:, None] * ends, loss[:, 0], B, None if same else H)
+
+
+def losses(p: Table) -> Any_:
+    """Loss factors (n, 6) of rows of PBUSH: GE1 for all directions where GE2 to GE6 are blank, else blanks are 0."""
+    first = p["GE"]
+    if "GE2" not in p.columns:
+        return np.repeat(first[:, None], 6, axis=1)
+    rest = p.stack(*(f"GE{i}" for i in range(2, 7)))
+    alone = np.isnan(rest).all(axis=1)[:, None]
+    return np.concatenate([first[:, None], np.where(alone, first[:, None], np.nan_to_num(rest))], axis=1)
 
 
 def _relative(R: Float, arms: Float, grounded: Any_) -> Float:

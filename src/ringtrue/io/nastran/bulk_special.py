@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from ringtrue.io.nastran.lists import BUSH
 from ringtrue.io.nastran.writer import Value, format_card
 from ringtrue.model.model import Table
 
@@ -54,10 +55,11 @@ def _rbe3(t: Table) -> Iterator[str]:
 def _pbush(t: Table) -> Iterator[str]:
     for i, pid in enumerate(t["PID"].tolist()):
         lines: list[list[Value]] = []
-        for flag, names in _BUSH.items():
-            values = [float(t[n][i]) for n in names]
-            if any(values):
-                lines.append([flag, *(v or None for v in values), *[None] * (6 - len(values))])
+        for flag, names in BUSH.items():
+            values = [float(t[n][i]) for n in names if n in t.columns]
+            if np.nan_to_num(values).any():
+                written = (None if np.isnan(v) or (v == 0 and flag != "GE") else v for v in values)  # a 0 in GE counts
+                lines.append([flag, *written, *[None] * (6 - len(values))])
         fields: list[Value] = [pid]
         for k, line in enumerate(lines or _NO_STIFFNESS):
             fields += [*([None] if k else []), *line]
@@ -65,7 +67,6 @@ def _pbush(t: Table) -> Iterator[str]:
 
 
 _NO_STIFFNESS: list[list[Value]] = [["K"]]
-_BUSH = {"K": [f"K{i}" for i in range(1, 7)], "B": [f"B{i}" for i in range(1, 7)], "GE": ["GE"]}
 _BEAM_A, _BEAM_B = ("A", "I1", "I2", "I12", "J", "NSM"), ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
 _BEAM_X = ("X", "AX", "I1X", "I2X", "I12X", "JX", "NSMX")
 _BEAM_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")

@@ -23,6 +23,11 @@ _LAMINATE: tuple[tuple[str, float | str], ...] = (
     ("GE", 0.0),
     ("LAM", ""),
 )
+BUSH = {  # lines of a PBUSH
+    **{flag: [f"{flag}{i}" for i in range(1, 7)] for flag in "KB"},
+    "GE": ["GE", *(f"GE{i}" for i in range(2, 7))],
+    "M": ["M"],
+}
 PLY = {"PCOMP": ("MID", "T", "THETA", "SOUT"), "PCOMPG": ("GPLYID", "MID", "T", "THETA", "SOUT")}
 _KIND: dict[str, Any] = {"GPLYID": np.int64, "MID": np.int64, "T": np.float64, "THETA": np.float64, "SOUT": np.str_}
 _PITCH = {"PCOMP": 4, "PCOMPG": 8}  # fields from ply to ply

@@ -8,8 +8,7 @@ from ringtrue.errors import InputError
 from ringtrue.io.nastran.added_mass import VALUE
 from ringtrue.io.nastran.beams import BETWEEN, END_A, END_B, beam_stations
 from ringtrue.io.nastran.fields import Card, Reader
-from ringtrue.io.nastran.lists import PLY, ply_places
-from ringtrue.io.nastran.special import FLAGS
+from ringtrue.io.nastran.lists import BUSH, PLY, ply_places
 from ringtrue.model.cards import CARDS, columns
 from ringtrue.model.edit import ply_field
 
@@ -99,9 +98,9 @@ def inherited(name: str, fields: Sequence[str], field: str) -> tuple[int, str] |
 
 
 def _of_bush(fields: Sequence[str], field: str) -> int | None:
-    flag = next((f for f, names in FLAGS.items() if field in names), None)
+    flag = next((f for f, names in BUSH.items() if field in names), None)
     at = next((i for i in range(1, len(fields), 8) if fields[i] == flag), None)
-    return None if at is None or flag is None else at + 1 + FLAGS[flag].index(field)
+    return None if at is None or flag is None else at + 1 + BUSH[flag].index(field)
 
 
 def _of_beam(fields: Sequence[str], field: str) -> int | None:

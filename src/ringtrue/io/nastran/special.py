@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ringtrue.errors import UnsupportedCard
 from ringtrue.io.nastran import added_mass
 from ringtrue.io.nastran.beams import pbarl, pbeam, pbeaml
 from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
-from ringtrue.io.nastran.lists import dmig, pcomp, pcompg, rbe1, rspline
+from ringtrue.io.nastran.lists import BUSH, dmig, pcomp, pcompg, rbe1, rspline
+from ringtrue.model.cards import columns
 from ringtrue.model.model import Ragged, Table
 
 
@@ -146,35 +146,22 @@ def _rbe3_groups(r: Reader) -> tuple[list[int], list[str], list[float]]:
     return nodes, comps, weights
 
 
-FLAGS = {"K": [f"K{i}" for i in range(1, 7)], "B": [f"B{i}" for i in range(1, 7)], "GE": ["GE"], "M": ["M"]}
-
-
-def _one_loss(r: Reader, at: int) -> None:
-    """Refuse loss factors of a bush that differ from direction to direction; blank ones are GE1."""
-    first = r.real(at, "GE1", 0.0)
-    if any(r.real(at + k, f"GE{k + 1}", first) != first for k in range(1, 6)):
-        why = "GE differs from direction to direction; give GE1 alone, it holds for all"
-        raise UnsupportedCard("PBUSH", path=r.files[r.card.file], line=r.card.line, why=why)
-
-
 def _pbush(cards: Sequence[Card], files: Files) -> Table:
-    names = [n for f in FLAGS.values() for n in f]
-    cols: dict[str, list[float]] = {n: [] for n in names}
+    blank = {s.name: float(s.default) for s in columns("PBUSH")[1:]}
+    cols: dict[str, list[float]] = {n: [] for n in blank}
     pid = []
     for c in cards:
         r = Reader(c, files)
         pid.append(r.whole(0, "PID"))
-        row = dict.fromkeys(names, 0.0)
+        row = dict(blank)
         for start in range(1, len(c.fields), 8):
             flag = r.text(start).upper()
             if "RIGID" in (r.text(i).upper() for i in range(start, start + 7)):
                 raise r.fail("K", "RIGID is not supported; use RBE2")
-            if flag and flag not in (*FLAGS, "RCV", "T", "D"):
+            if flag and flag not in (*BUSH, "RCV", "T", "D"):
                 raise r.fail("flag", f"{flag!r}: allowed are K, B, GE, M, RCV")
-            for k, name in enumerate(FLAGS.get(flag, [])):
-                row[name] = r.real(start + 1 + k, name, 0.0)
-            if flag == "GE":
-                _one_loss(r, start + 1)
+            for k, name in enumerate(BUSH.get(flag, [])):
+                row[name] = r.real(start + 1 + k, name, blank[name])
         for name, value in row.items():
             cols[name].append(value)
     data = {"PID": np.array(pid, dtype=np.int64)} | {n: np.array(v, dtype=np.float64) for n, v in cols.items()}
