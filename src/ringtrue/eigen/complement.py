@@ -5,7 +5,7 @@ z = x + U y with x = A⁻¹r, U = A⁻¹MV and y from the Galerkin condition V�
 exact (full orthogonalisation, Saad 2003, ch. 6.4; shifted systems: Frommer and Glässner 1998). V grows by the
 principal directions of δz − Vy over all columns that are not done, no more of them than the tolerances ask for:
 inertia loads are smooth, so that they are fewer than the columns. Residuals are estimated from sketches of the forces
-until all seem to be small enough; then they are computed.
+until all seem to be small enough; those that are not so by far are then computed.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ RUNS = 8
 EACH, SPARE = 2, 60  # directions of a run for each column and beyond, before the columns that are left start anew
 DROP = 0.9  # share of the residual allowed to a column that a block may leave out of it
 MARGIN = 0.93  # of the residual allowed, for one that is estimated
+SURE = 1 / (1 + 8 * (2 / TILE) ** 0.5)  # of the square allowed: an estimate below it is 8 standard deviations away
 LEAST = 1e-5  # share of the largest eigenvalue of a projection that one below zero may have by rounding
 MANY = 400  # columns that pay for a factorisation at a better shift
 PIECE = 5 * 2**19  # numbers in an array of right-hand sides: memory of less than 32 MB is used again
@@ -77,7 +78,7 @@ class _Space:
     def add(self, v: Fields, of: Complement) -> None:
         """A further block."""
         cut = slice(self.size, self.size + v.count)
-        self._basis.put(self.size, v)
+        self._basis.cut(cut).put(v)
         inner = self._inner.cut(cut)
         self._parts[:, cut] = of.solved(lambda c: of.inertia.forces(v.cut(c)), self._images[cut], inner)
         self._rough[:, cut] = of.inertia.sketch(inner), of.inertia.sketch(v)
@@ -154,16 +155,10 @@ class Complement:
         NotConverged
             If a mode below some λ is not among those known, or the residual stays above the tolerance.
         """
-        part = self.modes.vectors.T @ loads
-        allowed = tolerance * np.linalg.norm(loads, axis=0)
-        return self.balanced(lambda c: self.balance(part[:, c]) + loads.T[c], lam, allowed).T
+        return self.columns(loads.T.__getitem__, lam, tolerance * np.linalg.norm(loads, axis=0)).T
 
-    def balance(self, part: Float) -> Float:
-        """Forces (k, f) that take their part along the modes (n, k) from loads."""
-        return self.inertia.forces(self._known.times(-part))
-
-    def balanced(self, loads: Loads, lam: Float, allowed: Float, along: Float | None = None) -> Float:
-        """`solve` (k, f) for loads without part in the modes, with the residuals allowed (k,).
+    def columns(self, loads: Loads, lam: Float, allowed: Float, along: Float | None = None) -> Float:
+        """`solve` (k, f) with the residuals allowed (k,); what loads have along the modes is left out.
 
         The modes times `along` (n, k) are added. The next call overwrites what this one returned.
         """
@@ -189,10 +184,9 @@ class Complement:
         part = np.empty((self._known.count, len(x)))
         for cut in _pieces(len(x), max(PIECE // max(self.pencil.size, 1), 32)):
             x[cut] = self.pencil.at(self.shift).solve(loads(cut).T).T
-            fields = self.inertia.fields(x[cut])
+            fields = self.inertia.fields(x[cut], inner.cut(cut))
             part[:, cut] = self._known.dot(fields)
             fields.add(-part[:, cut], self._known)
-            inner.put(cut.start, fields)
         return part
 
     def _room(self, columns: int) -> tuple[Float, Fields, _Space]:
@@ -216,6 +210,7 @@ class Complement:
             rough = folded[at] * delta[at, None] + space.sketch(y[:, at], delta[at])
             gram, limit = rough @ rough.T, MARGIN * allowed[at]
             if (np.diag(gram) <= limit**2).all():
+                at = at[~(np.diag(gram) <= SURE * allowed[at] ** 2)]
                 size = self.inertia.squares(x, at, delta[at], *space.change(y[:, at], delta[at]))
                 at = at[~(size <= allowed[at] ** 2)]
                 gram = self.inertia.gram(x, at, delta[at], *space.change(y[:, at], delta[at]))

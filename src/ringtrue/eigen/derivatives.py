@@ -166,8 +166,6 @@ class _Load:
     ----------
     rows : (r,) int64
     force : (r, m) float64
-    part : (n, m) float64
-        Along all modes.
     along : (n, m) float64
         The part of φ' in the modes.
     live : (m,) bool
@@ -176,7 +174,6 @@ class _Load:
 
     rows: Int
     force: Float
-    part: Float
     along: Float
     live: Bool
 
@@ -196,23 +193,23 @@ class _Load:
             terms = np.linalg.norm(_product(abs(s.stiffness), np.abs(phi[:, rigid]))[1], axis=0)
             terms += np.abs(lam).max() * np.linalg.norm(dm[:, rigid], axis=0)
             live[rigid] &= size[rigid] > STILL * terms
-        return cls(rows, force, pm * lam[:m] - pk, modal_coefficients(pk, pm, lam, close), live)
+        return cls(rows, force, modal_coefficients(pk, pm, lam, close), live)
 
 
 def _moved(space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tolerance: float) -> Float:
     """φ' (k, f) for pairs of a load and a mode; those of a load stand side by side."""
     pairs = list(zip(owner.tolist(), mode.tolist(), strict=True))
-    part, along = (np.stack([getattr(loads[i], name)[:, j] for i, j in pairs], axis=1) for name in ("part", "along"))
+    along = np.stack([loads[i].along[:, j] for i, j in pairs], axis=1)
     size = np.array([np.linalg.norm(loads[i].force[:, j]) for i, j in pairs])
 
     def forces(c: slice) -> Float:
-        r = space.balance(part[:, c])
+        r = np.zeros((owner[c].size, space.pencil.size))
         for i in np.unique(owner[c]).tolist():
             at = np.flatnonzero(owner[c] == i)
             r[at[0] : at[-1] + 1, loads[i].rows] += loads[i].force[:, mode[c][at]].T
         return r
 
-    return space.balanced(forces, space.modes.values[mode], tolerance * size, along)
+    return space.columns(forces, space.modes.values[mode], tolerance * size, along)
 
 
 def branch_derivatives(

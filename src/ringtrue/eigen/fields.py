@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg.blas import dgemm
 
 from ringtrue.core.arrays import Float, Int
 
@@ -24,10 +25,10 @@ def tiles(length: int) -> Iterator[slice]:
 
 
 def add(x: Float, *terms: tuple[Float, Float]) -> None:
-    """Add to x (k, f) products cᵀy of pairs c (l, k), y (l, f)."""
-    for t in tiles(x.shape[1]):
-        for c, y in terms:
-            x[:, t] += c.T @ y[:, t]
+    """Add to x (k, f) products cᵀy of pairs c (l, k), y (l, f); all of whole rows (contiguous)."""
+    for c, y in terms:
+        if c.size:
+            x[:] = dgemm(1.0, y.T, c, 1.0, x.T, overwrite_c=True).T  # in place: numpy skips the assignment to itself
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,11 +66,11 @@ class Fields:
         plain = np.empty((count, self.plain.shape[1]))
         return Fields(plain, plain if self._one else np.empty_like(plain))
 
-    def put(self, start: int, other: Fields) -> None:
-        """Overwrite those from `start` on."""
-        self.plain[start : start + other.count] = other.plain
+    def put(self, other: Fields) -> None:
+        """Become a copy of others, as many."""
+        self.plain[:] = other.plain
         if not self._one:
-            self.loaded[start : start + other.count] = other.loaded
+            self.loaded[:] = other.loaded
 
     def cut(self, at: slice) -> Fields:
         """A view of some."""
@@ -99,13 +100,17 @@ class Inertia:
         self._mass = sparse.csr_array(mass[self._rows][:, self._rows])
         self._signs = np.random.default_rng(0).choice([-1.0, 1.0], self._rows.size)
 
-    def fields(self, x: Float) -> Fields:
-        """Of motions (k, f)."""
-        plain = np.take(x, self._rows, axis=1)
+    def fields(self, x: Float, out: Fields | None = None) -> Fields:
+        """Of motions (k, f), in `out` if it is given."""
+        if out is None:
+            plain = np.empty((len(x), self._rows.size))
+            out = Fields(plain, plain if self._root is not None else np.empty_like(plain))
+        np.take(x, self._rows, axis=1, out=out.plain, mode="clip")  # other modes go through a copy
         if self._root is None:
-            return Fields(plain, np.ascontiguousarray((self._mass @ plain.T).T))
-        plain *= self._root
-        return Fields(plain, plain)
+            out.loaded[:] = (self._mass @ out.plain.T).T
+        else:
+            out.plain[:] *= self._root
+        return out
 
     def forces(self, x: Fields) -> Float:
         """xM on all rows (k, f)."""
