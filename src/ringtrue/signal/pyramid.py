@@ -16,7 +16,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.signal.stream import Fir
 
-AT_ONCE = 1 << 20  # samples of all channels that are transformed together: they stay in the cache
+AT_ONCE = 1 << 21  # samples of all channels that are transformed together: they stay in the cache
 INVERSE = 10.0  # inverse transforms of a block over transforms of a segment: 8 references
 LOOKS = 48  # segments that `glance` takes
 
@@ -262,9 +262,11 @@ def _kept(keep: Any_ | None, start: int, size: int) -> Any_ | None:
 
 def _references(x: Any_, cut: Segments, count: int, references: Int, keep: Any_ | None) -> Any_:
     """(freq, segment, ref) conjugate spectra of the samples of each segment that count."""
-    inner = x[references, cut.lead : cut.lead + count * cut.hop]
-    inner = (inner if keep is None else inner * keep).reshape(references.size, count, cut.hop)
-    return np.ascontiguousarray(rfft(inner.transpose(2, 1, 0), cut.size, axis=0).conj())
+    inner = x[:, cut.lead : cut.lead + count * cut.hop].reshape(len(x), count, cut.hop)
+    padded = np.zeros((references.size, count, cut.size), dtype=np.float32)
+    np.multiply(inner[references], 1 if keep is None else keep.reshape(count, cut.hop), out=padded[:, :, : cut.hop])
+    y = rfft(padded.transpose(2, 1, 0), axis=0)
+    return np.conj(y, out=y)
 
 
 def _decimated(y: Any_, cut: Segments, gain: Any_) -> Any_:
