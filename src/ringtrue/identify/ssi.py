@@ -104,7 +104,7 @@ def decompose(h: Float, order: int, gram: LinearOperator | None = None) -> tuple
     A Rayleigh-Ritz step follows where the square of a singular value comes near the rounding of the largest.
     """
     j = h.shape[1]
-    if j <= 4 * order:
+    if j <= 4 * order and len(h) <= 4 * j:
         u, s, vt = svd(h, full_matrices=False)
         return u[:, :order], s[:order], vt[:order].T
     size, v = eigsh(h.T @ h if gram is None else gram, order, v0=np.ones(j), tol=1e-8)
@@ -221,28 +221,36 @@ def spanning(lagged: Float, most: int) -> Int:
     return np.sort(np.asarray(pivots[:most], dtype=np.int64))
 
 
-def blockwise(signals: Signals, scale: Float, references: Int | None, settings: SsiCov) -> tuple[Any_, Float]:
-    """Correlations (block, lag, ch, ref) float32 in units of `scale` (ch,), and the weights (block,) of the blocks.
+def blockwise(history: TimeHistory, references: Int | None, settings: SsiCov) -> tuple[Any_, Float, Float]:
+    """Correlations (block, lag, ch, ref) float32 in units of the root mean squares, the weights (block,), those (ch,).
 
     `references` None: all channels, or the 8 that span the motion best.
 
     Raises
     ------
     DataError
-        If the record is too short for the lags.
+        If the record is too short for the lags, or a channel is constant or not finite.
     """
-    lags = 2 * settings.block_rows - 1
+    signals, lags = Signals.straightened(history.data), 2 * settings.block_rows - 1
     if signals.samples < 4 * lags:
         raise DataError(
             f"{signals.samples} samples are too few for {settings.block_rows} block rows; needed are {4 * lags}"
         )
     blocks = settings.blocks or var.blocks_for(signals.samples, lags)
     cut = pyramid.segments(signals.samples, blocks, lags, AS_IS, AS_IS)
-    refs = spanning(pyramid.glance(signals, cut, AS_IS)[1], MAX_REFERENCES) if references is None else references
-    r, _ = pyramid.run(signals, cut, AS_IS, AS_IS, refs)
-    r /= (scale[:, None] * scale[refs]).astype(np.float32)
-    weights = loudness_weights(r, refs) * pyramid.pairs(cut, signals.samples)[:, 0]
-    return r, weights / weights.sum()
+    if references is None:
+        seen, lagged = pyramid.glance(signals, cut, AS_IS)
+        _alive(history, np.isfinite(seen) + 0.0)
+        references = spanning(lagged, MAX_REFERENCES)
+    r, _ = pyramid.run(signals, cut, AS_IS, AS_IS, references)
+    used = pyramid.pairs(cut, signals.samples)[:, 0]
+    if references.size < signals.level.size:
+        scale = _alive(history, signals.power())
+    else:  # they are in the correlations
+        scale = _alive(history, used @ np.einsum("bii->bi", r[:, 0][:, references]) / signals.samples)
+    r /= (scale[:, None] * scale[references]).astype(np.float32)
+    weights = loudness_weights(r, references) * used
+    return r, weights / weights.sum(), scale
 
 
 def loudness_weights(r: Float, references: Int) -> Float:
@@ -316,9 +324,7 @@ def ssi_cov(
         If the record is too short, has dead channels or has no such reference.
     """
     settings = settings or SsiCov()
-    signals = Signals.straightened(history.data)
-    scale = _alive(history, signals.power())
-    r, weights = blockwise(signals, scale, None if references is None else positions(history, references), settings)
+    r, weights, scale = blockwise(history, None if references is None else positions(history, references), settings)
     band = (0.0, history.rate / 2)
     if len(r) == 1:
         sub = subspace(r[0].astype(np.float64), settings.block_rows, settings.order_max, history.rate)

@@ -18,6 +18,7 @@ from ringtrue.signal.stream import Fir
 
 AT_ONCE = 1 << 21  # samples of all channels that are transformed together: they stay in the cache
 INVERSE = 10.0  # inverse transforms of a block over transforms of a segment: 8 references
+LONGEST = 5  # samples of a segment that count, over those that overlap
 LOOKS = 48  # segments that `glance` takes
 
 
@@ -56,8 +57,9 @@ def segments(samples: int, blocks: int, lags: int, band: Fir, decimation: Fir) -
     lead = -(-(max(band.taps.size, decimation.taps.size) // 2 + 16) // factor) * factor
     beside = 2 * lead + lags
     block = -(-samples // blocks)
-    # long ones overlap less, but each block has the inverse transforms of all its correlations
-    each = max(1, round(np.sqrt(INVERSE * block / beside)))
+    # long ones overlap less, but each block has the inverse transforms of all its correlations, and products of
+    # many short ones take less time
+    each = max(1, round(max(np.sqrt(INVERSE * block / beside), block / (LONGEST * beside))))
     hop = -(-block // (each * factor)) * factor
     size = factor * int(next_fast_len(-(-(hop + beside) // factor), real=True))
     return Segments(blocks, each, hop, lead, size, lags, factor)
