@@ -10,9 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import solve_triangular
 
 from ringtrue.core.arrays import Any_, Complex, Float
+
+TOGETHER = 4  # blocks whose perturbations are in the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,16 +40,11 @@ class Perturbations:
 
 def hankel(r: Any_, rows: int) -> Any_:
     """Block-Hankel (rows·ch, rows·ref) of the lags 1 .. 2·rows − 1 of `r` (lag, ch, ref)."""
-    return np.asarray(_block_rows(r[None], rows)[0].reshape(rows * r.shape[1], rows * r.shape[2]))
-
-
-def _block_rows(r: Any_, rows: int) -> Any_:
-    """(block, row, ch, rows·ref) view of the Hankel matrices of `r` (block, lag, ch, ref)."""
-    by_channel = np.ascontiguousarray(r.transpose(0, 2, 1, 3)[:, :, 1 : 2 * rows])
-    nb, ch, _, ref = by_channel.shape
+    by_channel = np.ascontiguousarray(r.transpose(1, 0, 2)[:, 1 : 2 * rows])
+    ch, _, ref = by_channel.shape
     s = by_channel.strides
-    shape, strides = (nb, rows, ch, rows * ref), (s[0], s[2], s[1], s[3])
-    return as_strided(by_channel, shape, strides, writeable=False)
+    view = as_strided(by_channel, (rows, ch, rows * ref), (s[1], s[0], s[2]), writeable=False)
+    return np.asarray(view.reshape(rows * ch, rows * ref))
 
 
 def deviations(r: Any_, weights: Float) -> tuple[Float, Any_]:
@@ -65,9 +63,14 @@ def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations
     ch, nb, n = dr.shape[2], dr.shape[0], vs.shape[1]
     # a standard deviation needs no more than single precision, which halves the time
     vs32, q32, r32, last32 = (x.astype(np.float32) for x in (vs, q.T, (q.T @ u[:-ch]).T, u[-ch:].T))
-    t = np.empty((nb, rows * ch, n), dtype=np.float32)
-    for b, view in enumerate(_block_rows(dr.astype(np.float32), rows)):  # the copies of one in memory at a time
-        np.matmul(view, vs32, out=t[b].reshape(rows, ch, n))
+    size = int(next_fast_len(2 * rows - 1, real=True))
+    by = rfft(vs32.reshape(rows, -1, n), size, axis=0).conj()
+    t: Any_ = np.empty((nb, rows, ch, n), dtype=np.float32)
+    for k in range(0, nb, TOGETHER):  # a Hankel matrix times another is a convolution
+        part = rfft(dr[k : k + TOGETHER, 1 : 2 * rows].astype(np.float32), size, axis=1).transpose(1, 0, 2, 3)
+        product = irfft(part.reshape(len(by), -1, by.shape[1]) @ by, size, axis=0)[:rows]
+        t[k : k + TOGETHER] = product.reshape(rows, -1, ch, n).transpose(1, 0, 2, 3)
+    t = t.reshape(nb, rows * ch, n)
     up = q32 @ t[:, :-ch]
     inner = r32 @ up + last32 @ t[:, -ch:]  # Uᵀ ΔO, as U without its last block row is Q R
     return Perturbations(up, q32 @ t[:, ch:], t[:, :ch].copy(), inner)

@@ -96,7 +96,7 @@ def _periodogram(history: TimeHistory) -> tuple[Float, float]:
 
 def _taper(samples: int) -> Any_:
     """Blackman-Harris window (sample,) float32 by powers of one cosine."""
-    c = np.cos(2 * np.pi * np.arange(samples) / samples).astype(np.float32)
+    c = np.cos(np.arange(samples, dtype=np.float32) * np.float32(2 * np.pi / samples))
     c2 = c * c
     return (0.35875 - 0.14128) + c * (3 * 0.01168 - 0.48829) + c2 * (2 * 0.14128 - 4 * 0.01168 * c)
 

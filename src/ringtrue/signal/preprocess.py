@@ -296,15 +296,14 @@ def _moments(data: Any_, length: int, rate: float) -> tuple[Float, Float, Float]
     """
     win, count = window("blackmanharris", length), (data.shape[1] - length) // (length // 2) + 1
     power = np.zeros((count, length // 2 + 1), dtype=np.float32)
-    seg = np.empty((_BATCH, length), dtype=np.float32)
+    seg, own = np.empty((_BATCH, length), dtype=np.float32), np.empty(data.shape[1], dtype=np.float32)
     for i in np.unique(np.linspace(0, len(data) - 1, _LINES).astype(np.int64)):
         some = data[i, :: max(1, data.shape[1] // 20000)]
         level, scale = some.mean(dtype=np.float64), max(float(np.std(some, dtype=np.float64)), 1e-30)
-        gain, parts = (win / scale).astype(np.float32), sliding_window_view(data[i], length)[:: length // 2]
+        np.subtract(data[i], level, out=own, casting="same_kind")
+        gain, parts = (win / scale).astype(np.float32), sliding_window_view(own, length)[:: length // 2]
         for k in range(0, count, _BATCH):  # in the cache, and in place: most of the time is that of the transforms
-            x = seg[: min(_BATCH, count - k)]
-            np.subtract(parts[k : k + _BATCH], level, out=x, casting="same_kind")
-            x *= gain
+            x = np.multiply(parts[k : k + _BATCH], gain, out=seg[: min(_BATCH, count - k)])
             y = rfft(x, axis=1).view(np.float32)
             y *= y
             power[k : k + _BATCH] += y[:, ::2]

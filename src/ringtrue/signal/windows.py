@@ -23,4 +23,6 @@ def step(freqs: Float, start: float, stop: float) -> Float:
     if start == stop:
         return np.asarray(freqs >= stop, dtype=np.float64)
     x = np.clip((np.asarray(freqs, dtype=np.float64) - start) / (stop - start), 0.0, 1.0)
-    return np.asarray(np.sin(0.5 * np.pi * x) ** 2)
+    edge = (x > 0.0) & (x < 1.0)
+    x[edge] = np.sin(0.5 * np.pi * x[edge]) ** 2
+    return np.asarray(x)
