@@ -20,7 +20,7 @@ from ringtrue.identify.choice_hammer import hand_poles
 from ringtrue.identify.deflate import missed, support
 from ringtrue.identify.frf_input import frf_notes, odd_channel, refuse_bad_frfs, sound_pairs
 from ringtrue.identify.judge import Candidates, Verdict, judge
-from ringtrue.identify.lsfd import Lines, lsfd, noise, prepare, synthesise_windowed
+from ringtrue.identify.lsfd import Lines, lsfd, noise, noise_left, prepare, synthesise_windowed, weighted_rest
 from ringtrue.identify.peaks import cmif
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
@@ -155,14 +155,17 @@ def identify_hammer(
             "narrow the band with fmin, fmax"
         )
     tell(0.65, f"residues of {candidates.pole.size} candidates")
-    lines = prepare(used, sigma)
-    search = _Search(lines, sound_pairs(used), settings, [d.poles for d in diagrams], used.window_decay, frfs.source)
+    search = _Search(
+        prepare(used, sigma), sound_pairs(used), settings, [d.poles for d in diagrams], used.window_decay, frfs.source
+    )
     fit, rejected = _fit(search, candidates, tell)
     tell(0.95, "verdict")
+    search, fit, why = _reweighed(search, used, fit)
+    rejected += why
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
     odd = odd_channel(used, fit.refined.poles)
     notes = (*frf_notes(frfs), *((odd,) if odd else ()), *notes)
-    return replace(_report(used, lines, fit, rejected, (low, high), tuple(diagrams), curve), notes=notes)
+    return replace(_report(used, search.lines, fit, rejected, (low, high), tuple(diagrams), curve), notes=notes)
 
 
 def _limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
@@ -254,6 +257,16 @@ def _fit(search: _Search, start: Candidates, tell: Progress) -> tuple[_Fit, list
         best = replace(best, refined=united(lines, last, search.pairs))
     best, why = search.settle(best, best.refined.poles.size + 1, strict=True)  # every turn but the last drops a mode
     return best, rejected + why
+
+
+def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit, list[str]]:
+    """The modes refined once more, every line weighed by what the first fit left there: deviations rest on that."""
+    r = fit.refined
+    left = noise_left(search.lines, weighted_rest(search.lines, r.poles, r.participation, r.shapes))
+    search = replace(search, lines=prepare(frfs, left))
+    start = replace(fit.candidates, pole=r.poles, participation=r.participation)
+    new, why = search.settle(search.refined(start), r.poles.size + 1, strict=True)
+    return search, new, why
 
 
 def _by_hand(

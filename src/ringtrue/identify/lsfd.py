@@ -20,6 +20,8 @@ from ringtrue.core.modes import Norm
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
 
+_SMOOTHED, _VALUES = 5, 40  # lines that their noise is averaged over, and values at least
+_LEAST = 1e-4  # of the squared noise of a typical line
 POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 Pairs = Sequence[tuple[int, int, float]]
 
@@ -212,6 +214,20 @@ def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: 
     """(in, freq, out) what modes and residual terms leave of the data, in units of the noise."""
     model = modal_part(lines, poles, shapes, participation * lines.input).transpose(2, 0, 1) * lines.weight[:, None]
     return np.asarray((lines.y - without_terms(lines.terms, model)) * lines.response)
+
+
+def noise_left(lines: Lines, rest: Complex) -> Noise:
+    """The noise that a fit tells by what it leaves, `rest` (in, freq, out) of `weighted_rest`.
+
+    The errors of measured FRFs grow with the response near a mode, whatever the coherence says of a typical channel.
+    """
+    power = np.abs(rest) ** 2 + np.finfo(float).tiny
+    response, given = power.mean(axis=(0, 1)), power.mean(axis=(1, 2))
+    response, given = response / np.exp(np.log(response).mean()), given / np.exp(np.log(given).mean())
+    line = (power / (response * given[:, None, None])).mean(axis=(0, 2))
+    wide = max(_SMOOTHED, int(np.ceil(_VALUES / (response.size * given.size))) | 1)
+    line = np.maximum(_smooth(line, min(wide, line.size - 1 + line.size % 2)), _LEAST * np.median(line))
+    return Noise(np.sqrt(line) / lines.weight, np.sqrt(response) / lines.response, np.sqrt(given) / lines.input)
 
 
 def synthesise_windowed(model: ModalModel, lines: Lines) -> Complex:

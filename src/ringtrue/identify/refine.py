@@ -14,7 +14,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.outcome import Outcome
-from ringtrue.identify.lsfd import Lines, augment, functions, mirrored, mirrored_rows
+from ringtrue.identify.lsfd import Lines, augment, functions, mirrored, mirrored_rows, weighted_rest
 
 ITERATIONS = 20
 REACH = 2.0  # half bandwidths
@@ -176,7 +176,7 @@ def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
 
 def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
     m = state.poles.size
-    cov, error2 = _covariance(lines, state)
+    cov, _, error2 = _covariance(lines, state)
     slope = _slopes(state.poles)
     real = slope @ _real(cov[: 2 * m, : 2 * m], m) @ slope.T
     values, vectors = np.linalg.eigh((real + real.T) / 2)
@@ -195,8 +195,11 @@ def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
     )
 
 
-def _covariance(lines: Lines, state: _State) -> tuple[Complex, float]:
-    """Covariance of all augmented parameters, zero for those that fix the scales, and the squared weighted error."""
+def _covariance(lines: Lines, state: _State) -> tuple[Complex, Float, float]:
+    """Covariance of all augmented parameters, zero for those that fix the scales, and the squared weighted errors.
+
+    The errors are those (out, m) that the residues see, and that of all data.
+    """
     free = state.free
     data = 2 * lines.y.size
     error2 = max(state.cost / max(data - free.size - 2 * state.shapes.size, 1), 0.0)
@@ -204,8 +207,48 @@ def _covariance(lines: Lines, state: _State) -> tuple[Complex, float]:
     scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
     cov = np.zeros_like(state.hessian)
     inner = np.linalg.pinv(scale[:, None] * h * scale, rcond=FLAT, hermitian=True)
-    cov[np.ix_(free, free)] = 2 * error2 * scale[:, None] * inner * scale
-    return cov, error2
+    cov[np.ix_(free, free)] = 2 * scale[:, None] * inner * scale
+    own, shared = _local_error(lines, state)
+    each = np.tile(np.sqrt(shared), state.hessian.shape[0] // shared.size)
+    return cov * each[:, None] * each, own, error2
+
+
+def _local_error(lines: Lines, state: _State) -> tuple[Float, Float]:
+    """Squared weighted errors where each mode is seen: (out, m) of its residues, (m,) of its pole and participation.
+
+    The errors of measured FRFs grow with the response, in the channels that see a mode most of all: so each error
+    counts as much as it moves the parameter, and what the fit takes of it is given back.
+    """
+    m, n_out = state.poles.size, state.shapes.shape[0]
+    rest = weighted_rest(lines, state.poles, state.part / lines.input, state.shapes)
+    part = (np.abs(state.part) ** 2).T[:, None]
+    by_shape, by_pole = (part * np.abs(functions(lines, state.poles, k)[:, :m]) ** 2 for k in (1, 2))
+    by_shape, by_pole = (w / w.sum(axis=(0, 1)) for w in (by_shape, by_pole))  # (in, freq, mode)
+    taken = 1 - by_shape - by_pole / n_out
+    early = _early(lines, rest, state.poles)
+    power = 0.5 * np.abs(rest) ** 2
+    own, shared = (
+        np.tensordot(power, w / np.maximum((w * taken).sum(axis=(0, 1)), 0.1), ([0, 1], [0, 1])) * e
+        for w, e in zip((by_shape, by_pole), early, strict=True)
+    )
+    share = (np.abs(state.shapes) * lines.response[:, None]) ** 2
+    return own, (shared * share).sum(axis=0) / share.sum(axis=0)
+
+
+def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:
+    """(2, m) power of the error while a mode rings, over that of the whole block; for residues, and for poles.
+
+    An exponential window leaves the noise at the start of the block, where the modes are: lines next to each other
+    then have the same error, and there are fewer of them than it seems.
+    """
+    power = (np.abs(np.fft.ifft(rest, axis=1)) ** 2).sum(axis=(0, 2))
+    t = np.arange(power.size) / power.size * 2 * np.pi / (lines.s.imag[1] - lines.s.imag[0])
+    ringing = np.exp(-2 * t[:, None] * (lines.s[0].real - poles.real))
+    both = np.stack([ringing, ringing * t[:, None] ** 2])
+    there = (power @ both) / np.maximum(both.sum(axis=1), 1e-300)
+    early = np.maximum(there / max(power.mean(), 1e-300), 1.0)
+    taken = (early - 1) * (poles.size + lines.terms.shape[1]) / power.size  # by the fit, of the few values at the start
+    return np.asarray(early / (1 - np.minimum(taken, 0.8)))
 
 
 def shape_deviations(lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int, float]] | None) -> Float:
@@ -222,9 +265,9 @@ def shape_deviations(lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int,
         Driving points; None leaves the scale to the largest participation, held fixed.
     """
     state = _evaluate(lines, fit.poles, fit.participation * lines.input)
-    cov, error2 = _covariance(lines, state)
+    cov, error, _ = _covariance(lines, state)
     tile = np.tile(augment(state.shapes.T), (1 + fit.participation.shape[1], 1)).T  # (out, parameter)
-    own = state.shape_var * error2
+    own = state.shape_var * error
     psi = np.where(state.shapes == 0, np.finfo(float).tiny, state.shapes)
     out = np.empty(psi.shape)
     for k in range(fit.poles.size):  # (out, parameter) arrays of all modes at once would not fit
