@@ -36,7 +36,7 @@ def wrap(y: np.ndarray, rate: float) -> TimeHistory:
     return TimeHistory(y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made")
 
 
-def response(force: np.ndarray) -> np.ndarray:
+def response(force: np.ndarray, derivative: int = 2) -> np.ndarray:
     """Modal accelerations (6, sample) for modal forces (6, sample), force held over a sample (exact)."""
     w = 2 * np.pi * F
     lam = -Z * w + 1j * w * np.sqrt(1 - Z**2)
@@ -44,7 +44,8 @@ def response(force: np.ndarray) -> np.ndarray:
     for s, f in zip(lam, force, strict=True):
         a = np.exp(s / RATE)
         z = lfilter([0, (a - 1) / s], [1, -a], f)
-        out.append(2 * np.real(s**2 / (2j * s.imag) * z) + 2 * np.real(s / (2j * s.imag)) * f)
+        direct = 2 * np.real(s / (2j * s.imag)) * f if derivative == 2 else 0.0
+        out.append(2 * np.real(s**derivative / (2j * s.imag) * z) + direct)
     return np.array(out)
 
 
@@ -75,6 +76,22 @@ def test_all_modes_are_found_and_none_invented():
         assert len(r.modes) == 6, r.reasons
         assert (r.modes.confidence > 0.33).all()
         assert all("orders" in x for x in r.reasons)
+
+
+def test_accelerations_velocities_and_displacements_are_one_motion():
+    """Shapes of velocities stand a quarter of a turn off those of accelerations: no complex modes."""
+    rng, kinds = np.random.default_rng(5), np.array([2, 2, 2, 2, 1, 1, 1, 0, 0, 0])
+    force = rng.standard_normal((6, int(MINUTES * 60 * RATE) + 6000))
+    y = np.concatenate([PHI[kinds == k] @ response(force, k)[:, 6000:] for k in (2, 1, 0)])
+    y += 0.02 * y.std(1, keepdims=True) * rng.standard_normal(y.shape)
+    names = ("displacement", "velocity", "acceleration")
+    channels = tuple(Channel(f"{i + 1}+Z", names[k]) for i, k in enumerate(kinds))
+    r = identify_ambient(TimeHistory(y, RATE, channels, "mixed"))
+    at = np.abs(r.modes.frequencies[:, None] / F - 1).argmin(0)
+    assert len(r.modes) == 6, r.reasons
+    assert r.modes.frequencies[at] == pytest.approx(F, rel=6e-3)
+    assert np.diag(mac(r.modes.shapes[:, at], PHI.astype(complex))).min() > 0.98
+    assert "channels of different kinds: shapes are those of acceleration in all" in r.notes
 
 
 def test_bias_is_small_and_stated_deviation_covers_the_scatter():

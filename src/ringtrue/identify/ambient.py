@@ -20,7 +20,10 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify import variance as var
 from ringtrue.identify.ambient_record import (
+    Heard,
+    Motion,
     long_enough,
+    one_motion,
     references,
     response_slope,
     spectrum,
@@ -168,7 +171,7 @@ def _halves(
 
 
 def _candidates(
-    sums: BandSums, r: Any_, weights: Float, parts: tuple[Int, Int], choice: Choice | None, least: float, driven: bool
+    sums: BandSums, r: Any_, weights: Float, parts: tuple[Int, Int], least: float, heard: Heard
 ) -> tuple[BandPoles, Candidates, Int, list[tuple[int, int]]]:
     """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower orders.
 
@@ -178,14 +181,14 @@ def _candidates(
     for share in (ENOUGH, 1.0):
         pairs: list[tuple[int, int]] = []
         some = replace(ssi, order_max=max(2 * int(share * ssi.order_max / 2), 2))
-        poles = identify_band(r, weights, some, band.rate, (band.low, band.high))
-        table, picked = with_picks(candidates(poles, driven=driven), poles, choice)
+        poles = identify_band(r, weights, some, band.rate, (band.low, band.high), heard.turn)
+        table, picked = with_picks(candidates(poles, driven=heard.driven), poles, heard.choice)
         if table.pole.size:
             halves = _halves(r, weights, some, poles, band, parts)
             agreed = half_agreement(table, halves)
-            if driven and r.shape[3] > 1:
+            if heard.driven and r.shape[3] > 1:
                 mean = np.tensordot(weights, r, 1)
-                other = by_references(mean, some, band.rate, (0.97 * band.low, 1.03 * band.high))
+                other = by_references(mean, some, band.rate, (0.97 * band.low, 1.03 * band.high), heard.turn)
                 agreed = np.maximum(agreed, half_agreement(table, other))
             table = replace(table, halves=agreed)
             table, pairs = with_pairs(table, poles, halves, tries, least)
@@ -195,33 +198,38 @@ def _candidates(
     return poles, table, picked, pairs
 
 
-def _band(
-    sums: BandSums, settings: AmbientSettings, slope: tuple[float, float], choice: Choice | None, driven: bool
-) -> Found:
-    """Modes of one band; `driven` by events: its spectra are not those of stationary noise."""
-    r = sums.r
+def _band(sums: BandSums, settings: AmbientSettings, heard: Heard) -> Found:
+    """Modes of one band."""
+    r, motion = sums.r, heard.motion
     power = block_power(r, sums.references)
-    loudness = event_weights(power) if driven else block_weights(power)
+    loudness = event_weights(power) if heard.driven else block_weights(power)
     weights = loudness * sums.share / (loudness @ sums.share)
-    halves = np.array_split(np.arange(power.size), 2) if not driven else even_halves(power)
-    poles, table, picked, pairs = _candidates(
-        sums, r, weights, (halves[0], halves[1]), choice, settings.confidence_min, driven
-    )
+    halves = np.array_split(np.arange(power.size), 2) if not heard.driven else even_halves(power)
+    poles, table, picked, pairs = _candidates(sums, r, weights, (halves[0], halves[1]), settings.confidence_min, heard)
     sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
     turning = tuple(i for both in pairs for i in both)
-    found = _found(sums, poles, table, sure, picked, turning)
+    found = _found(sums, poles, table, sure, picked, turning, motion)
     at = np.array([i for _, i in select([found], settings.confidence_min)], dtype=np.int64)
-    if not at.size or driven or not steady(loudness):
+    if not at.size or heard.driven or not steady(loudness):
         return found
-    return _found(sums, poles, loosened(refined(table, at, sums.eyes, sums.bins, slope), pairs), sure, picked, turning)
+    bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
+    table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
+    return _found(sums, poles, table, sure, picked, turning, motion)
 
 
 def _found(
-    sums: BandSums, poles: BandPoles, table: Candidates, sure: Float, picked: Int, turning: tuple[int, ...]
+    sums: BandSums,
+    poles: BandPoles,
+    table: Candidates,
+    sure: Float,
+    picked: Int,
+    turning: tuple[int, ...],
+    motion: Motion | None,
 ) -> Found:
-    """The candidates with shapes in the channels' units."""
-    scaled = table.shape * sums.scale[:, None]
-    std = var.modulus_std(scaled, table.shape_deviation * sums.scale[:, None])
+    """The candidates with shapes in the channels' units, or in that of one motion."""
+    scale = sums.scale[:, None] if motion is None else sums.scale[:, None] * motion.lift(table.pole)
+    scaled = table.shape * scale
+    std = var.modulus_std(scaled, table.shape_deviation * scale.T[:, :, None])
     return Found(table, unit(scaled), std, sure, _diagram(poles, table, sums), picked, turning)
 
 
@@ -308,10 +316,11 @@ def identify_stretches(
     ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH)
     more_to_come = chain(() if second is None else (second,), coming)
     sums, heard = gathered(good, more_to_come, bands, ssi, refs, places, tell)
-    found = []
+    found, motion = [], one_motion(good.channels)
+    known = Heard(response_slope(good), choice, any(e.driven for e in heard), motion)
     for k, x in enumerate(sums):
         tell((k + 1) / (len(bands) + 2), f"identifying {x.band.low:.3g} .. {x.band.high:.3g} Hz")
-        found.append(_band(x, settings, response_slope(good), choice, any(e.driven for e in heard)))
+        found.append(_band(x, settings, known))
     result = _assemble(good, found, lines, bands, settings, choice, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.reasons)
@@ -323,6 +332,8 @@ def identify_stretches(
     notes = tuple(f"channel {s.id}: {s.why}{'' if s.usable else '; left out'}" for s in states)
     if whole is None:
         notes += ("every channel is clipped: machines are not told from modes",)
+    if motion:
+        notes += (f"channels of different kinds: shapes are those of {motion.kind} in all",)
     return replace(result, notes=notes + struck(heard) + result.notes)
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.choice import Choice
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.whittle import SpectralBins
 from ringtrue.signal.events import Events
 from ringtrue.signal.preprocess import Band
 
 FEW = 8  # events
+DERIVATIVE = {"acceleration": 2, "velocity": 1, "displacement": 0, "strain": 0}
 
 
 def spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) -> tuple[Float, Float]:
@@ -29,9 +34,72 @@ def spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) -> 
 def response_slope(history: TimeHistory) -> tuple[float, float]:
     """Exponent of the frequency in the responses' spectrum under a flat force, and its standard deviation."""
     kinds = {c.quantity for c in history.channels}
-    known = {"acceleration": 4.0, "velocity": 2.0, "displacement": 0.0, "strain": 0.0}
     kind = kinds.pop() if len(kinds) == 1 else "unknown"
-    return (known[kind], 1.5) if kind in known else (2.0, 3.0)
+    return (2.0 * DERIVATIVE[kind], 1.5) if kind in DERIVATIVE else (2.0, 3.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """What makes one motion of channels that measure different kinds of it.
+
+    Attributes
+    ----------
+    kind : str
+        The quantity of the shapes: that of most channels.
+    turn : (ch,) complex128
+        Phases that take a quarter of a turn away for each derivative.
+    power : (ch,) int64
+        Of |λ|, that the moduli are multiplied by; strain keeps its own.
+    """
+
+    kind: str
+    turn: Complex
+    power: Int
+
+    def lift(self, pole: Complex) -> Float:
+        """(ch, m) factors of the moduli of the shapes of poles (m,), rad/s."""
+        return np.asarray(np.abs(pole) ** self.power[:, None])
+
+    def spectra(self, bins: SpectralBins, eyes: Int) -> SpectralBins:
+        """The spectra of some channels as those of one motion."""
+        t = self.turn[eyes].astype(np.complex64)
+        return replace(bins, cross=bins.cross * (t[:, None] * t.conj()))
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What the bands need to know of a record.
+
+    Attributes
+    ----------
+    slope : tuple of float
+        Of `response_slope`.
+    choice : Choice, optional
+    driven : bool
+        By events: its spectra are not those of stationary noise.
+    motion : Motion, optional
+    """
+
+    slope: tuple[float, float]
+    choice: Choice | None
+    driven: bool
+    motion: Motion | None
+
+    @property
+    def turn(self) -> Complex | None:
+        """(ch,) phases of the channels."""
+        return self.motion.turn if self.motion else None
+
+
+def one_motion(channels: Sequence[Channel]) -> Motion | None:
+    """How channels of different kinds become one motion; None where all are of one kind, or not known."""
+    kinds = [str(c.quantity) for c in channels if c.quantity in DERIVATIVE]
+    if len(set(kinds)) < 2:
+        return None
+    kind = max(DERIVATIVE, key=lambda k: kinds.count(k))
+    order = np.array([DERIVATIVE.get(c.quantity, DERIVATIVE[kind]) - DERIVATIVE[kind] for c in channels])
+    strain = np.array([c.quantity == "strain" for c in channels])
+    return Motion(kind, np.asarray((-1j) ** order, dtype=np.complex128), np.where(strain, 0, -order))
 
 
 def with_nothing_found(history: TimeHistory, left_out: list[str], modes: int, bands: tuple[Band, ...]) -> list[str]:

@@ -62,7 +62,10 @@ class SsiCov:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subspace:
-    """The decomposition all orders come from: H ≈ U S Vᵀ, O = U, the QR of O without its last block row."""
+    """The decomposition all orders come from: H ≈ U S Vᵀ, O = U, the QR of O without its last block row.
+
+    `turn` (ch,) complex128 are the phases that make one motion of channels of different kinds, where there are some.
+    """
 
     u: Float
     s: Float
@@ -72,6 +75,11 @@ class Subspace:
     qd: Float
     channels: int
     rate: float
+    turn: Complex | None = None
+
+    def turned(self, psi: Complex) -> Complex:
+        """Shapes (ch, ...) as those of one motion."""
+        return psi if self.turn is None else (psi.T * self.turn).T
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,24 +143,24 @@ def hankel_gram(r: Float, rows: int) -> LinearOperator:
     return LinearOperator((columns, columns), matvec=product, dtype=np.float64)
 
 
-def subspace(r: Float, rows: int, order: int, rate: float) -> Subspace:
+def subspace(r: Float, rows: int, order: int, rate: float, turn: Complex | None = None) -> Subspace:
     """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank ends."""
     ch = r.shape[1]
     h = var.hankel(r, rows)
     gram = hankel_gram(r, rows) if h.shape[1] > WIDE else None
     u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), gram)
     n = int((s > 1e-12 * s[0]).sum())
-    return _factored(u[:, :n], s[:n], v[:, :n] / s[:n], ch, rate)
+    return _factored(u[:, :n], s[:n], v[:, :n] / s[:n], ch, rate, turn)
 
 
 def part_of(whole: Subspace, r: Float, rows: int) -> Subspace:
     """The subspace that the correlations `r` of a part of the record show through the right vectors of the whole."""
-    return _factored(var.hankel(r, rows) @ whole.vs, whole.s, whole.vs, whole.channels, whole.rate)
+    return _factored(var.hankel(r, rows) @ whole.vs, whole.s, whole.vs, whole.channels, whole.rate, whole.turn)
 
 
-def _factored(u: Float, s: Float, vs: Float, ch: int, rate: float) -> Subspace:
+def _factored(u: Float, s: Float, vs: Float, ch: int, rate: float, turn: Complex | None) -> Subspace:
     q, tri = qr(u[:-ch], mode="economic")
-    return Subspace(u, s, vs, np.asarray(q, np.float64), np.asarray(tri, np.float64), q.T @ u[ch:], ch, rate)
+    return Subspace(u, s, vs, np.asarray(q, np.float64), np.asarray(tri, np.float64), q.T @ u[ch:], ch, rate, turn)
 
 
 def transition(sub: Subspace, n: int) -> tuple[Float, Complex, Complex, Complex]:
@@ -176,7 +184,7 @@ def _order(
     ok = (mu.imag > 0) & (zeta > 0) & (zeta < settings.damping_max) & (f >= low) & (f <= high)
     keep = np.flatnonzero(ok).astype(np.int64)
     own = right[:, keep].astype(np.complex128)
-    psi = np.asarray(sub.u[: sub.channels, :n] @ own, dtype=np.complex128)
+    psi = sub.turned(np.asarray(sub.u[: sub.channels, :n] @ own, dtype=np.complex128))
     if p is None or not keep.size:
         blocks = 0 if p is None else len(p.up)
         return keep, log[keep], psi, np.empty((keep.size, blocks), np.complex128), np.full(keep.size, np.nan)
@@ -263,10 +271,12 @@ def block_power(r: Float, references: Int) -> Float:
     return np.asarray(r[:, 0, references, np.arange(references.size)].mean(1), dtype=np.float64)
 
 
-def identify_band(r: Float, weights: Float, settings: SsiCov, rate: float, band: tuple[float, float]) -> BandPoles:
+def identify_band(
+    r: Float, weights: Float, settings: SsiCov, rate: float, band: tuple[float, float], turn: Complex | None = None
+) -> BandPoles:
     """All orders with their uncertainty from block correlations `r` (block, lag, ch, ref) of signals at `rate`."""
     mean, dr = var.deviations(r, weights)
-    sub = subspace(mean, settings.block_rows, settings.order_max, rate)
+    sub = subspace(mean, settings.block_rows, settings.order_max, rate, turn)
     p = var.perturb(dr, settings.block_rows, sub.u, sub.vs, sub.q)
     poles, dev, strength, column = all_orders(sub, p, settings, band)
     return BandPoles(poles, dev, strength, column, sub, p)

@@ -121,7 +121,7 @@ def _shape_deviations(band: BandPoles, at: list[int]) -> Complex:
         n = int(p.order[k])
         i = int(np.argmin(np.abs(orders[n][1] - np.exp(p.pole[k] / sub.rate))))
         c, r = sub.u[: sub.channels, :n], sub.r[:n, :n]
-        row[:] = few * var.shape_deviations(band.perturbations, orders[n], c, i, r)
+        row[:] = sub.turned(few * var.shape_deviations(band.perturbations, orders[n], c, i, r))
     return out
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.ssi import SsiCov, all_orders, subspace
 
@@ -31,11 +31,13 @@ def even_halves(power: Float) -> tuple[Int, Int]:
     return np.sort(rank[first]), np.sort(rank[~first])
 
 
-def by_references(mean: Float, ssi: SsiCov, rate: float, band: tuple[float, float]) -> tuple[PoleSet, PoleSet]:
+def by_references(
+    mean: Float, ssi: SsiCov, rate: float, band: tuple[float, float], turn: Complex | None
+) -> tuple[PoleSet, PoleSet]:
     """Poles of the correlations `mean` (lag, ch, ref) with every other reference, and with the rest.
 
     The noise of sensors is their own: what a single event shows to both is no noise.
     """
     step = replace(ssi, order_step=2 * ssi.order_step)
-    one, two = (subspace(mean[:, :, k::2], ssi.block_rows, ssi.order_max, rate) for k in (0, 1))
+    one, two = (subspace(mean[:, :, k::2], ssi.block_rows, ssi.order_max, rate, turn) for k in (0, 1))
     return all_orders(one, None, step, band)[0], all_orders(two, None, step, band)[0]
