@@ -219,6 +219,20 @@ def test_oma(record: Callable[..., Path], capsys: Capture) -> None:
     assert len(found["channels"]) == 6
 
 
+def test_ema_of_a_roving_hammer_has_shapes_over_the_points_hit(frf: Callable[..., Path], capsys: Capture) -> None:
+    """Two sensors, four points hit: by reciprocity the same as four sensors and two points hit."""
+    with np.load(frf()) as stored:
+        h = stored["H1"]
+    path = frf(H1=h.transpose(1, 0, 2), inputs=["1+Z", "2+Z", "3+Z", "4+Z"], outputs=["1+Z", "2+Z"])
+    status, out, _ = call(capsys, "ema", path)
+    assert status == 0
+    assert "by reciprocity the shapes are those of the points hit" in out
+    value = parsed(capsys, "ema", path)
+    assert value["channels"] == ["1+Z", "2+Z", "3+Z", "4+Z"]
+    shape = np.array(value["modes"][1]["shape_re"])
+    assert np.abs(shape / shape[0]) == pytest.approx([1.0, 0.9, 0.3, 0.8], abs=0.02)
+
+
 def test_ema(frf: Callable[..., Path], capsys: Capture) -> None:
     found = parsed(capsys, "ema", frf(), "--fmin", 2, "--fmax", 35)
     assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx([8.0, 15.0, 27.0], rel=1e-3)

@@ -193,3 +193,32 @@ def test_shapes_of_vendors() -> None:
     assert [round(s.frequency, 4) for s in shapes[:3]] == [0.9564, 2.3416, 5.8807]
     assert shapes[0].values.shape == (441, 6)
     assert read_modes(DATA / "2411 and 2414.uff").shapes.shape == (2646, 10)
+
+
+def test_frfs_of_several_kinds_and_units_are_one_kind_in_si(tmp_path: Path) -> None:
+    """An accelerometer in g, one in in/s^2 and a laser in mm/s over lbf on one point of one oscillator."""
+    f = np.arange(20) * 0.5
+    h = -((2 * np.pi * f) ** 2) / (30.0**2 - (2 * np.pi * f) ** 2 + 2j * 0.05 * 30 * 2 * np.pi * f)
+    velocity = np.divide(h, 2j * np.pi * f, out=np.zeros_like(h), where=f > 0)
+    rows = [(h / 9.80665, 12, "g/lbf"), (h / 0.0254, 12, "(in/s^2)"), (velocity * 1e3, 11, "mm/s/lbf")]
+    parts = []
+    for node, (y, code, unit) in enumerate(rows):
+        block = write_function(4, f, y * 4.4482216152605, (node + 1, 3), (1, 3), codes=(18, code, 13)).decode()
+        mark = f"{code:10d}    0    0    0 NONE                 NONE"
+        under = f"{13:10d}    0    0    0 NONE                 NONE"
+        assert mark in block
+        assert under in block
+        block = block.replace(mark, mark[:-4] + unit)
+        parts.append(block if "lbf" in unit else block.replace(under, under[:-4] + "lbf"))
+    (tmp_path / "f.uff").write_text("".join(parts))
+    frfs = read_frfs(tmp_path / "f.uff")
+    assert frfs.kind == "accelerance"
+    assert {(c.quantity, c.unit) for c in frfs.outputs} == {("acceleration", "m/s^2")}
+    np.testing.assert_allclose(frfs.data[:, :, 0], np.repeat(h[:, None], 3, axis=1), rtol=1e-10, atol=1e-12)
+
+
+def test_a_force_over_a_motion_is_no_frf(tmp_path: Path) -> None:
+    f = np.arange(1, 9) * 0.5
+    (tmp_path / "f.uff").write_bytes(write_function(4, f, f + 1j, (1, 3), (2, 3), codes=(18, 13, 12)))
+    with pytest.raises(DataError, match=r"response 1\+Z is a force; an FRF here is motion over force"):
+        read_frfs(tmp_path / "f.uff")

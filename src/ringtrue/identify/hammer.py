@@ -148,7 +148,8 @@ def identify_hammer(
         diagrams.append(diagram)
     candidates = merged(found, line_step(used), used.window_decay)
     if not candidates.pole.size:
-        raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz")
+        told = "; exchange inputs and responses (signal.frf.reciprocal)" if len(frfs.inputs) > len(frfs.outputs) else ""
+        raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz{told}")
     if 16 * 6 * candidates.pole.size * used.freqs.size > MOST_BYTES:
         raise DataError(
             f"{frfs.source}: {candidates.pole.size} candidates on {used.freqs.size} lines are too many; "

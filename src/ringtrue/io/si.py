@@ -16,11 +16,20 @@ _UNITS: dict[str, tuple[Quantity, float, str]] = {
     "mg": ("acceleration", 1e-3 * G, "m/s^2"),
     "ug": ("acceleration", 1e-6 * G, "m/s^2"),
     "in/s^2": ("acceleration", _INCH, "m/s^2"),
+    "ft/s^2": ("acceleration", 12 * _INCH, "m/s^2"),
+    "cm/s^2": ("acceleration", 1e-2, "m/s^2"),
+    "gal": ("acceleration", 1e-2, "m/s^2"),
     "m/s": ("velocity", 1.0, "m/s"),
+    "cm/s": ("velocity", 1e-2, "m/s"),
     "mm/s": ("velocity", 1e-3, "m/s"),
     "um/s": ("velocity", 1e-6, "m/s"),
     "in/s": ("velocity", _INCH, "m/s"),
+    "ft/s": ("velocity", 12 * _INCH, "m/s"),
     "m": ("displacement", 1.0, "m"),
+    "cm": ("displacement", 1e-2, "m"),
+    "in": ("displacement", _INCH, "m"),
+    "ft": ("displacement", 12 * _INCH, "m"),
+    "mil": ("displacement", 1e-3 * _INCH, "m"),
     "mm": ("displacement", 1e-3, "m"),
     "um": ("displacement", 1e-6, "m"),
     "n": ("force", 1.0, "N"),
@@ -32,7 +41,18 @@ _UNITS: dict[str, tuple[Quantity, float, str]] = {
     "mv": ("unknown", 1e-3, "V"),
     "pa": ("unknown", 1.0, "Pa"),
 }
-_SAME = {"newton": "n", "newtons": "n", "volt": "v", "volts": "v", "m/s**2": "m/s^2"}
+_SAME = {
+    "lb": "lbf",
+    "lbs": "lbf",
+    "g's": "g",
+    "gs": "g",
+    "gn": "g",
+    "newton": "n",
+    "newtons": "n",
+    "volt": "v",
+    "volts": "v",
+    "m/s**2": "m/s^2",
+}
 
 
 def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:

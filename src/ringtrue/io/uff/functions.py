@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,22 @@ from ringtrue.core.signals import Channel, FrfKind, FrfSet, Quantity, TimeHistor
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.plain import RawTable
+from ringtrue.io.si import known, to_si
 from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, Function, read_function, write_function
 from ringtrue.io.uff.scan import scan
 from ringtrue.io.uff.tables import Units, read_units
 
-_QUANTITY: dict[int, Quantity] = {8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force"}
+_QUANTITY: dict[int, Quantity] = {
+    3: "strain",
+    8: "displacement",
+    9: "force",
+    11: "velocity",
+    12: "acceleration",
+    13: "force",
+}
 _SI = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
 _KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
+_DERIVATIVE = {"acceleration": 2, "velocity": 1, "displacement": 0}
 _CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 _TIME_AXIS, _FREQUENCY_AXIS = 17, 18
 
@@ -63,8 +73,8 @@ def read_time(path: Path) -> RawTable:
     if max(rates) - min(rates) > 1e-4 * max(rates):
         raise DataError(f"{path}: different rates, {min(rates):g} to {max(rates):g} Hz; split the file")
     length = min(f.y.size for f in found)
-    kinds = [_QUANTITY.get(f.axes[1].data_type, "unknown") for f in found]
-    data = np.stack([np.real(f.y[:length]) * _factor(q, units) for f, q in zip(found, kinds, strict=True)])
+    kinds, factors = zip(*(_motion(f.axes[1].unit, f, units) for f in found), strict=True)
+    data = np.stack([np.real(f.y[:length]) * x for f, x in zip(found, factors, strict=True)])
     return RawTable(data, rates[0], _names(found), tuple(_SI.get(k, "") for k in kinds), tuple(kinds))
 
 
@@ -105,27 +115,69 @@ def read_frf_sets(path: str | Path) -> FrfSet:
         raise DataError(f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}")
     freqs = frfs[0].x
     outputs, inputs = _channels(frfs)
-    data = _place(frfs, freqs, outputs, inputs, path)
+    data = _place([replace(f, y=f.y * _si(f, units)[1]) for f in frfs], freqs, outputs, inputs, path)
     lost = np.argwhere(np.isnan(data[0]))
     if lost.size:
         o, i = lost[0]
         raise DataError(f"{path}: no function from {inputs[i].id} to {outputs[o].id} ({len(lost)} pairs are absent)")
-    scale = np.array([_factor(c.quantity, units) for c in outputs]) / _factor("force", units)
     coherence = _place([f for f in functions if f.kind == COHERENCE], freqs, outputs, inputs, path).real
+    kind = _one_kind(outputs, path)
     return FrfSet(
-        data * scale[:, None] if (scale != 1).any() else data,
+        _as_kind(data, freqs, outputs, kind),
         freqs,
-        outputs,
+        tuple(replace(c, quantity=kind, unit=_SI.get(kind, "")) for c in outputs),
         inputs,
         np.ascontiguousarray(coherence),
         np.full(len(inputs), np.nan),
-        _KIND.get(outputs[0].quantity, "accelerance"),
+        _KIND.get(kind, "accelerance"),
         source=str(path),
     )
 
 
+def _one_kind(outputs: Sequence[Channel], path: str | Path) -> Quantity:
+    """The quantity of most responses; a force is none."""
+    if wrong := [c.id for c in outputs if c.quantity == "force"]:
+        raise DataError(f"{path}: the response {' '.join(wrong[:8])} is a force; an FRF here is motion over force")
+    kinds = [c.quantity for c in outputs]
+    return max(dict.fromkeys(kinds), key=lambda k: kinds.count(k))
+
+
+def _as_kind(data: Complex, freqs: Float, outputs: Sequence[Channel], kind: str) -> Complex:
+    """The FRFs (f, out, in) as those of one kind of motion; the line at 0 Hz is lost where that is an integral."""
+    order = np.array(
+        [_DERIVATIVE.get(kind, 0) - _DERIVATIVE.get(c.quantity, _DERIVATIVE.get(kind, 0)) for c in outputs]
+    )
+    if not order.any():
+        return data
+    s = 2j * np.pi * freqs[:, None]
+    return np.asarray(data * np.where(s == 0, order == 0, np.where(s == 0, 1, s) ** order)[:, :, None])
+
+
+def _si(f: Function, units: Units | None) -> tuple[Quantity, float]:
+    """Quantity of the response of an FRF and the factor to SI: by the units on its axes, else by data set 164."""
+    over, under = f.axes[1], f.axes[2]
+    text, tail = over.unit.strip(), under.unit.strip()
+    if not _measures(tail, "force") and _measures(text.rpartition("/")[2], "force"):
+        text, _, tail = text.rpartition("/")
+    quantity, motion = _motion(text, f, units)
+    return quantity, motion / (to_si(tail)[1] if _measures(tail, "force") else _factor("force", units))
+
+
+def _motion(unit: str, f: Function, units: Units | None) -> tuple[Quantity, float]:
+    """Quantity of the ordinate and its factor to SI; the unit counts where it is known and not another quantity's."""
+    quantity = _QUANTITY.get(f.axes[1].data_type, "unknown")
+    unit = unit.strip("() ")
+    if unit and known(unit) and quantity in ("unknown", to_si(unit)[0]):
+        return to_si(unit)[:2]
+    return quantity, _factor(quantity, units)
+
+
+def _measures(unit: str, quantity: str) -> bool:
+    return bool(unit and known(unit)) and to_si(unit)[0] == quantity
+
+
 def _channels(frfs: Sequence[Function]) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-    out = {label(*f.response): _QUANTITY.get(f.axes[1].data_type, "unknown") for f in frfs}
+    out = {label(*f.response): _si(f, None)[0] for f in frfs}
     outputs = tuple(Channel(name, q, _SI.get(q, "")) for name, q in out.items())
     inputs = tuple(Channel(name, "force", "N") for name in dict.fromkeys(label(*f.reference) for f in frfs))
     return outputs, inputs

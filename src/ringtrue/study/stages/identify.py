@@ -27,7 +27,7 @@ from ringtrue.io.records import read_record, record_info
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
-from ringtrue.signal.frf import estimate_frf
+from ringtrue.signal.frf import estimate_frf, reciprocal
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
@@ -225,9 +225,13 @@ def ambient(
 
 
 def hammer(
-    records: Sequence[Logged], settings: IdentifySection, choice: Choice, progress: Progress
+    records: Sequence[Logged],
+    settings: IdentifySection,
+    choice: Choice,
+    channels: Sequence[str],
+    progress: Progress,
 ) -> tuple[HammerResult, FrfSet, list[RecordSummary], tuple[str, ...]]:
-    """FRFs of all setups and the modes in them."""
+    """FRFs of all setups and the modes in them; over the points hit where these are `channels`, and more."""
     histories = [replace(read_record(r.path), source=r.name) for r in records]
     ranges: dict[str, float] = {}
     for r in records:
@@ -245,6 +249,8 @@ def hammer(
     rejected = tuple(
         f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: {', '.join(h.reasons)}" for h in hits if not h.accepted
     )
+    if len(frfs.inputs) > len(frfs.outputs) and {c.id for c in frfs.inputs} <= set(channels):
+        frfs = reciprocal(frfs)
     result = identify_hammer(
         frfs,
         HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax),
@@ -291,7 +297,9 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     rejected: tuple[str, ...] = ()
     if hits:
         settings = desk.config.identify
-        result, frfs, more, rejected = hammer(hits, settings, choice, lambda f, t: progress(0.5 + 0.5 * f, t))
+        result, frfs, more, rejected = hammer(
+            hits, settings, choice, sheet.model.channels, lambda f, t: progress(0.5 + 0.5 * f, t)
+        )
         shown += more
     return IdentifyStage(
         model,
