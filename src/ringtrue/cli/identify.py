@@ -29,11 +29,8 @@ from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.records import read_record
 from ringtrue.plots.picker import picker_page
 from ringtrue.signal.faults import find_faults
-from ringtrue.signal.frf import reciprocal
 from ringtrue.signal.harmonics import without_machines
 from ringtrue.signal.preprocess import harmonics
-
-ROVING = "more points are hit than measured: by reciprocity the shapes are those of the points hit"
 
 
 def file_target(option: str, *endings: str) -> object:
@@ -237,8 +234,6 @@ def ema(
         if not 0 <= window_decay < float("inf"):
             raise ConfigError(f"--window-decay {window_decay}: must be 0 or more, 1/s")
         frfs = replace(frfs, window_decay=window_decay)
-    roving = len(frfs.inputs) > len(frfs.outputs)
-    frfs = reciprocal(frfs) if roving else frfs
     with progress("modes from FRFs") as show, about(frf):
         found = identify_hammer(frfs, HammerModes(fmin=fmin, fmax=fmax), choice=by_hand, progress=show)
     _write_pages(frf, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
@@ -246,7 +241,7 @@ def ema(
         write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
     if json != "-":
         print_modes(f"{frf}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
-        _tell((*((ROVING,) if roving else ()), *found.notes))
+        _tell(found.notes)
         if not len(found.modes):
             _tell(("no mode is believed in this band", *found.rejected[-5:]))
     return 0 if len(found.modes) else 1

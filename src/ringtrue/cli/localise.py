@@ -11,18 +11,14 @@ from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.show import json_target, out, progress, rows, write_json
-from ringtrue.core.dofs import DofSet
-from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
-from ringtrue.correlate.observe import observe
-from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
+from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
-from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.model.frames import positions
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.shapes.scale import realise_modes
+from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership
 from ringtrue.update.catalogue import UNITS
 from ringtrue.update.effects import Dropped, effective, reduced_candidates
@@ -61,7 +57,7 @@ def localise(
         model, seen = read_deck(deck), realise_modes(read_modes(test))
         seen = seen.take(np.flatnonzero(seen.frequencies > 0))
         analysis = EmbeddedSolver().open(model)
-        bridge = _bridge(analysis, seen, sensors, tolerance, LENGTH[units])
+        bridge = placed(model, analysis.dofs, seen.channels, sensors, unit=LENGTH[units], tolerance=tolerance)
         aim = Target(seen.frequencies, seen.shapes, np.zeros(len(seen)), np.ones(len(seen), dtype=bool))
         count = int(EXTRA * len(seen)) + 4
         modes = analysis.eigen(ModesRequest(count))
@@ -86,22 +82,6 @@ def localise(
     if json != "-":
         _print(deck, found, len(every), len(lost))
     return 0
-
-
-def _bridge(
-    analysis: EmbeddedAnalysis, seen: ModeSet, sensors: Path | None, tolerance: float, length: float
-) -> Observation:
-    """The channels of the test on the model."""
-    if sensors is not None:
-        sheet = read_sensor_sheet(sensors).model.pick(seen.channels)
-        ids, xyz = analysis.model["GRID"].ids, positions(analysis.model)
-        return observe(sheet, ids, xyz, analysis.dofs, unit=length, tolerance=tolerance / length)
-    try:
-        at, sign = analysis.dofs.align(DofSet.parse(seen.channels))
-    except InputError as e:
-        raise DataError(f"channels of the test are not DOFs of the deck ({e}); give --sensors") from e
-    matrix = sparse.csr_array(sparse.coo_array((sign, (np.arange(at.size), at)), shape=(at.size, len(analysis.dofs))))
-    return Observation(matrix, seen.channels, analysis.dofs, length, np.zeros(at.size))
 
 
 def _errors(

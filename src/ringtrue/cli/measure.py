@@ -9,15 +9,22 @@ from typing import Annotated, Any
 import typer
 from scipy import sparse
 
-from ringtrue.cli.show import json_target, out, rows, write_json
+from ringtrue.cli.localise import LENGTH
+from ringtrue.cli.show import json_target, out, progress, rows, write_json
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
 from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
-from ringtrue.errors import ConfigError, DataError
+from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import read_frequency_std, read_modes
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.study.opened import Opened
+from ringtrue.study.placing import placed
 from ringtrue.study.summary import correlation_json
+
+MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
+ABOVE = 1.5  # modes of a deck up to here over the highest test mode
 
 Json = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
@@ -31,6 +38,21 @@ def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, Mode
     if not common:
         raise DataError(f"{a} and {b} have no channel in common: {one.channels[:5]} against {two.channels[:5]}")
     return one.rows(common), two.rows(common)
+
+
+def _of_deck(deck: Path, test: ModeSet, sensors: Path | None, units: str, tolerance: float) -> ModeSet:
+    """The modes of a deck at the channels of a test, as far up as a partner may lie."""
+    if units not in LENGTH:
+        raise ConfigError(f"--units {units}{did_you_mean(units, LENGTH)}")
+    unit, top = LENGTH[units], float(test.frequencies.max(initial=0.0))
+    with progress("correlate") as show:
+        show(0.0, f"reading {deck}")
+        model = read_deck(deck)
+        opened = Opened(model, unit)
+        look = placed(model, opened.analysis.dofs, test.channels, sensors, unit=unit, tolerance=tolerance)
+        show(0.3, "solving")
+        modes = opened.modes(ABOVE * top).modes
+    return ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
 
 
 def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], ...]:
@@ -82,7 +104,12 @@ def _show_complete(c: CompleteCorrelation) -> None:
 
 def correlate(
     a: Annotated[Path, typer.Argument(help="Reference modes (test): .json, .h5 or .uff")],
-    b: Annotated[Path, typer.Argument(help="Modes to judge: .json, .h5 or .uff")],
+    b: Annotated[Path, typer.Argument(help="Modes to judge: .json, .h5 or .uff; or a Nastran deck, which is solved")],
+    sensors: Annotated[
+        Path | None, typer.Option(help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z.")
+    ] = None,
+    units: Annotated[str, typer.Option(help="Unit system of the deck.")] = "SI",
+    tolerance: Annotated[float, typer.Option(metavar="M", help="Largest distance of a sensor from a node.")] = 0.05,
     lock: Annotated[
         list[str] | None, typer.Option("--lock", metavar="A:B", help="Modes that belong together, such as 3:4.")
     ] = None,
@@ -105,18 +132,21 @@ def correlate(
 ) -> int:
     """Pair two sets of modes on their common channels: deviation, MAC, and why the rest have no partner.
 
-    Example: ringtrue correlate test.json fe.json --complete --json -
+    Example: ringtrue correlate test.json wing.bdf --sensors sensors.csv --complete
     """
     gate = Gate(diagonal / 100, off_diagonal / 100, f"{diagonal:g} % / {off_diagonal:g} %")
     locks = Locks(_pair_list("--lock", lock), _pair_list("--forbid", forbid))
-    one, two = _common(read_modes(a), read_modes(b), a, b)
+    test, deck = read_modes(a), b.suffix.lower() not in MODES
+    if sensors is not None and not deck:
+        raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
+    one, two = _common(test, _of_deck(b, test, sensors, units, tolerance) if deck else read_modes(b), a, b)
     names = ("A", "B")
     table = correlation_table(one, two, pair_modes(one, two, PairingSettings(), names=names, locks=locks), names=names)
     value: dict[str, Any] = correlation_json(table)
     full: CompleteCorrelation | None = None
     if everything or mass is not None:
         weight = _mass(mass, len(one.channels)) if mass is not None else None
-        std_a, std_b = read_frequency_std(a), read_frequency_std(b)
+        std_a, std_b = read_frequency_std(a), 0.0 if deck else read_frequency_std(b)
         full = complete(one, two, table.pairing, mass=weight, gate=gate, std_a=std_a, std_b=std_b)
         value["complete"] = complete_json(full, table.pairing)
     if json:

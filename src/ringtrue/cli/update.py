@@ -13,7 +13,9 @@ from ringtrue.backends.observed import FullModel, reduced
 from ringtrue.backends.registry import solver
 from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
+from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.observation import Observation
 from ringtrue.correlate.assign import PairingSettings
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -41,6 +43,7 @@ from ringtrue.study.objective import KINDS as KINDS_OF_MODES
 from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
+from ringtrue.study.placing import placed
 from ringtrue.study.reference import measured_channels
 from ringtrue.update.multistart import latin_hypercube, multi_start
 from ringtrue.update.objective import Target, Weights
@@ -79,7 +82,10 @@ class Asked:
 
 def update(
     study: Annotated[Path, typer.Argument(help="study.toml with a deck and candidates.")],
-    test: Annotated[Path, typer.Argument(help="Test modes, .json, .h5 or .uff; channels are DOFs such as 101+Z.")],
+    test: Annotated[
+        Path,
+        typer.Argument(help="Test modes, .json, .h5 or .uff; channels of the study's sheet, or DOFs such as 101+Z."),
+    ],
     folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where the updated deck goes.")] = None,
     leave_out: Annotated[str, typer.Option(metavar="LIST", help="Test modes to judge by, from 1: 3,7.")] = "",
     method: Annotated[str, typer.Option(help=f"{', '.join(KINDS)}.")] = "trust-region",
@@ -139,7 +145,8 @@ def update(
         model, (target, modes) = read_deck(study.parent / config.model.deck), _target(config, test, leave_out)
         show(0.1, f"first runs of {solver_name}" if anew else "reduced basis")
         if anew:
-            problem, extra = _by_runs(model, config, target, modes, engine), tuple[Data, ...]()
+            problem = _by_runs(model, config, target, modes, engine, study.parent)
+            extra: tuple[Data, ...] = ()
         else:
             problem, extra = _problem(model, config, target, modes, study.parent)
         before = problem.evaluate(np.zeros(problem.size)).points[0]
@@ -234,7 +241,9 @@ def _problem(
     at = {c: i for i, c in enumerate(named)}
     loaded = excited(found, at)
     opened = Opened(model, LENGTH[units])
-    observation = at_dofs(named, opened.analysis.dofs)
+    dofs, more = opened.analysis.dofs, named[len(modes.channels) :]
+    observation = _observation(model, dofs, config, modes.channels, base)
+    observation = observation.and_also(at_dofs(more, dofs)) if more else observation
     count = len(opened.modes(ABOVE * float(target.frequencies.max())).modes)
     basis = reduced(model, parameters, observation, count)
     check_moving(found, at, basis.basis.observe)
@@ -247,12 +256,21 @@ def _problem(
     return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data
 
 
-def _by_runs(model: Model, config: StudyConfig, target: Target, modes: ModeSet, engine: ModalSolver) -> Problem:
+def _observation(model: Model, dofs: DofSet, config: StudyConfig, channels: tuple[str, ...], base: Path) -> Observation:
+    """The channels of the test modes: on the sheet of the study, if it has one."""
+    sheet, c = base / config.test.sheet if config.test else None, config.correlate
+    assert config.model is not None
+    return placed(model, dofs, channels, sheet, unit=LENGTH[config.model.units], tolerance=c.tolerance)
+
+
+def _by_runs(
+    model: Model, config: StudyConfig, target: Target, modes: ModeSet, engine: ModalSolver, base: Path
+) -> Problem:
     """The objective on the modes that a solver finds anew at each point."""
     assert config.model is not None
     parameters, opened = config.candidates(), Opened(model, LENGTH[config.model.units])
     with engine.open(model) as analysis:
-        observation = at_dofs(modes.channels, analysis.dofs)
+        observation = _observation(model, analysis.dofs, config, modes.channels, base)
     full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)
     full = full.reaching(ABOVE * float(target.frequencies.max()))
     terms = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config))

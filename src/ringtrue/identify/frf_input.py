@@ -73,8 +73,6 @@ def frf_notes(frfs: FrfSet) -> tuple[str, ...]:
             out.append(f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise")
     if len(frfs.inputs) == 1:
         out.append("one reference: two modes of one and the same frequency show as one")
-    if len(frfs.inputs) > len(frfs.outputs):
-        out.append("more points are hit than measured: signal.frf.reciprocal gives shapes over the points hit")
     pairs, sound = driving_pairs(frfs), sound_pairs(frfs)
     if turned := [frfs.inputs[i].id for o, i, sign in pairs if (o, i, sign) not in sound]:
         rest = "" if sound else ": the modes are not scaled"

@@ -25,6 +25,7 @@ from ringtrue.identify.peaks import cmif
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
 from ringtrue.identify.repeated_hammer import twins, united
+from ringtrue.signal.reciprocal import exchanged
 
 Progress = Callable[[float, str], None]
 
@@ -120,6 +121,7 @@ def identify_hammer(
     Parameters
     ----------
     frfs : FrfSet
+        Of a roving hammer, with fewer responses than references, shapes are at the points struck, by reciprocity.
     settings : HammerModes, optional
     choice : Choice, optional
         What a person decided on the modes; the poles picked are refined together with the others.
@@ -133,6 +135,7 @@ def identify_hammer(
     """
     settings = settings or HammerModes()
     refuse_bad_frfs(frfs)
+    frfs, roving = exchanged(frfs)
     tell = progress or (lambda share, text: None)
     low, high = _limits(frfs, settings)
     used = _lines(frfs, 0.8 * low, 1.25 * high)
@@ -148,8 +151,7 @@ def identify_hammer(
         diagrams.append(diagram)
     candidates = merged(found, line_step(used), used.window_decay)
     if not candidates.pole.size:
-        told = "; exchange inputs and responses (signal.frf.reciprocal)" if len(frfs.inputs) > len(frfs.outputs) else ""
-        raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz{told}")
+        raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz")
     if 16 * 6 * candidates.pole.size * used.freqs.size > MOST_BYTES:
         raise DataError(
             f"{frfs.source}: {candidates.pole.size} candidates on {used.freqs.size} lines are too many; "
@@ -165,7 +167,7 @@ def identify_hammer(
     rejected += why
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
     odd = odd_channel(used, fit.refined.poles)
-    notes = (*frf_notes(frfs), *((odd,) if odd else ()), *notes)
+    notes = (*((roving,) if roving else ()), *frf_notes(frfs), *((odd,) if odd else ()), *notes)
     return replace(_report(used, search.lines, fit, rejected, (low, high), tuple(diagrams), curve), notes=notes)
 
 

@@ -230,22 +230,6 @@ def _column(s: _Sums, decay: float, settings: HammerSettings, source: str) -> Fr
     )
 
 
-def reciprocal(frfs: FrfSet) -> FrfSet:
-    """The FRFs with responses and inputs exchanged: of a roving hammer, shapes are then those of the points hit.
-
-    By Maxwell and Betti H_oi = H_io, which holds for structures that neither spin nor carry a flow.
-    """
-    motion = frfs.outputs[0]
-    return replace(
-        frfs,
-        data=frfs.data.transpose(0, 2, 1),
-        outputs=tuple(replace(c, quantity=motion.quantity, unit=motion.unit) for c in frfs.inputs),
-        inputs=tuple(replace(c, quantity="force", unit="N") for c in frfs.outputs),
-        coherence=frfs.coherence.transpose(0, 2, 1),
-        averages=np.full(len(frfs.outputs), np.median(frfs.averages)),
-    )
-
-
 def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
     """One set from several: roving responses (setups) and roving hammers.
 

@@ -104,11 +104,19 @@ class PlanSection(_Section):
 
 
 class TestSection(_Section):
-    """The measurements: a crew's log that lists the records, and the sensor sheet."""
+    """The measurements: the sensor sheet, and a crew's log that lists the records, measured FRFs, or modes."""
 
     sheet: str
-    log: str
+    log: str | None = None
+    frfs: list[str] = []  # .uff, .h5, .npz, in place of hammer records
+    modes: str | None = None  # .json, .h5, .uff: identified elsewhere, or by `ringtrue ema` or `oma`
     lines: str | None = None  # pairs of points to draw
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.modes is not None and (self.log is not None or self.frfs):
+            raise ValueError("modes take the place of a log and of frfs: give one of the two")
+        return self
 
 
 class IdentifySection(_Section):

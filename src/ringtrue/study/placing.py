@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.align import Alignment, best_fit, nearest_fit
-from ringtrue.errors import DataError
+from ringtrue.correlate.observe import at_dofs, observe
+from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.frames import positions
+from ringtrue.model.model import Model
 from ringtrue.study.opened import Opened
 
 
@@ -49,3 +57,39 @@ def words(found: Alignment) -> str:
         f"{int(found.used.sum())} of them fit within {1e3 * found.rms:.3g} mm"
         + (f", {lost} do not and were set aside" if lost else "")
     )
+
+
+def placed(
+    model: Model, dofs: DofSet, channels: Sequence[str], sheet: Path | None, *, unit: float, tolerance: float
+) -> Observation:
+    """The channels of a test on a deck: by their places on a sensor sheet, or as DOFs of the deck without one.
+
+    Parameters
+    ----------
+    model : Model
+    dofs : DofSet
+        Rows of its shapes.
+    channels : sequence of str
+    sheet : Path, optional
+    unit : float
+        Metres a unit of length of the deck.
+    tolerance : float
+        Largest distance of a sensor from its node, m.
+
+    Raises
+    ------
+    DataError
+        If a channel is neither on the sheet nor a DOF of the deck, or is too far from it.
+    """
+    if sheet is None:
+        try:
+            return at_dofs(tuple(channels), dofs)
+        except DataError as e:
+            raise DataError(f"{e}; give the sensor sheet where points have numbers of their own") from e
+    test = read_sensor_sheet(sheet).model
+    known = set(test.channels)
+    if lost := [c for c in channels if c not in known]:
+        near = did_you_mean(lost[0], test.channels)
+        raise DataError(f"{sheet}: channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}")
+    there, ids = test.pick(tuple(channels)), model["GRID"].ids
+    return observe(there, ids, positions(model), dofs, unit=unit, tolerance=tolerance / unit)

@@ -73,7 +73,7 @@ def _damping_plot(data: Stages) -> Plot:
     if data.identify is not None:
         i = data.identify
         sets += [("ambient", i.ambient, i.ambient_uncertainty)] if len(i.ambient) else []
-        sets += [("hammer", i.hammer, i.hammer_uncertainty)] if i.hammer is not None else []
+        sets += [(i.source.removesuffix(" test"), i.hammer, i.hammer_uncertainty)] if i.hammer is not None else []
     assert data.final is not None
     used = (data.final.modes.frequencies, data.final.damping)
     text = "Damping ratios identified, with one standard deviation, and those the final model carries."

@@ -32,16 +32,16 @@ def section(data: Stages) -> Section | None:
         return None
     tabs = [(r.record, _diagrams(r.record, r.diagrams, r.modes)) for r in ident.ambient_records if r.diagrams]
     if ident.hammer is not None and ident.hammer_diagrams:
-        tabs.append(("hammer", _diagrams("hammer", ident.hammer_diagrams, ident.hammer)))
+        name = ident.source.removesuffix(" test")
+        tabs.append((name, _diagrams(name, ident.hammer_diagrams, ident.hammer)))
     blocks: list[Block] = [Heading("Stabilisation diagrams"), Key(plots.POLE_COLORS), Tabs(tabs)] if tabs else []
     sides: list[list[Block]] = []
     if len(ident.ambient):
         modes, std = ident.ambient, ident.ambient_uncertainty
         sides.append([_modes(modes, std, ident.ambient_reasons, "Ambient modes, merged over the records.")])
     if ident.hammer is not None:
-        sides.append(
-            [_modes(ident.hammer, ident.hammer_uncertainty, ident.hammer_reasons, "Modes of the hammer test.")]
-        )
+        caption = f"Modes of the {ident.source}."
+        sides.append([_modes(ident.hammer, ident.hammer_uncertainty, ident.hammer_reasons, caption)])
     if sides:
         blocks.append(Columns(sides) if len(sides) > 1 else sides[0][0])
     if len(ident.ambient_records) > 1:

@@ -54,6 +54,8 @@ def functions(data: Stages) -> Section | None:
     if top < frfs.freqs[-1]:
         caption += f" Measured to {plain(float(frfs.freqs[-1]))} Hz, drawn to {number(top, 3)} Hz."
     blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks, top), caption)]
+    if ident.frf_notes:
+        blocks.append(Items(ident.frf_notes, "Notes"))
     if ident.synthesis_error.size:
         middle, worst = np.nanmedian(ident.synthesis_error), np.nanmax(ident.synthesis_error)
         text = f"The FRFs synthesised from the identified modes differ from the measured ones by {100 * middle:.1f} % "

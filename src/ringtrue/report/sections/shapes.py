@@ -75,7 +75,8 @@ def _test_only(data: Stages) -> list[Shown]:
     if data.identify is None:
         return []
     out = []
-    for name, m in (("Ambient test", data.identify.ambient), ("Hammer test", data.identify.hammer)):
+    word = data.identify.source
+    for name, m in (("Ambient test", data.identify.ambient), (word[:1].upper() + word[1:], data.identify.hammer)):
         if m is not None:
             out += [_alone(name, m, k, None, (m, k)) for k in range(len(m))]
     return out

@@ -44,7 +44,9 @@ def _inventory(data: Stages) -> list[Fact]:
         facts += [Fact("Records", str(len(data.identify.records)))]
         facts += [Fact("Ambient modes", str(len(data.identify.ambient)))]
         if data.identify.hammer is not None:
-            facts += [Fact("Hammer modes", str(len(data.identify.hammer)))]
+            source = data.identify.source
+            name = "Hammer modes" if source == "hammer test" else f"Modes of {source}"
+            facts += [Fact(name, str(len(data.identify.hammer)))]
     return facts
 
 

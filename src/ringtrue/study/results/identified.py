@@ -64,3 +64,5 @@ class IdentifyStage:
     hammer_diagrams: tuple[StableDiagram, ...]
     hammer_model: ModalModel | None
     synthesis_error: Float  # (out, in) relative
+    frf_notes: tuple[str, ...] = ()  # of FRFs that were given as such; those of hammer records are with the records
+    source: str = "hammer test"  # where the modes in `hammer` come from: also FRFs, or a file of modes

@@ -12,7 +12,6 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.choice import Choice
-from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
@@ -27,13 +26,15 @@ from ringtrue.io.records import read_record, record_info
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
-from ringtrue.signal.frf import estimate_frf, reciprocal
+from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
+from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.opened import Progress
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
+from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, supplied_frfs, supplied_modes
 from ringtrue.study.workbench import Workbench
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
@@ -54,9 +55,10 @@ class Logged:
 
 def section(desk: Workbench) -> TestSection:
     """The [test] section."""
-    if desk.config.test is None:
-        raise ConfigError("this stage needs a [test] with a sheet and a log")
-    return desk.config.test
+    test = desk.config.test
+    if test is None or not (test.log or test.frfs or test.modes):
+        raise ConfigError("this stage needs a [test] with a sheet, and a log, frfs or modes")
+    return test
 
 
 def read_log(path: Path) -> tuple[list[Logged], dict[str, Any]]:
@@ -109,9 +111,9 @@ def _check_sheet(path: Path, channels: Sequence[Channel | RecordChannel], sheet:
 def files(desk: Workbench) -> list[Path]:
     """All inputs of the stage."""
     test = section(desk)
-    records, _ = read_log(desk.base / test.log)
-    paper = [desk.base / f for f in (test.sheet, test.log, test.lines, desk.config.identify.choice) if f]
-    return [*paper, *(r.path for r in records)]
+    records, _ = read_log(desk.base / test.log) if test.log else ([], {})
+    names = (test.sheet, test.log, test.lines, test.modes, desk.config.identify.choice, *test.frfs)
+    return [*(desk.base / f for f in names if f), *(r.path for r in records)]
 
 
 def corrected(history: TimeHistory, sensors: dict[str, Any]) -> tuple[TimeHistory, float, str]:
@@ -224,14 +226,8 @@ def ambient(
     return found, shown
 
 
-def hammer(
-    records: Sequence[Logged],
-    settings: IdentifySection,
-    choice: Choice,
-    channels: Sequence[str],
-    progress: Progress,
-) -> tuple[HammerResult, FrfSet, list[RecordSummary], tuple[str, ...]]:
-    """FRFs of all setups and the modes in them; over the points hit where these are `channels`, and more."""
+def struck(records: Sequence[Logged], progress: Progress) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...]]:
+    """FRFs of all setups, what is shown of the records, and the hits that do not count."""
     histories = [replace(read_record(r.path), source=r.name) for r in records]
     ranges: dict[str, float] = {}
     for r in records:
@@ -239,7 +235,7 @@ def hammer(
     rate, d = histories[0].rate, records[0].details
     block, pre = d["block_samples"] / rate, d["pretrigger_samples"] / rate
     want = HammerSettings(block=block - pre, pretrigger=pre)  # the peak comes a little after the trigger
-    frfs, hits = estimate_frf(histories, want, full_scale=ranges, progress=lambda f, t: progress(0.4 * f, t))
+    frfs, hits = estimate_frf(histories, want, full_scale=ranges, progress=progress)
     shown = []
     for record, history in zip(records, histories, strict=True):
         mine = [h for h in hits if h.source == record.name]
@@ -249,16 +245,7 @@ def hammer(
     rejected = tuple(
         f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: {', '.join(h.reasons)}" for h in hits if not h.accepted
     )
-    if len(frfs.inputs) > len(frfs.outputs) and {c.id for c in frfs.inputs} <= set(channels):
-        frfs = reciprocal(frfs)
-    result = identify_hammer(
-        frfs,
-        HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax),
-        choice=choice.of(HAMMER),
-        progress=lambda f, t: progress(0.4 + 0.6 * f, t),
-    )
-    shown[0] = replace(shown[0], notes=(*shown[0].notes, *result.notes))
-    return result, frfs, shown, rejected
+    return frfs, shown, rejected
 
 
 def _lines(test: TestModel) -> Int:
@@ -278,35 +265,38 @@ def _floored(found: IdentifiedRecord, duration: float) -> Uncertainty:
 
 
 def run(desk: Workbench, progress: Progress) -> IdentifyStage:
-    """Identify everything that the log lists."""
+    """Identify everything that the log lists, or take the FRFs or modes that were given."""
     test = section(desk)
     sheet = read_sensor_sheet(desk.base / test.sheet, desk.base / test.lines if test.lines else None)
     model = sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
-    records, sensors = read_log(desk.base / test.log)
+    if test.modes:
+        return supplied_modes(desk.base / test.modes, model)
+    records, sensors = read_log(desk.base / test.log) if test.log else ([], {})
     quiet = [r for r in records if r.kind == "ambient"]
     hits = [r for r in records if r.kind == "hammer"]
+    if hits and test.frfs:
+        raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     for r in hits:
         _check_sheet(r.path, record_info(r.path).channels, sheet.model)
     choice = _by_hand(desk, records)
     found, shown = ambient(desk, quiet, sensors, sheet.model, choice, lambda f, t: progress(0.5 * f, t))
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
-    nothing = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
-    none = Uncertainty.independent(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
-    result = frfs = None
-    rejected: tuple[str, ...] = ()
+    frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model), tuple[str, ...]()
     if hits:
-        settings = desk.config.identify
-        result, frfs, more, rejected = hammer(
-            hits, settings, choice, sheet.model.channels, lambda f, t: progress(0.5 + 0.5 * f, t)
-        )
+        frfs, more, rejected = struck(hits, lambda f, t: progress(0.5 + 0.2 * f, t))
+        frfs = exchanged(frfs)[0]
         shown += more
+    result = _of_frfs(frfs, desk.config.identify, choice, lambda f, t: progress(0.7 + 0.3 * f, t)) if frfs else None
+    if hits and result is not None:
+        at = len(shown) - len(hits)
+        shown[at] = replace(shown[at], notes=(*shown[at].notes, *result.notes))
     return IdentifyStage(
         model,
         tuple(shown),
         tuple(found),
-        merged.modes if merged else nothing,
-        merged.uncertainty if merged else none,
+        merged.modes if merged else NO_MODES,
+        merged.uncertainty if merged else NOT_KNOWN,
         tuple("; ".join((_reason(p, found), *merged.notes)) for p in merged.provenance) if merged else (),
         frfs,
         cmif(frfs.data) if frfs else np.zeros((0, 0)),
@@ -317,4 +307,11 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         result.diagrams if result else (),
         result.model if result else None,
         result.synthesis_error if result else np.zeros((0, 0)),
+        result.notes if result and test.frfs else (),
+        "FRFs" if test.frfs else "hammer test",
     )
+
+
+def _of_frfs(frfs: FrfSet, settings: IdentifySection, choice: Choice, progress: Progress) -> HammerResult:
+    band = HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax)
+    return identify_hammer(frfs, band, choice=choice.of(HAMMER), progress=progress)
