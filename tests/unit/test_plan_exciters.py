@@ -12,6 +12,7 @@ from scipy.sparse import csgraph
 from ringtrue.errors import InputError
 from ringtrue.plan import exciters
 from ringtrue.plan.exciters import (
+    appropriate_exciters,
     appropriated_force,
     driving_point_residues,
     mode_indicator,
@@ -71,11 +72,12 @@ def test_forces_by_qr_part_the_modes() -> None:
     phi = np.zeros((4, 2))
     phi[:2, 0], phi[2:, 1] = 1.0, 1.0
     phi /= np.sqrt(np.einsum("ij,ik,kj->j", phi, mass, phi))
-    at = qr_exciters(phi, mass, np.arange(4), 2)
-    assert sorted(at.tolist()) == [0, 3]  # the heavier of each pair
-    assert qr_exciters(phi, mass, np.array([1, 2]), 2).tolist() in ([1, 2], [2, 1])
-    with pytest.raises(InputError, match="3 exciters for 2 modes"):
-        qr_exciters(phi, mass, np.arange(4), 3)
+    forces = mass @ phi
+    assert sorted(qr_exciters(forces, 2).tolist()) == [0, 3]  # the heavier of each pair
+    assert sorted(qr_exciters(forces[[1, 2]], 2).tolist()) == [0, 1]
+    assert sorted(qr_exciters(forces, 4).tolist()) == [0, 1, 2, 3]  # the modes are spanned by two: anew
+    with pytest.raises(InputError, match="5 exciters at 4 rows"):
+        qr_exciters(forces, 5)
 
 
 def two_masses(freqs: np.ndarray, zeta: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -97,6 +99,20 @@ def test_mode_indicator_dips_at_close_modes_and_gives_their_forces() -> None:
         assert abs(forces[k, :, 0] @ phi[:, k]) == pytest.approx(1, abs=1e-9)
     off = mode_indicator(two_masses(np.array([7.0]), 0.02)[0])[0]
     assert off.min() > 0.9
+
+
+def test_exciters_that_isolate_close_modes_are_found() -> None:
+    """Rows 0 and 1 are the two masses, row 2 hardly moves: one force cannot part the modes, two of the masses can."""
+    f, phi = two_masses(np.array([1.0]), 0.02)[1:]
+    rows = np.vstack([phi, 0.01 * phi[0]])
+    w, s = 2 * np.pi * f, 2 * np.pi * f[:, None]
+    h = np.einsum("im,fm,jm->fij", rows, -(s**2) / (w**2 - s**2 + 0.04j * w * s), rows)
+    one, two = appropriate_exciters(h, 1), appropriate_exciters(h, 2)
+    assert sorted(two[0].tolist()) == [0, 1]
+    assert two[1].max() < 0.01 < 0.1 < one[1].max()
+    assert [abs(two[2][k] @ phi[two[0], k]) for k in range(2)] == pytest.approx([1, 1], abs=1e-3)
+    triangle = np.einsum("im,fm,jm->fij", np.linalg.qr(rows, mode="r"), -(s**2) / (w**2 - s**2 + 0.04j * w * s), rows)
+    assert appropriate_exciters(triangle, 2)[0].tolist() == two[0].tolist()
 
 
 def test_appropriated_force_excites_one_mode_alone() -> None:

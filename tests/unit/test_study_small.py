@@ -137,6 +137,61 @@ def test_what_a_plan_may_ask_for(tmp_path: Path, asked: str, told: str) -> None:
     assert plan.record_length == pytest.approx(1 / (0.05**2 * 2 * np.pi * plan.damping * lowest), abs=60.0)
 
 
+PLAN = small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = {}\nreferences = 3\nambient = false\nmax_auto_mac = 0.9\n"
+
+
+@pytest.mark.parametrize(("strike", "told"), [("qr", "M·Φ"), ("mif", "phase resonance"), ("worst", "best set")])
+def test_exciters_by_each_method(tmp_path: Path, strike: str, told: str) -> None:
+    run = run_study(small_study.write_study(tmp_path, PLAN.format(6) + f'strike = "{strike}"\n'))
+    deliver(run)
+    plan, page = run.results["plan"], (run.folder / "report.html").read_text(encoding="utf-8")
+    assert told in plan.rule
+    assert len(set(plan.references)) == 3
+    assert set(plan.references) <= set(plan.test.channels)
+    found = summary(run)["plan"]
+    if strike != "mif":
+        assert "indicator" not in found["modes"][0]  # type: ignore[index]
+        return
+    assert plan.forces.shape == (9, 3)
+    np.testing.assert_allclose(np.linalg.norm(plan.forces, axis=1), 1.0)
+    assert np.median(plan.indicator) < 0.1
+    assert found["modes"][0]["indicator"] == plan.indicator[0]  # type: ignore[index]
+    assert "Force appropriation" in page
+
+
+@pytest.mark.parametrize("method", ["independence", "qr", "auto-mac", "information"])
+def test_single_axes_tell_the_modes_apart_with_fewer_channels(tmp_path: Path, method: str) -> None:
+    extra = "min_distance = 1.0\nsensor_mass = 1.0\nredundancy = 1\ntrials = 1\n" if method == "qr" else ""
+    toml = PLAN.format(12) + f'directions = "uniaxial"\nmethod = "{method}"\n' + extra
+    plan = run_study(small_study.write_study(tmp_path, toml)).results["plan"]
+    assert "single axes" in plan.rule
+    assert 12 <= len(plan.test.channels) < 36
+    assert plan.worst_off_diagonal < 0.9
+    node = {c: int(c.split("+")[0]) for c in plan.test.channels}
+    assert plan.test.at.tolist() == list(node.values())
+    assert len(set(node.values())) == plan.test.points.size
+    np.testing.assert_array_equal(plan.test.axes, np.stack([np.eye(3)["XYZ".index(c[-1])] for c in plan.test.channels]))
+    if extra:  # the same axis at least 1 m apart
+        xyz = plan.test.channel_xyz()
+        for axis in "XYZ":
+            mine = xyz[[c[-1] == axis for c in plan.test.channels]]
+            gap = np.linalg.norm(mine[:, None] - mine, axis=2) + 9 * np.eye(len(mine))
+            assert gap.min(initial=9.0) > 1.0
+        assert (plan.loaded < 0).all()
+
+
+def test_sensors_along_normals_stand_on_shells(tmp_path: Path) -> None:
+    low = PLAN.replace("14.0", "20.0").format(8) + 'modes = [5, 6]\ndirections = "normal"\n'
+    plan = run_study(small_study.write_study(tmp_path, low)).results["plan"]
+    assert all(c.endswith("+N") for c in plan.test.channels)
+    np.testing.assert_allclose(np.abs(plan.test.axes[:, 2]), 1.0, atol=1e-12)  # the floors lie flat
+    half = (
+        f"candidates = {{ columns = [{', '.join(str(small_study.node(1, *c) + 50) for c in small_study.CORNERS)}] }}\n"
+    )
+    with pytest.raises(ConfigError, match="no candidate lies on a shell"):
+        run_study(small_study.write_study(tmp_path, low + half))
+
+
 @pytest.mark.parametrize(
     ("asked", "told"),
     [

@@ -27,6 +27,8 @@ from ringtrue.study.run import StudyRun, run_study
 from ringtrue.virtual.sensors import ICP
 
 METHODS = ("independence", "qr", "auto-mac", "information")
+STRIKES = ("worst", "greedy", "qr", "mif")
+DIRECTIONS = ("triaxial", "uniaxial", "normal")
 MISSED = 0.1  # of the best driving-point residue
 RIGID = 1e-3  # of the highest frequency
 ABOVE = 1.3  # modes up to here over the band take part in the virtual test
@@ -41,8 +43,10 @@ def plan(
     folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where the test sheet goes.")] = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Target modes from F0 to F1, Hz.")] = None,
     modes: Annotated[str, typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15.")] = "",
-    points: Annotated[int, typer.Option(help="Triaxial measuring points.", min=1)] = 20,
+    points: Annotated[int, typer.Option(help="Measuring points; sensors, unless triaxial.", min=1)] = 20,
+    directions: Annotated[str, typer.Option(help=f"Of a sensor: {', '.join(DIRECTIONS)}.")] = DIRECTIONS[0],
     references: Annotated[int, typer.Option(help="Points to strike.", min=1)] = 3,
+    strike: Annotated[str, typer.Option(help=f"How these are chosen: {', '.join(STRIKES)}.")] = STRIKES[0],
     method: Annotated[str, typer.Option(help=f"How points are chosen: {', '.join(METHODS)}.")] = METHODS[0],
     box: Annotated[
         list[str] | None, typer.Option("--box", metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Points lie in it, m; repeat it.")
@@ -67,7 +71,12 @@ def plan(
 
     Example: ringtrue plan frame.bdf --band 5 80 --points 24 --references 3 --trials 10 --out frame-test
     """
-    for name, value, allowed in (("method", method, METHODS), ("units", units, tuple(LENGTH))):
+    for name, value, allowed in (
+        ("method", method, METHODS),
+        ("strike", strike, STRIKES),
+        ("directions", directions, DIRECTIONS),
+        ("units", units, tuple(LENGTH)),
+    ):
         if value not in allowed:
             raise ConfigError(f"--{name} {value!r}{did_you_mean(value, allowed)}")
     if not deck.is_file():
@@ -78,7 +87,8 @@ def plan(
     section: dict[str, Any] = {
         "sensors": points,
         "ambient": False,
-        "strike": "worst",
+        "strike": strike,
+        "directions": directions,
         "references": references,
         "method": method,
         "modes": numbers(modes, "--modes"),

@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import comb
-from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 from ringtrue.errors import InputError
 from ringtrue.plan.layout import select_references
+from ringtrue.plan.selection import qr_points
 
 _MOST_SETS = 200_000
 _CHUNK = 20_000
+_ENTRIES = 4_000_000  # of the FRFs of all trial sets that are looked at at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,37 +59,31 @@ def driving_point_residues(shapes: Float, frequencies: Float) -> Float:
     return np.asarray(np.where(elastic, shapes**2 / (2 * np.where(elastic, omega, 1.0)), 0.0))
 
 
-def qr_exciters(shapes: Float, mass: Any, rows: Int, count: int) -> Int:
+def qr_exciters(forces: Float, count: int) -> Int:
     """Rows to excite by pivoted QR of (MΦ)ᵀ (Schedlinski and Link 1996): force patterns that part the modes best.
 
     A force f excites the modes with Φᵀf, and f = MΦ excites each alone; the rows of MΦ that are largest and least
-    alike come closest to it with few forces.
+    alike come closest to it with few forces. When the modes are spanned, it starts again with the rows that are left.
 
     Parameters
     ----------
-    shapes : (dof, m) float64, mass-normalised
-    mass : (dof, dof) sparse or dense
-    rows : (r,) int64
-        DOFs that can be excited.
+    forces : (r, m) float64
+        MΦ at the rows that can be excited, shapes mass-normalised.
     count : int
-        At most m.
 
     Returns
     -------
     (count,) int64
-        DOFs, in order of choice.
+        Positions among the rows, in order of choice.
 
     Raises
     ------
     InputError
-        If `count` is not in 1..m or there are fewer rows.
+        If there are fewer rows, or those that are left carry no mass.
     """
-    most = min(shapes.shape[1], len(rows))
-    if not 1 <= count <= most:
-        raise InputError(f"{count} exciters for {shapes.shape[1]} modes at {len(rows)} rows: must be 1 to {most}")
-    forces = np.asarray(mass @ shapes)[rows]
-    _, pivots = linalg.qr(forces.T, mode="r", pivoting=True)
-    return np.asarray(np.asarray(rows, dtype=np.int64)[pivots[:count]])
+    if not 1 <= count <= len(forces):
+        raise InputError(f"{count} exciters at {len(forces)} rows: must be 1 to {len(forces)}")
+    return qr_points(np.asarray(forces, dtype=np.float64)[:, None, :], count)
 
 
 def rank_points(shapes: Float, limit: float = 0.1) -> tuple[ExciterSet, ...]:
@@ -215,6 +209,63 @@ def mode_indicator(data: Complex, weights: Float | None = None) -> tuple[Float, 
     values, vectors = np.linalg.eigh(0.5 * (half + half.transpose(0, 2, 1)))
     forces = np.linalg.solve(low.transpose(0, 2, 1), vectors)
     return np.clip(values, 0, 1), np.asarray(forces / np.linalg.norm(forces, axis=1, keepdims=True))
+
+
+def appropriate_exciters(data: Complex, count: int, *, noise: float = 0.01) -> tuple[Int, Float, Float]:
+    """Rows where real forces, all at once and tuned to each mode, come closest to a phase resonance of every mode.
+
+    Grown one at a time by the mean logarithm of the least mode indicator, which lifts the mode that is isolated worst.
+    The indicator is that of responses with an error, so that a row that hardly moves the structure does not serve.
+
+    Parameters
+    ----------
+    data : (m, out, in) complex128
+        Accelerance at the frequency of each mode; `in` are the rows that can be excited. Only the Gram matrix of the
+        outputs counts: H = Φ_out G Φ_inᵀ may have the triangle R of Φ_out = QR in place of Φ_out.
+    count : int
+    noise : float
+        Error of a response, over the response to the input that moves the mode most.
+
+    Returns
+    -------
+    rows : (count,) int64
+        Positions among the inputs, in order of choice.
+    values : (m,) float64, 0..1
+        Mode indicator of each mode with all of them; 0: it responds alone.
+    forces : (m, count) float64
+        Unit force pattern that reaches it, the largest force positive.
+
+    Raises
+    ------
+    InputError
+        If there are fewer inputs.
+    """
+    m, out, n = data.shape
+    if not 1 <= count <= n:
+        raise InputError(f"{count} exciters at {n} rows: must be 1 to {n}")
+    level = noise * np.linalg.norm(data, axis=1).max(axis=1)
+    chosen: list[int] = []
+    for _ in range(count):
+        rest = np.setdiff1d(np.arange(n), chosen)
+        cost = np.empty(rest.size)
+        step = max(1, _ENTRIES // (m * out * (len(chosen) + 1)))
+        for at in range(0, rest.size, step):  # bounds the memory
+            some = rest[at : at + step]
+            sets = np.column_stack([np.tile(np.array(chosen, dtype=np.int64), (some.size, 1)), some])
+            trial = data[:, :, sets].transpose(2, 0, 1, 3).reshape(-1, out, sets.shape[1])
+            least = mode_indicator(_noisy(trial, np.tile(level, some.size)))[0][:, 0].reshape(some.size, m)
+            cost[at : at + step] = np.log(least + 1e-3).mean(axis=1)
+        chosen.append(int(rest[np.argmin(cost)]))
+    values, forces = mode_indicator(_noisy(data[:, :, chosen], level))
+    best = forces[:, :, 0]
+    sign = np.sign(np.take_along_axis(best, np.abs(best).argmax(axis=1)[:, None], axis=1))
+    return np.array(chosen, dtype=np.int64), values[:, 0], np.asarray(best * sign)
+
+
+def _noisy(data: Complex, level: Float) -> Complex:
+    """FRFs (l, out, k) and k more outputs, each in phase with one input and as large as `level` (l,)."""
+    extra = level[:, None, None] * np.eye(data.shape[2])
+    return np.concatenate([data, extra.astype(np.complex128)], axis=1)
 
 
 def appropriated_force(shapes: Float, mode: int) -> tuple[Float, Float]:

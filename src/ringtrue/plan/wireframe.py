@@ -126,7 +126,7 @@ def _thinned(pair: Int, way: Float, n: int, detour: float) -> tuple[Int, Float]:
     return np.asarray(pair[keep]), np.asarray(way[keep])
 
 
-def shown(xyz: Float, edges: Int, chosen: Int, shapes: Float) -> Float:
+def shown(xyz: Float, edges: Int, chosen: Int, shapes: Float, seen: Float | None = None) -> Float:
     """MAC (m,) of each mode with its own drawing: the motion of the points, spread over the mesh as a net would be.
 
     The nodes in between take the mean of their neighbours weighted by 1/length (harmonic interpolation on the graph);
@@ -139,6 +139,8 @@ def shown(xyz: Float, edges: Int, chosen: Int, shapes: Float) -> Float:
     chosen : (c,) int64
     shapes : (n, d, m) float64
         At all nodes of the mesh; parts of the mesh that hold no point do not count.
+    seen : (c, d, d) float64, optional
+        Projector on the directions that are measured at each point; all if not given.
     """
     n, d, m = shapes.shape
     length = np.linalg.norm(xyz[edges[:, 0]] - xyz[edges[:, 1]], axis=1)
@@ -147,7 +149,10 @@ def shown(xyz: Float, edges: Int, chosen: Int, shapes: Float) -> Float:
     _, part = csgraph.connected_components(weights, directed=False)
     here = np.isin(part, part[chosen])
     free = np.flatnonzero(here & ~np.isin(np.arange(n), chosen))
-    drawn = np.array(shapes, dtype=np.float64).reshape(n, d * m)
+    drawn = np.array(shapes, dtype=np.float64)
+    if seen is not None:
+        drawn[chosen] = seen @ drawn[chosen]
+    drawn = drawn.reshape(n, d * m)
     if free.size:
         laplace = sparse.csr_array(sparse.diags_array(weights.sum(axis=1)) - weights)
         solve = factorized(laplace[free][:, free].tocsc())

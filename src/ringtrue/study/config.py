@@ -55,7 +55,7 @@ class PlanSection(_Section):
 
     fmin: float = 0.0
     fmax: float = Field(default=80.0, gt=0)
-    sensors: int = Field(default=45, gt=0)  # measuring points for the hammer test
+    sensors: int = Field(default=45, gt=0)  # measuring points for the hammer test, sensors where not triaxial
     ambient_sensors: int = Field(default=12, gt=0)  # measuring points for the ambient tests
     references: int = Field(default=4, gt=0)
     candidates: dict[str, list[int]] = {}  # region -> candidate nodes; empty: the skin of the model
@@ -78,7 +78,10 @@ class PlanSection(_Section):
     exclude: list[int] = []  # nodes that are no candidates
     fixed: list[int] = []  # nodes that are measured in any case
     redundancy: int = Field(default=0, ge=0)  # points that may fail
-    strike: Literal["greedy", "worst"] = "greedy"  # mean of the logarithms, or the mode that is excited worst
+    directions: Literal["triaxial", "uniaxial", "normal"] = "triaxial"  # of a sensor: X Y Z, one of them, off the skin
+    # driving-point residues by the mean of the logarithms, or by the mode that is excited worst; QR of M·Φ; force
+    # appropriation by the mode indicator
+    strike: Literal["greedy", "worst", "qr", "mif"] = "greedy"
     suspension: int = Field(default=0, ge=0)  # points to hang from; 0: not asked for
     sensor_mass: float = Field(default=0.0, ge=0)  # kg a point, for the shift of the frequencies
     lines: Literal["mesh", "nearest"] = "mesh"  # the drawing of the points follows the mesh, or joins neighbours

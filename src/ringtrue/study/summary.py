@@ -84,6 +84,21 @@ def precision(plan: PlanStage, found: IdentifyStage) -> list[dict[str, float]]:
     return [dict(zip(names, row, strict=True)) for row in np.stack(columns, axis=1).tolist()]
 
 
+def plan_json(plan: PlanStage) -> dict[str, Any]:
+    """What is measured and excited, and how well the target modes are reached."""
+    modes = zip((plan.target_modes + 1).tolist(), plan.target_frequencies.tolist(), plan.reach.tolist(), strict=True)
+    out: dict[str, Any] = {
+        "rule": plan.rule,
+        "channels": len(plan.test.channels),
+        "references": list(plan.references),
+        "worst_auto_mac": plan.worst_off_diagonal,
+        "modes": [dict(zip(("mode", "frequency_hz", "reach"), m, strict=True)) for m in modes],
+    }
+    for m, value, forces in zip(out["modes"], plan.indicator.tolist(), plan.forces.tolist(), strict=False):
+        m |= {"indicator": value, "forces": forces}
+    return out
+
+
 def correlation_json(table: CorrelationTable) -> dict[str, Any]:
     """A table with its unpaired modes and mean values."""
     return {
@@ -116,6 +131,8 @@ def summarise(run: StudyRun) -> dict[str, Any]:
     if model is not None:
         out |= {"mass_t": model.mass / (1e3 if model.units == "SI" else 1.0), "dof": model.dof}
     plan, identify = r.get("plan"), r.get("identify")
+    if plan is not None:
+        out["plan"] = plan_json(plan)
     if plan is not None and identify is not None:
         out["std_percent"] = precision(plan, identify)
     compare: CompareStage | None = r.get("compare")

@@ -55,6 +55,8 @@ def section(data: Stages) -> Section | None:
         blocks.append(Text(_hung(plan)))
     if plan.rehearsal is not None:
         blocks += _foreseen(plan, plan.rehearsal)
+    if plan.indicator.size:
+        blocks.append(_appropriated(plan))
     lists: list[Block] = [*([_targets(plan)] if plan.target_frequencies.size else []), _points(plan)]
     if data.identify is None:
         return Section("plan", "Test plan", [*blocks, *lists])
@@ -141,6 +143,25 @@ def _found(r: Rehearsal) -> list[list[str | Cell]]:
     rest = (100 * r.frequency_std, 100 * r.damping_std)
     spread: list[list[str | Cell]] = [[number(x, 2) for x in c.tolist()] for c in rest]
     return [found, *spread, [fixed(100 * x, 1) for x in r.mac.tolist()]]
+
+
+def _appropriated(plan: PlanStage) -> Table:
+    """Real forces that isolate each target mode."""
+    rows = [
+        (str(k + 1), fixed(f, 3), fixed(v, 3), *(fixed(x, 2, sign=True) for x in force))
+        for k, f, v, force in zip(
+            plan.target_modes.tolist(),
+            plan.target_frequencies.tolist(),
+            plan.indicator.tolist(),
+            plan.forces.tolist(),
+            strict=True,
+        )
+    ]
+    caption = (
+        "Force appropriation: forces at all references at once that drive each mode, and the mode indicator that they "
+        "reach with the expected damping; 0: the mode responds alone."
+    )
+    return Table(("FE mode", "f, Hz", "indicator", *plan.references), rows, caption, scroll=True)
 
 
 def _points(plan: PlanStage) -> Table:

@@ -85,6 +85,8 @@ class PlanStage:
     suspension_motion: float = 0.0  # their largest motion in a target mode, squared, over the largest of the mode
     steady: bool = False  # the centre of gravity hangs between them
     rehearsal: Rehearsal | None = None  # the virtual test
+    indicator: Float = field(default_factory=lambda: np.zeros(0))  # (target,) least mode indicator of all references
+    forces: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (target, reference) real forces that reach it
 
 
 @dataclass(frozen=True, slots=True, eq=False)

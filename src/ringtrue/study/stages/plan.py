@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError
+from ringtrue.fem.response import frf
 from ringtrue.model.frames import positions
-from ringtrue.plan.candidates import select_candidates
-from ringtrue.plan.exciters import rank_sets
+from ringtrue.plan.candidates import along, select_candidates
+from ringtrue.plan.exciters import appropriate_exciters, qr_exciters, rank_sets
 from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
 from ringtrue.plan.layout import lower_auto_mac, reached, select_points, select_references
 from ringtrue.plan.rehearsal import Conditions, Planned, Rehearsal, rehearse
@@ -21,8 +21,9 @@ from ringtrue.plan.resolution import resolution
 from ringtrue.plan.selection import auto_mac_points, kinetic_weighted, make_redundant, qr_points, worst_loss
 from ringtrue.plan.suspension import loaded_frequencies, suspension_points
 from ringtrue.plan.targets import Targets, choose_targets, effective_mass, in_band, kinetic_share, telling_modes
-from ringtrue.plan.wireframe import mesh_edges, neighbours, shown, wireframe
+from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
+from ringtrue.study.arrangement import AXES, Arrangement, arranged
 from ringtrue.study.config import PlanSection
 from ringtrue.study.opened import Progress, quiet
 from ringtrue.study.parametric import build
@@ -30,13 +31,19 @@ from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import ModelStage, PlanStage
 from ringtrue.study.workbench import Workbench
 
-AXES = ("X", "Y", "Z")
 SEED = 7919  # of the virtual test, added to that of the study
-STRIKE: dict[str, Callable[[Float, int], Int]] = {
+RESIDUE: dict[str, Callable[[Float, int], Int]] = {
     "greedy": select_references,
     "worst": lambda rows, count: rank_sets(rows, min(count, len(rows)), most=1)[0].rows,
 }
-SAID = {"greedy": "hammer points greedily", "worst": "the best set of hammer points"}
+WORST = "by the driving-point residue of the mode that is excited worst"
+SAID = {
+    "greedy": f"hammer points greedily {WORST}",
+    "worst": f"the best set of hammer points {WORST}",
+    "qr": "exciters by QR with pivoting of M·Φ, the forces that part the modes",
+    "mif": "exciters that come closest together to a phase resonance of every mode (mode indicator)",
+}
+SENSORS = {"triaxial": "triaxial points", "uniaxial": "sensors along single axes", "normal": "sensors along normals"}
 MODEL_ERROR = 0.01  # relative, of an eigenvalue: half a percent of a frequency
 METHODS = {
     "independence": "by effective independence (backward elimination)",
@@ -132,8 +139,8 @@ def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Boo
 def run(desk: Workbench, progress: Progress) -> PlanStage:
     """Choose where to measure and where to hit.
 
-    Points are triaxial. The ambient tests use the points that tell the rigid-body and first elastic modes apart; they
-    stay in the hammer test, so that the two can be compared.
+    The ambient tests use the sensors that tell the rigid-body and first elastic modes apart; they stay in the hammer
+    test, so that the two can be compared.
     """
     plan = desk.config.plan
     if plan is None:
@@ -144,24 +151,27 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     wanted = _targets(desk, plan, f, edge)
     targets = wanted.modes
     nodes, region = _within(desk, plan, *_candidates(plan, model))
-    shapes = _shapes(desk, nodes, np.arange(f.size))
+    motion = _shapes(desk, nodes, np.arange(f.size))
     xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(nodes)] * desk.length
+    able = arranged(nodes, region, xyz, plan.directions, model.scene)
+    shapes = able.seen(motion)
     first = np.concatenate([np.flatnonzero((f > 1e-3 * f.max()) & (f <= edge)), targets[: plan.ambient_sensors]])
-    ambient_at = _ambient(plan, shapes[:, :, first], xyz, region) if plan.ambient else np.zeros(0, dtype=np.int64)
-    fixed = np.isin(np.arange(nodes.size), ambient_at) | np.isin(nodes, plan.fixed)
+    ambient_at = _ambient(plan, able, shapes[:, :, first]) if plan.ambient else np.zeros(0, dtype=np.int64)
+    fixed = np.isin(np.arange(able.at.size), ambient_at) | np.isin(able.node, plan.fixed)
     progress(0.3, "measuring points")
-    chosen = _points(desk, plan, shapes, targets, xyz, nodes, fixed, region)
+    chosen = _points(desk, plan, able, shapes, targets, fixed)
     rows = shapes[chosen][:, :, targets].reshape(-1, targets.size)
-    labels = tuple(f"{n}+{a}" for n in nodes[chosen].tolist() for a in AXES)
-    hits = STRIKE[plan.strike](rows, plan.references)
+    labels = able.labels(chosen)
+    progress(0.5, "where to excite")
+    hits, values, forces = _exciters(desk, plan, able, shapes, chosen, targets)
     mac = auto_mac(rows)
     need = resolution(f[targets], plan.damping)
     every = resolution(f[first], plan.damping, precision=plan.precision)
     stage = PlanStage(
-        nodes.size,
+        able.at.size,
         targets,
-        _test_model(nodes[chosen], xyz[chosen], labels, [region[i] for i in chosen.tolist()]),
-        tuple(f"{n}+{a}" for n in nodes[ambient_at].tolist() for a in AXES),
+        able.test_model(chosen),
+        able.labels(ambient_at),
         tuple(labels[i] for i in hits.tolist()),
         mac,
         worst_off_diagonal(mac),
@@ -172,33 +182,25 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         first,
         every.std_frequency,
         every.std_damping,
-        f"triaxial points {METHODS[plan.method]} of {targets.size} target modes, at least "
-        f"{plan.min_distance:g} m apart, then points that lower the worst auto-MAC; {SAID[plan.strike]} by the "
-        f"driving-point residue of the mode that is excited worst (least share reached "
-        f"{100 * float(reached(rows, hits).min()):.0f} %)",
+        f"{SENSORS[plan.directions]} {METHODS[plan.method]} of {targets.size} target modes, at least "
+        f"{plan.min_distance:g} m apart, then points that lower the worst auto-MAC; {SAID[plan.strike]} "
+        f"(least share reached {100 * float(reached(rows, hits).min()):.0f} %)",
         target_frequencies=f[targets],
         reach=reached(rows, hits),
         reasons=wanted.reasons,
         left_by_loss=worst_loss(shapes[chosen][:, :, targets], 1).left,
+        indicator=values,
+        forces=forces,
     )
     progress(0.6, "what the plan shows and misses")
-    return _judged(desk, plan, stage, shapes, xyz, nodes, chosen, progress)
+    return _judged(desk, plan, stage, able, motion, chosen, progress)
 
 
-def _points(
-    desk: Workbench,
-    plan: PlanSection,
-    shapes: Float,
-    targets: Int,
-    xyz: Float,
-    nodes: Int,
-    fixed: Bool,
-    region: tuple[str, ...],
-) -> Int:
-    """Measuring points by the method asked for, with the auto-MAC lowered and the redundancy asked for."""
-    phi = shapes[:, :, targets]
-    seen = kinetic_weighted(phi, _mass(desk, nodes)) if plan.weigh else phi
-    cost = np.array([plan.cost.get(r, 1.0) for r in region]) if plan.cost else None
+def _points(desk: Workbench, plan: PlanSection, able: Arrangement, shapes: Float, targets: Int, fixed: Bool) -> Int:
+    """Sensors by the method asked for, with the auto-MAC lowered and the redundancy asked for."""
+    phi, xyz = shapes[:, :, targets], able.apart
+    seen = kinetic_weighted(phi, _mass(desk, able)) if plan.weigh else phi
+    cost = np.array([plan.cost.get(r, 1.0) for r in able.region]) if plan.cost else None
     count, apart = plan.sensors, plan.min_distance
     if plan.method == "independence":
         chosen = select_points(seen, xyz, count, fixed=fixed, min_distance=apart)
@@ -207,7 +209,7 @@ def _points(
     elif plan.method == "auto-mac":
         chosen = auto_mac_points(seen, count, xyz=xyz, min_distance=apart, fixed=fixed)
     else:
-        aims = _aims(desk, plan, nodes, seen, phi, targets)
+        aims = _aims(desk, plan, able, seen, phi, targets)
         chosen = greedy_logdet(aims, count, xyz=xyz, min_distance=apart, fixed=fixed, cost=cost)
     chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, plan.sensors + 15)
     if plan.redundancy:
@@ -215,82 +217,112 @@ def _points(
     return chosen
 
 
-def _mass(desk: Workbench, nodes: Int) -> Float:
-    """Mean translational mass on the diagonal of the mass matrix at nodes, (n,); 0 where a node is held."""
-    system = desk.initial.analysis.system
+def _exciters(
+    desk: Workbench, plan: PlanSection, able: Arrangement, shapes: Float, chosen: Int, targets: Int
+) -> tuple[Int, Float, Float]:
+    """Channels to excite by the method asked for; mode indicators (m,) and forces (m, k) where these were sought."""
+    rows = shapes[chosen].reshape(chosen.size * able.each, -1)
+    count = min(plan.references, len(rows))
+    none = np.zeros(0), np.zeros((0, 0))
+    if plan.strike == "qr":
+        analysis = desk.initial.analysis
+        pull = analysis.system.mass @ (analysis.system.local @ desk.initial.modes(desk.deck.fmax).modes.shapes)
+        at = _rows(desk, able.node[chosen])
+        forces = (analysis.system.transform[at.ravel()] @ pull[:, targets]).reshape(chosen.size, 3, -1)
+        return (qr_exciters(along(forces, able.axes[chosen]).reshape(len(rows), -1), count), *none)
+    if plan.strike == "mif":
+        f = desk.get("model").modes.frequencies
+        zeta = np.full(f.size, plan.damping)
+        outputs = np.asarray(
+            np.linalg.qr(rows, mode="r")
+        )  # as good as all channels: the indicator reads sums over them alone
+        return appropriate_exciters(frf(f[targets], f, zeta, outputs, rows), count)
+    return (RESIDUE[plan.strike](rows[:, targets], plan.references), *none)
+
+
+def _mass(desk: Workbench, able: Arrangement) -> Float:
+    """Mean translational mass on the diagonal of the mass matrix at the sensors, (s,); 0 where a node is held."""
+    system, nodes = desk.initial.analysis.system, able.nodes
     at = np.flatnonzero((system.free.direction != 0) & (np.abs(system.free.direction) <= 3))
     order = np.argsort(nodes)
     seat = order[np.searchsorted(nodes, system.free.node[at], sorter=order).clip(max=nodes.size - 1)]
     here = nodes[seat] == system.free.node[at]
-    return np.bincount(seat[here], system.mass.diagonal()[at][here], nodes.size) / 3
+    return np.asarray(np.bincount(seat[here], system.mass.diagonal()[at][here], nodes.size)[able.at] / 3)
 
 
-def _aims(desk: Workbench, plan: PlanSection, nodes: Int, seen: Float, phi: Float, targets: Int) -> list[Aim]:
+def _aims(desk: Workbench, plan: PlanSection, able: Arrangement, seen: Float, phi: Float, targets: Int) -> list[Aim]:
     """The modes, as they are and at draws of the prior, and the candidates for the updating where there are some."""
     parameters = desk.config.candidates()
     aims = [mode_aim(seen)]
     if plan.draws:
-        aims = [mode_aim(s, weight=1 / (plan.draws + 1)) for s in _drawn(desk, plan, nodes, targets)]
+        aims = [mode_aim(s, weight=1 / (plan.draws + 1)) for s in _drawn(desk, plan, able, targets)]
     if len(parameters):
         found = desk.initial.modes(desk.deck.fmax).modes.take(targets)
         d_lambda, d_phi = desk.initial.analysis.derivatives(found, parameters)
         slope = parameters.slope(np.zeros(len(parameters)))
         relative = d_lambda * slope / (2 * np.pi * found.frequencies[:, None]) ** 2
-        d_shapes = d_phi[_rows(desk, nodes)] * slope
-        aims.append(parameter_aim(phi, d_shapes, parameters.std(), relative=relative))
+        d_nodes = d_phi[_rows(desk, able.nodes)] * slope
+        d_seen = able.seen(d_nodes.reshape(*d_nodes.shape[:2], -1))
+        aims.append(
+            parameter_aim(
+                phi, d_seen.reshape(*d_seen.shape[:2], *d_nodes.shape[2:]), parameters.std(), relative=relative
+            )
+        )
     return aims
 
 
-def _drawn(desk: Workbench, plan: PlanSection, nodes: Int, targets: Int) -> Float:
-    """Target shapes at the candidates at draws of the prior, the nominal ones first, (s, n, 3, m)."""
+def _drawn(desk: Workbench, plan: PlanSection, able: Arrangement, targets: Int) -> Float:
+    """Target shapes at the sensors at draws of the prior, the nominal ones first, (draw, s, d, m)."""
     parameters = desk.config.candidates()
     if not len(parameters):
         raise ConfigError("[plan] draws needs a [[candidate]]: the prior is theirs")
-    labels = tuple(f"{n}+{a}" for n in nodes.tolist() for a in AXES)
+    labels = tuple(f"{n}+{a}" for n in able.nodes.tolist() for a in AXES)
     model = build(desk.initial, parameters, at_dofs(labels, desk.initial.analysis.dofs), desk.deck.fmax, quiet)
     found = prior_shapes(model, plan.draws, np.random.default_rng([desk.config.study.seed, 10]))[:, :, targets]
-    mass = _mass(desk, nodes) if plan.weigh else np.ones(nodes.size)
-    return np.stack([kinetic_weighted(s.reshape(nodes.size, 3, -1), mass) for s in found])
+    mass = _mass(desk, able) if plan.weigh else np.ones(able.at.size)
+    return np.stack([kinetic_weighted(able.seen(s.reshape(able.nodes.size, 3, -1)), mass) for s in found])
 
 
 def _judged(
     desk: Workbench,
     plan: PlanSection,
     stage: PlanStage,
-    shapes: Float,
-    xyz: Float,
-    nodes: Int,
+    able: Arrangement,
+    motion: Float,
     chosen: Int,
     progress: Progress,
 ) -> PlanStage:
     """The stage with what was asked for besides: drawing, loading, suspension, virtual test."""
     model: ModelStage = desk.get("model")
     f, targets = model.modes.frequencies, stage.target_modes
-    seat = np.searchsorted(model.scene.node, nodes[chosen]).clip(max=model.scene.node.size - 1)
-    if (model.scene.node[seat] == nodes[chosen]).all():  # all points lie on what is drawn
+    points, back = able.points(chosen)
+    seat = np.searchsorted(model.scene.node, points).clip(max=model.scene.node.size - 1)
+    if (model.scene.node[seat] == points).all():  # all points lie on what is drawn
         edges = mesh_edges(model.scene.triangles, model.scene.lines)
         drawn = model.modes.shapes.reshape(model.scene.node.size, 3, -1)[:, :, targets]
-        stage = replace(stage, shown=shown(model.scene.xyz, edges, seat, drawn))
+        stage = replace(stage, shown=shown(model.scene.xyz, edges, seat, drawn, able.measured(chosen)))
         if plan.lines == "mesh":
-            lines = nodes[chosen][wireframe(model.scene.xyz, edges, seat)]
+            lines = points[wireframe(model.scene.xyz, edges, seat)]
             stage = replace(stage, test=replace(stage.test, lines=lines))
     si = np.sqrt(desk.length)  # mass-normalised in t and mm: 1/√t = 1/√(1000 kg)
     if plan.sensor_mass:
-        added = np.full(chosen.size, plan.sensor_mass)
+        added = np.asarray(plan.sensor_mass * np.bincount(back), dtype=np.float64)
         elastic = f > 1e-3 * f.max()
-        loaded = loaded_frequencies(f[elastic], si * shapes[chosen][:, :, elastic], added)
+        order = np.argsort(able.nodes)
+        here = motion[order[np.searchsorted(able.nodes, points, sorter=order)]][:, :, elastic]
+        loaded = loaded_frequencies(f[elastic], si * here, added)
         stage = replace(stage, loaded=(loaded / f[elastic] - 1)[np.searchsorted(np.flatnonzero(elastic), targets)])
     if plan.suspension:
+        xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(able.nodes)] * desk.length
         hung = suspension_points(
-            shapes[:, 2:, targets], xyz, plan.suspension, model.cg * desk.length, min_distance=plan.min_distance
+            motion[:, 2:, targets], xyz, plan.suspension, model.cg * desk.length, min_distance=plan.min_distance
         )
-        places = tuple(nodes[hung.points].tolist())
+        places = tuple(able.nodes[hung.points].tolist())
         stage = replace(stage, suspension=places, suspension_motion=hung.motion, steady=hung.steady)
     if plan.trials:
         progress(0.7, "virtual test")
-        stage = replace(
-            stage, rehearsal=_rehearsed(desk, plan, stage, si * shapes[chosen].reshape(-1, f.size), progress)
-        )
+        rows = able.seen(motion)[chosen].reshape(-1, f.size)
+        stage = replace(stage, rehearsal=_rehearsed(desk, plan, stage, si * rows, progress))
     return stage
 
 
@@ -306,19 +338,13 @@ def _rehearsed(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float
     return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
 
 
-def _ambient(plan: PlanSection, shapes: Float, xyz: Float, region: tuple[str, ...]) -> Int:
-    """Points of the ambient tests: in the first two regions, half of them in each."""
-    names = list(dict.fromkeys(region))[:2]
+def _ambient(plan: PlanSection, able: Arrangement, shapes: Float) -> Int:
+    """Sensors of the ambient tests: in the first two regions, half of them in each."""
+    names = list(dict.fromkeys(able.region))[:2]
     out = []
     for name in names:
-        at = np.flatnonzero(np.array([r == name for r in region]))
-        count = max(plan.ambient_sensors // len(names), -(-shapes.shape[2] // 3))
-        out.append(at[select_points(shapes[at], xyz[at], min(count, at.size), min_distance=2 * plan.min_distance)])
+        at = np.flatnonzero(np.array([r == name for r in able.region]))
+        count = max(plan.ambient_sensors // len(names), -(-shapes.shape[2] // able.each))
+        apart = 2 * plan.min_distance
+        out.append(at[select_points(shapes[at], able.apart[at], min(count, at.size), min_distance=apart)])
     return np.sort(np.concatenate(out))
-
-
-def _test_model(nodes: Int, xyz: Float, labels: tuple[str, ...], groups: list[str]) -> TestModel:
-    """Triaxial points with lines to their neighbours of the same region, for drawing."""
-    axes = np.tile(np.eye(3), (nodes.size, 1))
-    lines = nodes[neighbours(xyz, groups)]
-    return TestModel(nodes, xyz, labels, np.repeat(nodes, 3), axes, lines, tuple(groups))
