@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.study.config_errors import explain
+from ringtrue.study.config_plan import PlanSection, rising
 from ringtrue.study.config_update import (
     AUTOMATIC,
     ConstraintSection,
@@ -22,11 +23,6 @@ from ringtrue.study.config_update import (
     UpdateSection,
 )
 from ringtrue.update.damping_regions import DampingRegion
-
-
-def _rising(name: str, low: float | None, high: float | None) -> None:
-    if (low is not None and low < 0) or (high is not None and high <= (low or 0.0)):
-        raise ValueError(f"{name}fmin {low} and {name}fmax {high}: must be 0 <= fmin < fmax")
 
 
 class _Section(BaseModel):
@@ -48,62 +44,6 @@ class ModelSection(_Section):
     units: Literal["SI", "mm-t-s"] = "SI"
     fmax: float = Field(default=100.0, gt=0)  # Hz, modes are computed up to here
     regions: dict[str, list[int]] = {}  # name -> property numbers, for drawing and naming
-
-
-class PlanSection(_Section):
-    """What to plan."""
-
-    fmin: float = 0.0
-    fmax: float = Field(default=80.0, gt=0)
-    sensors: int = Field(default=45, gt=0)  # measuring points for the hammer test, sensors where not triaxial
-    ambient_sensors: int = Field(default=12, gt=0)  # measuring points for the ambient tests
-    references: int = Field(default=4, gt=0)
-    candidates: dict[str, list[int]] = {}  # region -> candidate nodes; empty: the skin of the model
-    min_distance: float = Field(default=0.8, ge=0)  # m
-    damping: float = Field(default=0.01, gt=0)  # expected, for the resolution
-    max_auto_mac: float = Field(default=0.25, gt=0, lt=1)
-    method: Literal["independence", "qr", "auto-mac", "information"] = "independence"
-    modes: list[int] = []  # target modes by their number in the deck, from 1; empty: all of the band
-    effective_mass: float = Field(default=0.0, ge=0, lt=1)  # of the band, modes with such a share of the mass, or
-    sensitive: float = Field(default=0.0, ge=0)  # with such a sum of |∂λ/∂a|/λ over the candidates of the updating, or
-    telling: int = Field(default=0, ge=0)  # so many modes that tell those candidates apart; all 0: every mode
-    kinetic: dict[str, float] = {}  # region of `candidates` -> share of kinetic energy of a target mode
-    weigh: bool = False  # points that carry kinetic energy come first
-    cost: dict[str, float] = {}  # region of `candidates` -> cost of a point, 1 if not named; for qr and information
-    draws: int = Field(default=0, ge=0)  # of the prior of the candidates of the updating; for information
-    precision: float = Field(default=0.1, gt=0)  # relative, wanted of the lowest damping in an ambient record
-    ambient: bool = True  # keep points for ambient tests
-    boxes: list[list[float]] = []  # x0 y0 z0 x1 y1 z1 in m; candidates lie in one of them
-    keep_out: list[list[float]] = []  # boxes without candidates
-    exclude: list[int] = []  # nodes that are no candidates
-    fixed: list[int] = []  # nodes that are measured in any case
-    redundancy: int = Field(default=0, ge=0)  # points that may fail
-    directions: Literal["triaxial", "uniaxial", "normal"] = "triaxial"  # of a sensor: X Y Z, one of them, off the skin
-    # driving-point residues by the mean of the logarithms, or by the mode that is excited worst; QR of M·Φ; force
-    # appropriation by the mode indicator
-    strike: Literal["greedy", "worst", "qr", "mif"] = "greedy"
-    suspension: int = Field(default=0, ge=0)  # points to hang from; 0: not asked for
-    sensor_mass: float = Field(default=0.0, ge=0)  # kg a point, for the shift of the frequencies
-    lines: Literal["mesh", "nearest"] = "mesh"  # the drawing of the points follows the mesh, or joins neighbours
-    trials: int = Field(default=0, ge=0)  # virtual tests of the plan
-    background: float = Field(default=0.0, ge=0)  # N/√Hz at each reference in the virtual tests
-
-    @model_validator(mode="after")
-    def _band(self) -> Self:
-        _rising("", self.fmin, self.fmax)
-        if any(len(b) != 6 for b in (*self.boxes, *self.keep_out)):
-            raise ValueError("boxes and keep_out: a box is x0 y0 z0 x1 y1 z1")
-        if (self.cost and self.method not in ("qr", "information")) or (self.draws and self.method != "information"):
-            raise ValueError(
-                f"cost goes with method qr or information, draws with information; method is {self.method}"
-            )
-        if lost := [r for r in (*self.kinetic, *self.cost) if r not in self.candidates]:
-            raise ValueError(f"no region {lost[0]!r} in candidates{did_you_mean(lost[0], self.candidates)}")
-        if any(v <= 0 for v in (*self.cost.values(), *self.kinetic.values())):
-            raise ValueError("cost and kinetic: must be > 0")
-        if any(m < 1 for m in self.modes):
-            raise ValueError("modes: the first mode of the deck is 1")
-        return self
 
 
 class TestSection(_Section):
@@ -134,8 +74,8 @@ class IdentifySection(_Section):
 
     @model_validator(mode="after")
     def _bands(self) -> Self:
-        _rising("ambient_", self.ambient_fmin, self.ambient_fmax)
-        _rising("hammer_", self.hammer_fmin, self.hammer_fmax)
+        rising("ambient_", self.ambient_fmin, self.ambient_fmax)
+        rising("hammer_", self.hammer_fmin, self.hammer_fmax)
         return self
 
 

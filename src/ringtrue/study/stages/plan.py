@@ -24,7 +24,7 @@ from ringtrue.plan.targets import Targets, choose_targets, effective_mass, in_ba
 from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.arrangement import AXES, Arrangement, arranged
-from ringtrue.study.config import PlanSection
+from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.opened import Progress, quiet
 from ringtrue.study.parametric import build
 from ringtrue.study.reference import elastic_edge
