@@ -10,7 +10,7 @@ from ringtrue.correlate.gates import Gate, judge, verdict_json
 from ringtrue.errors import ConfigError, InputError, SingularModel
 from ringtrue.reduce.expand import expand_dynamic, expand_hybrid, expand_serep, expand_static
 from ringtrue.reduce.static import craig_bampton, guyan
-from ringtrue.reduce.tam import craig_bampton_coordinates, select, tam
+from ringtrue.reduce.tam import craig_bampton_coordinates, craig_bampton_of, readings_kept, select, tam
 from ringtrue.shapes.mac import mac, paired_mac
 from ringtrue.shapes.orthogonality import cross_orthogonality, mass_mac, poc, self_orthogonality, serep_mass
 
@@ -174,3 +174,22 @@ def test_what_cannot_be_reduced_or_expanded() -> None:
     loose = sparse.csr_array(sparse.block_diag([chain(free=True)[0], chain(free=True)[0]]))
     with pytest.raises(SingularModel):
         expand_static(loose, select(SENSORS, 2 * N), np.ones((8, 1)))
+
+
+@pytest.mark.parametrize("kind", ["dofs", "skewed"])
+def test_craig_bampton_of_sensors_anywhere_is_exact(kind: str) -> None:
+    K, M = chain(free=True)
+    f, phi = solved(K, M)
+    observe = select(SENSORS, N)
+    if kind == "skewed":  # each reads its node and the next, and a node is read twice
+        observe = sparse.csr_array(0.8 * observe - 0.6 * select(SENSORS + 1, N))
+        observe = sparse.csr_array(sparse.vstack([observe, select(SENSORS[:1], N)]))
+    seen = observe @ phi
+    u = readings_kept(observe)
+    np.testing.assert_allclose((observe @ u)[:, -len(seen) :].toarray(), np.eye(len(seen)), atol=1e-12)
+    assert abs(observe @ u)[:, : N - len(seen)].max() < 1e-12
+    cb = craig_bampton_of(K, M, observe, N - len(seen))
+    q = craig_bampton_coordinates(cb, seen[:, :9], f[:9])
+    np.testing.assert_allclose(cross_orthogonality(q, q, cb.mass), np.eye(9), atol=1e-6)
+    with pytest.raises(InputError, match="reads what others read"):
+        readings_kept(sparse.csr_array(sparse.vstack([observe, observe[:1]])))

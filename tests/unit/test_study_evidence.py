@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from ringtrue.report.deliver import deliver
 from ringtrue.report.parts import Table
 from ringtrue.report.sections import measured, survey
 from ringtrue.report.stages import Stages
+from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.acceptance import Acceptance, limits, missed_words, verdict
 from ringtrue.study.evidence import channel_mass, evidence, on_sheet, synthesised
 from ringtrue.study.reference import reference_modes
@@ -88,12 +90,13 @@ def test_channels_that_read_the_same_are_no_error(done: StudyRun) -> None:
     opened, config = done.desk.remodelled, done.config.correlate
     seen = opened.observation(done.results["identify"].test, config.tolerance)
     twice = (*seen.channels, seen.channels[0])
-    assert channel_mass(opened, seen, seen.channels, config, small_study.FMAX)[1] == ""
-    mass, why = channel_mass(opened, seen, twice, config, small_study.FMAX)
+    assert channel_mass(opened, seen, seen.channels, config, small_study.FMAX).why == ""
+    none = channel_mass(opened, seen, twice, config, small_study.FMAX)
+    mass, why = none.matrix, none.why
     assert mass is None
     assert "reads what others read already" in why
     hybrid = config.model_copy(update={"tam": "hybrid"})
-    m = channel_mass(opened, seen, seen.channels, hybrid, small_study.FMAX)[0]
+    m = channel_mass(opened, seen, seen.channels, hybrid, small_study.FMAX).matrix
     phi = done.results["correlate"].fe_remodelled.shapes
     np.testing.assert_allclose(phi.T @ m @ phi, np.eye(phi.shape[1]), atol=1e-6)
 
@@ -242,3 +245,28 @@ def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
     text, *plots = signals.blocks
     assert "Setup 1 of 1, 2 and 3" in text.text  # type: ignore[union-attr]
     assert len(plots) == 2
+
+
+@pytest.mark.parametrize("method", ["hybrid", "serep", "guyan", "dynamic"])
+def test_test_shapes_are_expanded_as_asked_for(done: StudyRun, tmp_path: Path, method: str) -> None:
+    """The truth is another deck, but its shapes at the nodes between the sensors are close to those of this one."""
+    asked = f'[correlate]\nexpand = "{method}"\ntam = "craig-bampton"\n'
+    shutil.copytree(done.folder, tmp_path / "s")
+    study = tmp_path / "s/study.toml"
+    study.write_text(study.read_text() + asked)
+    run = run_study(study, until="localise")
+    deliver(run)
+    found = run.results["correlate"].expanded
+    keeps = method in ("guyan", "dynamic")
+    assert found.misfit.max() < (1e-9 if keeps else 0.1)
+    fe, table = run.results["model"].modes, run.results["correlate"].initial.pairing
+    like = paired_mac(found.modes.shapes[:, table.a], fe.shapes[:, table.b])
+    assert like[:3].min() > 0.95
+    told = json.loads((run.folder / "summary.json").read_text())
+    assert told["expansion"]["method"] == method
+    named = [k["name"] for k in told["evidence"]["remodelled"]["orthogonality"]]
+    assert "cross-orthogonality, Craig-Bampton mass" in named
+    own = next(c for c in run.results["correlate"].evidence.measures.checks if c.kind == "model")
+    assert own.verdict.passed
+    assert run.results["localise"].expansion == method
+    assert run.results["localise"].misfit.size == run.results["localise"].modes.size

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -26,6 +26,7 @@ from ringtrue.shapes.orthogonality import cross_orthogonality, pseudo_inverse, s
 from ringtrue.shapes.scale import modal_scale_factor
 from ringtrue.shapes.subspace import close_groups, principal_angles
 
+Lift = Callable[[ModeSet], Any_]
 WHOLE = 30  # modes up to which whole matrices are written to JSON
 
 
@@ -126,6 +127,7 @@ def complete(
     *,
     mass: Any_ | sparse.csr_array | None = None,
     mass_name: str = "given",
+    lift: Lift | None = None,
     gate: Gate = TRADE,
     std_a: Float | float = float("nan"),
     std_b: Float | float = float("nan"),
@@ -142,6 +144,8 @@ def complete(
         Of the structure at the channels of A (`reduce.tam`).
     mass_name : str
         What it is called in the checks.
+    lift : callable, ModeSet -> (n, m), optional
+        Coordinates of shapes that the mass is over, where these are not the channels (`reduce.tam`, Craig-Bampton).
     gate : Gate
     std_a, std_b : (ma,), (mb,) float64 or float, Hz
         Standard deviations of the frequencies; NaN where unknown.
@@ -152,7 +156,7 @@ def complete(
     left, right = paired_shapes(a, b, pairing, settings)
     notes: list[str] = []
     turn = turning(a, b, pairing, settings)
-    checks = _over_mass(a, b, pairing, turn, mass, mass_name, gate) if mass is not None else ()
+    checks = _over_mass(a, b, pairing, turn, mass, mass_name, gate, lift) if mass is not None else ()
     checks += _over_serep(a, b, pairing, turn, gate, notes, quiet=bool(checks))
     suspects: tuple[Suspect, ...] = ()
     if len(pairing) < 3:
@@ -186,13 +190,21 @@ def complete(
 
 
 def _over_mass(
-    a: ModeSet, b: ModeSet, pairing: Pairing, turn: Any_, mass: Any_ | sparse.csr_array, name: str, gate: Gate
+    a: ModeSet,
+    b: ModeSet,
+    pairing: Pairing,
+    turn: Any_,
+    mass: Any_ | sparse.csr_array,
+    name: str,
+    gate: Gate,
+    lift: Lift | None,
 ) -> tuple[Check, ...]:
     """The modes of B up to the last that has a partner, those of A, and both, over a mass."""
     rows, cols, upto = pairing.a, pairing.b, np.arange(int(pairing.b.max(initial=-1)) + 1)
-    model = self_orthogonality(b.shapes[:, upto], mass)
-    own = self_orthogonality(a.shapes, mass)
-    cross = cross_orthogonality(a.shapes, b.shapes @ turn, mass)
+    one, two = (m.shapes if lift is None else lift(m) for m in (a, b))
+    model = self_orthogonality(two[:, upto], mass)
+    own = self_orthogonality(one, mass)
+    cross = cross_orthogonality(one, two @ turn, mass)
     return (
         Check(f"modes of the model, {name} mass", model, judge(model, gate, a=upto, b=upto), "model", name),
         Check(f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name),

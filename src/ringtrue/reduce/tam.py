@@ -18,7 +18,7 @@ from scipy import linalg, sparse
 from ringtrue.core.arrays import Any_, Float, freeze_fields
 from ringtrue.eigen.factor import Factor, Labels, Pencil
 from ringtrue.errors import ConfigError, InputError, did_you_mean
-from ringtrue.reduce.static import Condensed
+from ringtrue.reduce.static import Condensed, craig_bampton
 from ringtrue.shapes.orthogonality import pseudo_inverse
 
 CHUNK = 64  # right-hand sides solved at once
@@ -194,6 +194,64 @@ def _projected(method: str, transform: Float, stiffness: sparse.csr_array, mass:
     return TestAnalysisModel(method, (m + m.T) / 2, (k + k.T) / 2, transform)
 
 
+def readings_kept(observe: sparse.csr_array) -> sparse.csr_array:
+    """S (f, f) of u = S [z, y]: the readings y = Cu in place of as many degrees of freedom, the others z kept.
+
+    Of the degrees of freedom that the channels read, those that a pivoted QR takes first are expressed by the readings
+    and the rest: sensors may be skewed or read several nodes, and SᵀKS stays sparse.
+
+    Parameters
+    ----------
+    observe : (channel, f) scipy.sparse.csr_array float64
+
+    Raises
+    ------
+    InputError
+        If two channels read the same, or one reads nothing.
+    """
+    observe = sparse.csr_array(observe)
+    c, f = observe.shape
+    read = np.unique(observe.nonzero()[1])
+    dense = observe[:, read].toarray()
+    _, r, pivot = linalg.qr(dense, mode="economic", pivoting=True)
+    size = np.abs(np.diag(r))
+    if read.size < c or size[-1] <= DEPENDENT * size[0]:
+        raise InputError(f"{c} channels: at least one reads what others read already, or nothing")
+    gone, left = read[pivot[:c]], read[pivot[c:]]
+    inverse = np.linalg.inv(dense[:, pivot[:c]])  # of a well-conditioned block, one column a channel
+    kept = np.setdiff1d(np.arange(f), gone)
+    place = np.searchsorted(kept, left)
+    values, rows, columns = [np.ones(kept.size)], [kept], [np.arange(kept.size)]
+    for block, at in ((-inverse @ dense[:, pivot[c:]], place), (inverse, kept.size + np.arange(c))):
+        i, j = np.nonzero(block)
+        values, rows, columns = [*values, block[i, j]], [*rows, gone[i]], [*columns, at[j]]
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return sparse.csr_array(sparse.coo_array(entries, shape=(f, f)))
+
+
+def craig_bampton_of(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, observe: sparse.csr_array, count: int
+) -> Condensed:
+    """The Craig-Bampton model of the readings of sensors anywhere, and of `count` modes with all readings held.
+
+    Its kept coordinates are the readings in the order of the channels (`transform` is over `readings_kept`).
+
+    Parameters
+    ----------
+    stiffness, mass : (f, f) scipy.sparse.csr_array float64
+    observe : (channel, f) scipy.sparse.csr_array float64
+    count : int
+
+    Raises
+    ------
+    InputError
+        If two channels read the same.
+    """
+    s, c = readings_kept(observe), observe.shape[0]
+    k, m = (sparse.csr_array(s.T @ (x @ s)) for x in (stiffness, mass))
+    return craig_bampton(k, m, np.arange(k.shape[0] - c, k.shape[0]), count)
+
+
 def craig_bampton_coordinates(condensed: Condensed, shapes: Any_, frequencies: Float) -> Any_:
     """Coordinates (b + n, m) in a Craig-Bampton model of shapes read at its kept DOFs.
 
@@ -203,7 +261,7 @@ def craig_bampton_coordinates(condensed: Condensed, shapes: Any_, frequencies: F
     Parameters
     ----------
     condensed : Condensed
-        Of `reduce.static.craig_bampton`, the kept DOFs being those of the sensors.
+        Of `craig_bampton_of`, or of `reduce.static.craig_bampton` with the DOFs of the sensors kept.
     shapes : (b, m) float64 or complex128
         In the order of `condensed.kept`.
     frequencies : (m,) float64, Hz

@@ -101,7 +101,10 @@ class CorrelateSection(_Section):
     accept_mean_mac: float | None = Field(default=None, ge=0, le=100, exclude=True)
     accept_orthogonality: float = Field(default=90.0, ge=0, le=100)  # %, least cross-orthogonality of a pair
     accept_off_diagonal: float = Field(default=10.0, ge=0, le=100)  # %, largest between different modes
-    tam: Literal["irs", "guyan", "hybrid", "serep"] = "irs"  # the mass at the channels that orthogonality is over
+    # the mass at the channels that orthogonality is over
+    tam: Literal["irs", "guyan", "hybrid", "serep", "craig-bampton"] = "irs"
+    # of the test shapes to the whole deck, for the error indicators (hybrid if not given) and the report (none)
+    expand: Literal["", "hybrid", "serep", "guyan", "dynamic"] = ""
 
     @field_validator("lock", "forbid")
     @classmethod

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -12,13 +12,13 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.pairing import Pairing
 from ringtrue.core.signals import FrfSet
-from ringtrue.correlate.complete import complete
+from ringtrue.correlate.complete import Lift, complete
 from ringtrue.correlate.frf import compare_frfs, fdac
 from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.track import Tracks, track
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.response import frf
-from ringtrue.reduce.tam import tam
+from ringtrue.reduce.tam import craig_bampton_coordinates, craig_bampton_of, tam
 from ringtrue.shapes.mac import auto_mac
 from ringtrue.study.config import CorrelateSection, StudyConfig
 from ringtrue.study.opened import Opened
@@ -43,22 +43,46 @@ def at_channels(opened: Opened, observation: Observation, channels: tuple[str, .
     return sparse.csr_array(rows @ opened.analysis.system.transform)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelMass:
+    """The mass of a deck at channels.
+
+    Attributes
+    ----------
+    matrix : (n, n) float64, optional
+    why : str
+        Why there is none.
+    lift : callable, optional
+        Coordinates of shapes that it is over, where these are not the channels.
+    """
+
+    matrix: Float | None = None
+    why: str = ""
+    lift: Lift | None = None
+
+
+NAMES = {"irs": "IRS", "guyan": "Guyan", "craig-bampton": "Craig-Bampton"}
+
+
 def channel_mass(
     opened: Opened, observation: Observation, channels: tuple[str, ...], config: CorrelateSection, fmax: float
-) -> tuple[Float | None, str]:
-    """The deck's mass at the channels, and why there is none."""
+) -> ChannelMass:
+    """The deck's mass at the channels, by the test-analysis model of the study."""
     system = opened.analysis.system
     size = system.stiffness.shape[0]
     if config.tam == "serep":
-        return None, ""
+        return ChannelMass()
     if size * len(channels) > LARGEST:
-        return None, f"no {config.tam} mass: {size} DOFs and {len(channels)} channels take too much memory"
+        return ChannelMass(why=f"no {config.tam} mass: {size} DOFs and {len(channels)} channels take too much memory")
     observe = at_channels(opened, observation, channels)
-    modes = system.local @ opened.modes(fmax).modes.shapes if config.tam == "hybrid" else None
+    shapes = system.local @ opened.modes(fmax).modes.shapes if config.tam == "hybrid" else None
     try:
-        return tam(system.stiffness, system.mass, observe, config.tam, modes=modes).mass, ""
+        if config.tam == "craig-bampton":  # with the channels held as many modes reach beyond fmax
+            held = craig_bampton_of(system.stiffness, system.mass, observe, len(opened.modes(fmax).modes))
+            return ChannelMass(held.mass, lift=lambda m: craig_bampton_coordinates(held, m.shapes, m.frequencies))
+        return ChannelMass(tam(system.stiffness, system.mass, observe, config.tam, modes=shapes).mass)
     except (InputError, NumericalError) as e:  # channels that read the same, or too few of them
-        return None, f"no {config.tam} mass: {e}"
+        return ChannelMass(why=f"no {config.tam} mass: {e}")
 
 
 def evidence(
@@ -66,7 +90,7 @@ def evidence(
     fe: ModeSet,
     pairing: Pairing,
     config: StudyConfig,
-    mass: tuple[Float | None, str] = (None, ""),
+    mass: ChannelMass | None = None,
 ) -> Evidence:
     """All measures of the elastic test modes against a model.
 
@@ -78,22 +102,23 @@ def evidence(
     pairing : Pairing
         Of `reference.elastic` with all of `fe`.
     config : StudyConfig
-    mass : ((channel, channel) float64 or None, str)
+    mass : ChannelMass, optional
         Of `channel_mass`, at the channels of the reference.
     """
-    test, c = reference.elastic, config.correlate
+    test, c, mass = reference.elastic, config.correlate, mass or ChannelMass()
     measures = complete(
         test,
         fe,
         pairing,
-        mass=mass[0],
-        mass_name=c.tam if c.tam == "hybrid" else {"irs": "IRS", "guyan": "Guyan"}.get(c.tam, c.tam),
+        mass=mass.matrix,
+        mass_name=NAMES.get(c.tam, c.tam),
+        lift=mass.lift,
         gate=gate(c),
         std_a=reference.elastic_std.frequency,
         settings=settings(config),
     )
-    if mass[1]:
-        measures = replace(measures, notes=(*measures.notes, mass[1]))
+    if mass.why:
+        measures = replace(measures, notes=(*measures.notes, mass.why))
     return Evidence(measures, auto_mac(test.shapes))
 
 

@@ -88,12 +88,12 @@ def mass_at(opened: Opened, seen: Observation, channels: tuple[str, ...], config
     ConfigError
         If there is none.
     """
-    if config.correlate.tam == "serep" or config.model is None:
+    if config.correlate.tam in ("serep", "craig-bampton") or config.model is None:
         raise ConfigError('update.residuals "orthogonality" needs a deck, and correlate.tam irs, guyan or hybrid')
-    mass, why = channel_mass(opened, seen, channels, config.correlate, config.model.fmax)
-    if mass is None:
-        raise ConfigError(f'update.residuals "orthogonality": {why}')
-    return mass
+    found = channel_mass(opened, seen, channels, config.correlate, config.model.fmax)
+    if found.matrix is None:
+        raise ConfigError(f'update.residuals "orthogonality": {found.why}')
+    return found.matrix
 
 
 def data_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Data, ...]:

@@ -145,6 +145,8 @@ def summarise(run: StudyRun) -> dict[str, Any]:
         out["rigid_body"] = {"before": pairs(correlate.rigid_initial), "after": []}
         out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
         out |= {"alignment": correlate.placed} if correlate.placed else {}
+        if (e := correlate.expanded) is not None:
+            out["expansion"] = {"method": e.method, "misfit_percent": (100 * e.misfit).tolist()}
         out |= {"remodelling": [asdict(s) for s in correlate.history]} if correlate.history else {}
     out |= _localised(r) | _updated(r) | _known(r) | _used(r)
     out |= _configured(r)

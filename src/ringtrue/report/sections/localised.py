@@ -26,9 +26,15 @@ from ringtrue.study.results import LocaliseStage
 from ringtrue.update.proposal import Proposed
 
 LEAD = (
-    "The test shapes, expanded to the whole model, do not fulfil its equation of motion. Where the error gathers "
+    "The test shapes, expanded to the whole model by {0}, do not fulfil its equation of motion. Where the error gathers "
     "beyond its share of strain energy (above 1), stiffness or mass is likely wrong there, or nearby."
 )
+EXPANSIONS = {
+    "hybrid": "a balance of readings and equation of motion",
+    "serep": "SEREP",
+    "guyan": "the static shapes of the sensors (Guyan)",
+    "dynamic": "the dynamic shapes of the sensors",
+}
 SHOWN = 30  # names of candidates that were not looked at closely
 FEW = 14  # candidates that are not folded away
 
@@ -39,7 +45,7 @@ def section(data: Stages) -> Section | None:
     if s is None:
         return None
     bars = Plot(plots.regions(s), "Concentration of error by region; dotted: an error that is spread evenly.")
-    blocks: list[Block] = [Text(LEAD, "lead"), bars]
+    blocks: list[Block] = [Text(LEAD.format(EXPANSIONS[s.expansion]), "lead"), bars]
     if data.model is not None:
         view = Scene3D(
             plots.view(data.model.scene, s), "The same on the model: amber to red is more than its share.", 430
@@ -63,6 +69,8 @@ def _regions(s: LocaliseStage) -> Table:
         "energy. Error in constitutive relation (Ladevèze and Reynier 1989), force residual (shared by all that meet "
         "at a node), change of modal strain energy."
     )
+    if s.misfit.size:
+        text += f" The expanded shapes miss the readings by {number(100 * float(s.misfit.max()), 2)} % at most."
     return Table(heads, rows, text, scroll=True)
 
 

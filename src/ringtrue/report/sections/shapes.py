@@ -12,7 +12,7 @@ from ringtrue.report.stages import Stages
 def section(data: Stages) -> Section | None:
     """One viewer for all stages and modes."""
     scene = data.model.scene if data.model is not None else None
-    shown = _final(data) + _initial(data) + _remodelled(data) + _model_only(data) + _test_only(data)
+    shown = _final(data) + _initial(data) + _remodelled(data) + _expanded(data) + _model_only(data) + _test_only(data)
     if not shown:
         return None
     parts = ["Mode shapes: the model's skin, coloured by its displacement" if scene is not None else "Mode shapes"]
@@ -62,6 +62,19 @@ def _remodelled(data: Stages) -> list[Shown]:
     if c is None:
         return []
     return _paired("Remodelled and test", c.remodelled, c.reference, c.fe_remodelled, None)
+
+
+def _expanded(data: Stages) -> list[Shown]:
+    """The test shapes spread over the model, as the study asks for."""
+    if data.correlate is None or (e := data.correlate.expanded) is None:
+        return []
+    test, out = data.correlate.reference, []
+    for k, (f, misfit) in enumerate(zip(test.frequencies.tolist(), e.misfit.tolist(), strict=True)):
+        info = f"{fixed(f, 3)} Hz, expanded ({e.method}), misses the readings by {fixed(100 * misfit, 1)} %"
+        out.append(
+            Shown("Test, expanded", f"mode {k + 1} · {fixed(f, 2)} Hz", info, (e.modes, k), (test, k), (test, k))
+        )
+    return out
 
 
 def _model_only(data: Stages) -> list[Shown]:

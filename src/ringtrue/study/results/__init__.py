@@ -11,6 +11,7 @@ from ringtrue.study.results.correlated import (
     CorrelateStage,
     DeliveredConfiguration,
     Evidence,
+    Expansion,
     FrfEvidence,
     RemodelStep,
 )
@@ -52,6 +53,7 @@ __all__ = [
     "DataResult",
     "DeliveredConfiguration",
     "Evidence",
+    "Expansion",
     "FinalStage",
     "FrfEvidence",
     "IdentifiedRecord",

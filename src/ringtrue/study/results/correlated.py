@@ -55,6 +55,15 @@ class RemodelStep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Expansion:
+    """Test shapes on all of a deck."""
+
+    method: str
+    modes: ModeSet  # at the scene's translations
+    misfit: Float  # (m,) of the readings that the expanded shape does not reproduce, relative
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CorrelateStage:
     """The model as delivered against the test, and after the stated remodelling."""
 
@@ -74,6 +83,7 @@ class CorrelateStage:
     evidence: Evidence | None = None  # of the remodelled deck
     placed: str = ""  # how the test was laid onto the deck, in words
     history: tuple[RemodelStep, ...] = ()  # the deck as delivered, then each step
+    expanded: Expansion | None = None  # the elastic test shapes on the remodelled deck, where the study asks for them
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,6 +40,8 @@ class LocaliseStage:
     dropped: tuple[str, ...]  # of these, what changes nothing
     screened: tuple[str, ...]  # of these, those that were not looked at closely
     proposal: Proposal
+    expansion: str = "hybrid"  # of the test shapes
+    misfit: Float = field(default_factory=lambda: np.zeros(0))  # (m,) readings that it does not reproduce, relative
 
     @property
     def concentration(self) -> Float:

@@ -11,10 +11,11 @@ from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.io.nastran.edit import unified_diff
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.evidence import channel_mass, evidence
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.expansion import expanded, on_scene
+from ringtrue.study.opened import Opened, Progress, quiet
 from ringtrue.study.placing import alignment, words
 from ringtrue.study.reference import Reference, elastic_table, left_out, reference_modes, rigid_table
-from ringtrue.study.results import CorrelateStage, Evidence, RemodelStep
+from ringtrue.study.results import CorrelateStage, Evidence, Expansion, RemodelStep
 from ringtrue.study.workbench import Workbench
 
 
@@ -63,7 +64,18 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         told,
         words(alignment(desk.get("identify").test, desk.initial, c.align)) if (c := config.correlate).align else "",
         _history(desk, reference, out, initial, tables),
+        _expanded(desk, reference, progress),
     )
+
+
+def _expanded(desk: Workbench, reference: Reference, progress: Progress) -> Expansion | None:
+    """The elastic test shapes on the remodelled deck, drawn where its nodes are on the scene."""
+    if not (method := desk.config.correlate.expand):
+        return None
+    progress(0.8, "expansion of the test shapes")
+    opened, test = desk.remodelled, reference.elastic
+    found = expanded(method, opened, desk.bridge(opened), test, desk.deck.fmax, quiet)
+    return Expansion(method, on_scene(found, opened, test, desk.get("model").scene), found.misfit)
 
 
 def _reasons(config: StudyConfig) -> str:

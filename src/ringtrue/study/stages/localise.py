@@ -18,11 +18,12 @@ from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_reduced
 from ringtrue.reduce.parametric import ReducedModel
-from ringtrue.study.opened import Progress
+from ringtrue.study.expansion import expanded
+from ringtrue.study.opened import Progress, quiet
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
 from ringtrue.update.effects import LEAST, effects
 from ringtrue.update.generate import generate
@@ -70,10 +71,10 @@ def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
     pairs, _, _ = match(aim, start)
     pairs = pairs[aim.used[pairs[:, 0]]]
     progress(0.6, "error indicators")
-    errors = _errors(desk, model, aim, pairs)
+    errors, misfit = _errors(desk, model, aim, pairs)
     member = membership(desk.remodelled.model, pool.candidates)
     proposal = _proposal(desk, model, aim, pool, errors.concentration(member), lambda f, t: progress(0.7 + 0.3 * f, t))
-    return _result(desk, model, aim, pool, pairs, errors, proposal)
+    return _result(desk, model, aim, pool, pairs, errors, misfit, proposal)
 
 
 def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
@@ -126,19 +127,24 @@ def _model(desk: Workbench, pool: _Pool, progress: Progress) -> AtChannels:
     return desk.apart(parameters(pool.candidates), progress)
 
 
-def _errors(desk: Workbench, model: AtChannels, aim: Target, pairs: Int) -> ElementErrors:
-    """Indicators by element; the test shapes are expanded in the reduced basis."""
+def _errors(desk: Workbench, model: AtChannels, aim: Target, pairs: Int) -> tuple[ElementErrors, Float]:
+    """Indicators by element, and the misfit (m,) of the expanded test shapes: in the reduced basis, or as asked for."""
     test, fe = pairs.T
     reduced: ReducedModel = model.model
     _, own = reduced.coordinates(np.zeros(len(reduced.active)))
-    b = reduced.basis
+    b, method, opened = reduced.basis, desk.config.correlate.expand, desk.remodelled
     f, shapes = aim.frequencies[test], aim.shapes[:, test]
-    energy = b.stiffness - reduced.shift * b.mass
-    q = expand_reduced(b.stiffness, b.mass, energy, b.observe[model.rows], shapes, f, noise=NOISE).shapes
-    full = b.vectors @ np.hstack([q, own[:, fe]])
+    if method in ("", "hybrid"):
+        energy = b.stiffness - reduced.shift * b.mass
+        found = expand_reduced(b.stiffness, b.mass, energy, b.observe[model.rows], shapes, f, noise=NOISE)
+        u = b.vectors @ np.hstack([found.shapes, own[:, fe]])
+        full, mine = u[:, : f.size], u[:, f.size :]
+    else:
+        part = desk.reference(OWN).take(test)
+        found = expanded(method, opened, desk.bridge(opened), part, desk.deck.fmax, quiet)
+        full, mine = found.shapes, b.vectors @ own[:, fe]
     solve = reduced.pencil.at(reduced.shift).solve
-    opened = desk.remodelled
-    return expanded_errors(opened.model, opened.analysis.system, f, full[:, : f.size], full[:, f.size :], solve)
+    return expanded_errors(opened.model, opened.analysis.system, f, full, mine, solve), found.misfit
 
 
 def _proposal(
@@ -179,6 +185,7 @@ def _result(
     pool: _Pool,
     pairs: Int,
     errors: ElementErrors,
+    misfit: Float,
     proposal: Proposal,
 ) -> LocaliseStage:
     p = model.parameters
@@ -213,6 +220,8 @@ def _result(
         pool.dropped,
         pool.screened,
         proposal,
+        desk.config.correlate.expand or "hybrid",
+        misfit,
     )
 
 
