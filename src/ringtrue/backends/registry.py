@@ -13,8 +13,9 @@ from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.model.ports import ModalSolver
 
 GROUP = "ringtrue.solvers"
+EMBEDDED = "embedded"
 BUILT_IN: dict[str, Callable[[], ModalSolver]] = {
-    "embedded": EmbeddedSolver,
+    EMBEDDED: EmbeddedSolver,
     "mystran": MystranSolver,
     "nastran": NastranSolver,
     "slepc": SlepcSolver,
@@ -26,7 +27,7 @@ def names() -> tuple[str, ...]:
     return tuple(sorted({*BUILT_IN, *_plugins()}))
 
 
-def solver(name: str = "embedded", *, ranks: int | None = None) -> ModalSolver:
+def solver(name: str = EMBEDDED, *, ranks: int | None = None) -> ModalSolver:
     """The solver of that name, with its default settings.
 
     Parameters

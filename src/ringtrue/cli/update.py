@@ -113,11 +113,11 @@ def update(
         Path | None, typer.Option(metavar="FILE", help="Keep the last iterate here; go on from it if it is there.")
     ] = None,
     solver_name: Annotated[
-        str,
+        str | None,
         typer.Option(
-            "--solver", help="The engine: embedded, or mystran, nastran, slepc or a plug-in, solved anew at each point."
+            "--solver", help="That of [model], or embedded, mystran, nastran, slepc, a plug-in: solved at each point."
         ),
-    ] = "embedded",
+    ] = None,
     json: Annotated[
         str | None,
         typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
@@ -129,10 +129,11 @@ def update(
 
     Example: ringtrue update study.toml modes.json --leave-out 3,7 --out updated
     """
+    config = _settings(read_config(study), residuals, frequency, mac_percent, (frf, static, mass))
+    solver_name = solver_name or (config.model.solver if config.model else "embedded")
     asked = Asked(method, prior, loss, starts, seed, checkpoint, solver_name)
     engine = solver(solver_name)
     _check(asked)
-    config = _settings(read_config(study), residuals, frequency, mac_percent, (frf, static, mass))
     if config.model is None or not config.candidate:
         raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
     anew = solver_name != "embedded"

@@ -43,6 +43,7 @@ class ModelSection(_Section):
     deck: str
     units: Literal["SI", "mm-t-s"] = "SI"
     fmax: float = Field(default=100.0, gt=0)  # Hz, modes are computed up to here
+    solver: str = "embedded"  # of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in
     regions: dict[str, list[int]] = {}  # name -> property numbers, for drawing and naming
 
 
@@ -288,6 +289,11 @@ class StudyConfig(_Section):
         there = {c.name for c in self.configuration}
         if lost := sorted({r.configuration for r in self.residual if r.configuration} - there):
             raise ValueError(f"[[residual]]: no configuration {lost[0]!r}")
+        if self.residual and self.model is not None and self.model.solver != "embedded":
+            raise ValueError(
+                f"[[residual]] {self.residual[0].kind}: [model] solver {self.model.solver!r} gives modes alone; what "
+                "was measured beside them needs the embedded solver"
+            )
         if self.configuration and (self.model is None or self.test is None):
             raise ValueError("configurations need a [model] and a [test] that they are others of")
         return self

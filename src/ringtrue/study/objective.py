@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ringtrue.backends.observed import FullModel
 from ringtrue.core.arrays import Float
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
@@ -33,7 +34,9 @@ def names_of(desk: Workbench) -> tuple[str, ...]:
     return (OWN, *(c.name for c in desk.config.configuration))
 
 
-def problem_of(desk: Workbench, models: Sequence[AtChannels], aims: Sequence[Target], u: UpdateSection) -> Problem:
+def problem_of(
+    desk: Workbench, models: Sequence[AtChannels | FullModel], aims: Sequence[Target], u: UpdateSection
+) -> Problem:
     """The objective over all configurations, the parameters of the models free."""
     parts = [
         Configuration(m, aim, terms_of(desk, n, m, u), name=n or "the deck of the study")
@@ -52,9 +55,11 @@ def constraints(config: StudyConfig, parameters: ParameterSet) -> tuple[Float, F
     return np.array([rows[i] for i in kept]).reshape(len(kept), len(parameters)), limits
 
 
-def terms_of(desk: Workbench, name: str, model: AtChannels, u: UpdateSection) -> tuple[Term, ...]:
+def terms_of(desk: Workbench, name: str, model: AtChannels | FullModel, u: UpdateSection) -> tuple[Term, ...]:
     """All kinds of residuals of a configuration: those of its modes, then what else was measured on it."""
     modal = modal_terms(u, lambda: _mass(desk, name))
+    if isinstance(model, FullModel):  # modes alone
+        return modal
     return (*modal, *(Weighted(d.term, d.weight) for d in data_of(desk, name, model)))
 
 

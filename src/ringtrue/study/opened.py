@@ -1,19 +1,20 @@
-"""A model opened in the embedded solver, assembled, factored and solved when first asked for."""
+"""A model opened in its solver, assembled, factored and solved when first asked for."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
+from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.observe import Method, observe
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
-from ringtrue.model.ports import ModesRequest, ModesResult
+from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
 
 Progress = Callable[[float, str], None]
 
@@ -24,10 +25,20 @@ def quiet(fraction: float, text: str) -> None:
 
 @dataclass(eq=False)
 class Opened:
-    """A model and its analysis, assembled and factored when first asked for."""
+    """A model and its analysis, assembled and factored when first asked for.
+
+    Attributes
+    ----------
+    model : Model
+    length : float
+        Metres a model unit.
+    engine : ModalSolver, optional
+        Finds the modes in place of the embedded solver; matrices are the embedded solver's in any case.
+    """
 
     model: Model
     length: float
+    engine: ModalSolver | None = None
 
     @cached_property
     def analysis(self) -> EmbeddedAnalysis:
@@ -41,8 +52,20 @@ class Opened:
     def modes(self, fmax: float) -> ModesResult:
         """All modes below `fmax`, Hz (`ModesResult`), solved once."""
         if fmax not in self._modes:
-            self._modes[fmax] = self.analysis.modes(ModesRequest(band=(-1.0, fmax)))
+            request = ModesRequest(band=(-1.0, fmax))
+            self._modes[fmax] = self.analysis.modes(request) if self.engine is None else self._outside(request)
         return self._modes[fmax]
+
+    def _outside(self, request: ModesRequest) -> ModesResult:
+        """By another solver, at the degrees of freedom of the embedded one."""
+        assert self.engine is not None
+        with self.engine.open(self.model) as analysis:
+            found = analysis.modes(request)
+        labels, dofs = found.modes.labels, self.analysis.dofs
+        assert isinstance(labels, DofSet)
+        at, sign = labels.align(dofs)
+        shapes = found.modes.shapes[at] * sign[:, None]
+        return replace(found, modes=replace(found.modes, shapes=shapes, labels=dofs))
 
     def observation(self, test: TestModel, tolerance: float, method: Method = "nearest") -> Observation:
         """The bridge to the channels of a test; `tolerance` in m, `method` as in `correlate.observe`."""

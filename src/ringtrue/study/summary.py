@@ -262,6 +262,7 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
     final: FinalStage | None = r.get("final")
     if update is not None:
         best = update.sets[update.chosen]
+        out |= {"solver": {"name": update.solver, "runs": update.runs}} if update.runs else {}
         out["parameter_set"] = {"name": best.name, "why": update.why}
         out["parameters"] = [
             {

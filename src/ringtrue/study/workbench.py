@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ringtrue.backends.registry import EMBEDDED, solver
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
@@ -20,6 +21,7 @@ from ringtrue.errors import ConfigError
 from ringtrue.io.nastran.edit import add_cards
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import carried
+from ringtrue.model.ports import ModalSolver
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
 from ringtrue.study.evidence import on_sheet
@@ -80,6 +82,15 @@ class Workbench:
     def length(self) -> float:
         """Metres a model unit."""
         return LENGTH[self.deck.units]
+
+    @cached_property
+    def engine(self) -> ModalSolver | None:
+        """The solver of the study; None for the embedded one."""
+        return None if self.deck.solver == EMBEDDED else solver(self.deck.solver)
+
+    def opened(self, main: Path) -> Opened:
+        """A deck in the solver of the study."""
+        return Opened(read_deck(main), self.length, self.engine)
 
     @property
     def parameters(self) -> ParameterSet:
@@ -170,7 +181,7 @@ class Workbench:
                 cards = (self.base / str(section.cards)).read_text(encoding="utf-8")
                 model, folder = self.remodelled.model, self.out / "configurations" / section.name / "initial"
                 main, *_ = add_cards(model, model.files[0], cards, folder)
-            self._opened[section.name] = Opened(read_deck(main), self.length)
+            self._opened[section.name] = self.opened(main)
         return self._opened[section.name]
 
     def observed(self, opened: Opened, test: TestModel | None, channels: Sequence[str]) -> Observation:
@@ -220,7 +231,7 @@ class Workbench:
     @cached_property
     def initial(self) -> Opened:
         """The deck as delivered."""
-        return Opened(read_deck(self.base / self.deck.deck), self.length)
+        return self.opened(self.base / self.deck.deck)
 
     @cached_property
     def steps(self) -> tuple[Opened, ...]:
@@ -232,7 +243,7 @@ class Workbench:
                 file = Path(model.files[files.index(file.resolve())])  # as the step before has left it
             folder = self.out / "remodelled" / ("" if i == len(self.config.remodel) else f"step {i}")
             main, *_ = add_cards(model, file, (self.base / step.cards).read_text(encoding="utf-8"), folder)
-            out.append(Opened(read_deck(main), self.length))
+            out.append(self.opened(main))
         return tuple(out)
 
     @property

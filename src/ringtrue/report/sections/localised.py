@@ -26,8 +26,8 @@ from ringtrue.study.results import LocaliseStage
 from ringtrue.update.proposal import Proposed
 
 LEAD = (
-    "The test shapes, expanded to the whole model by {0}, do not fulfil its equation of motion. Where the error gathers "
-    "beyond its share of strain energy (above 1), stiffness or mass is likely wrong there, or nearby."
+    "The test shapes, expanded to the whole model by {0}, do not fulfil its equation of motion. Where the error "
+    "gathers beyond its share of strain energy (above 1), stiffness or mass is likely wrong there, or nearby."
 )
 EXPANSIONS = {
     "hybrid": "a balance of readings and equation of motion",

@@ -32,6 +32,8 @@ def section(data: Stages) -> Section | None:
         return None
     best = u.sets[u.chosen]
     blocks: list[Block] = [_compared(u), Text(sentence(u.why))]
+    if u.runs:
+        blocks.append(Text(_engines(data, u)))
     caption = "Convergence of every parameter set. Modes are paired anew at each iteration: where a mode is gained or "
     caption += "lost, J and the mean values jump."
     blocks.append(Plot(plots.convergence(u.sets, u.chosen), caption))
@@ -47,6 +49,18 @@ def section(data: Stages) -> Section | None:
             Scene3D(view, "The updated regions, each with its factor updated / initial; springs are dots.", 460)
         )
     return Section("updating", "Updating", blocks)
+
+
+def _engines(data: Stages, u: UpdateStage) -> str:
+    """Which solver has done what."""
+    text = (
+        f"Modes of the decks and of the updating are by {u.solver}, found anew at each point in {u.runs} runs. "
+        "Localisation, choice of the sets, tuning of the suspension, uncertainty, damping and the run-up of a rotor "
+        "rest on the matrices of the embedded solver."
+    )
+    if data.final is not None and data.uncertainty is None:
+        text += f" No uncertainty is told: fewer than four modes were used, or its modes are not those of {u.solver}."
+    return text
 
 
 def _measured(d: DataResult) -> Table:

@@ -116,6 +116,8 @@ class UpdateStage:
     updated_values: dict[str, float]
     regions: dict[str, tuple[int, ...]]  # parameter -> scene groups that it changes
     data: tuple[DataResult, ...] = ()  # what was measured beside the modes
+    solver: str = "embedded"
+    runs: int = 0  # of another solver
 
 
 @dataclass(frozen=True, slots=True, eq=False)

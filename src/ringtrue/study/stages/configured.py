@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.io.nastran.edit import edit_fields
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import carried, field_changes
 from ringtrue.study.config import ConfigurationSection
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.opened import Progress
 from ringtrue.study.reference import Reference, elastic_table
 from ringtrue.study.results import ConfigurationsStage, ConfiguredStage, ConfiguredTest, DeliveredConfiguration
 from ringtrue.study.stages.configurations import seen
@@ -34,7 +33,7 @@ def _one(desk: Workbench, section: ConfigurationSection, item: ConfiguredTest) -
     moved = [i for i, a in enumerate(factors[at].tolist()) if a != 1.0]
     changes = field_changes(model, mine.take(moved), factors[at][moved])
     written = edit_fields(model, changes, desk.out / "configurations" / section.name / "updated")
-    opened = Opened(read_deck(written[0]), desk.length)
+    opened = desk.opened(written[0])
     fe = seen(desk, opened, item.test, item.reference.channels)
     reference = Reference(item.reference, item.reference_uncertainty, item.rigid, item.rigid_uncertainty)
     return DeliveredConfiguration(

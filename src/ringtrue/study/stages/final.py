@@ -13,7 +13,6 @@ from ringtrue.core.pairing import Pairing
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.io.nastran.edit import edit_fields
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import FieldChange, field_changes
 from ringtrue.model.model import Model
 from ringtrue.study.evidence import followed, frf_evidence, on_sheet, synthesised
@@ -36,7 +35,7 @@ def deliver(desk: Workbench) -> tuple[Opened, tuple[str, ...], list[str]]:
     changes = field_changes(model, parameters.take(moved), factors[moved])
     written = edit_fields(model, changes, desk.out / "updated")
     told = [said(model, c) for c in changes]
-    desk.delivered = Opened(read_deck(written[0]), desk.length)
+    desk.delivered = desk.opened(written[0])
     return desk.delivered, tuple(str(p) for p in written), told
 
 

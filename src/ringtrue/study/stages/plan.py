@@ -256,6 +256,10 @@ def _aims(desk: Workbench, plan: PlanSection, able: Arrangement, seen: Float, ph
     aims = [mode_aim(seen)]
     if plan.draws:
         aims = [mode_aim(s, weight=1 / (plan.draws + 1)) for s in _drawn(desk, plan, able, targets)]
+    if len(parameters) and desk.engine is not None:
+        raise ConfigError(
+            f'[plan] method "information" needs derivatives of the modes of {desk.deck.solver}: use another'
+        )
     if len(parameters):
         found = desk.initial.modes(desk.deck.fmax).modes.take(targets)
         d_lambda, d_phi = desk.initial.analysis.derivatives(found, parameters)

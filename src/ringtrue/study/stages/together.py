@@ -48,7 +48,7 @@ def together(
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
-        done, way = _settled(desk, u, _problem(desk, u, models, aims, members), start, progress)
+        done, way = settled(desk, u, _problem(desk, u, models, aims, members), start, progress)
         path += way[1:] if path else way
         start = done.y
         kept.keep(name, start)
@@ -60,8 +60,8 @@ def together(
     if error >= CLOSE:
         raise not_verified(error)
     problem = _problem(desk, u, models, aims, members)
-    done, way = _settled(desk, u, problem, start, progress)
-    return _summary(problem, aims, name, done, [*path, *way[1:]])
+    done, way = settled(desk, u, problem, start, progress)
+    return summary(problem, aims, name, done, [*path, *way[1:]])
 
 
 def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
@@ -129,7 +129,7 @@ def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
     return replace(problem, configurations=tuple(replace(c, target=t) for c, t in held))
 
 
-def _method(u: UpdateSection) -> Method:
+def method_of(u: UpdateSection) -> Method:
     """As asked for; a trust region where nothing is said."""
     return Method(u.step if "step" in u.model_fields_set else "trust-region")
 
@@ -151,27 +151,34 @@ def _begun(desk: Workbench, u: UpdateSection, problem: Problem, method: Method, 
     return start
 
 
-def _settled(
-    desk: Workbench, u: UpdateSection, problem: Problem, start: Float | None, progress: Progress
+def settled(
+    desk: Workbench,
+    u: UpdateSection,
+    problem: Problem,
+    start: Float | None,
+    progress: Progress,
+    method: Method | None = None,
+    told: Progress | None = None,
 ) -> tuple[Solution, list[Evaluated]]:
     """Gates first, then pairs of least cost, then these for good, in all configurations (as in `stages.update`)."""
-    method = _method(u)
+    method = method or method_of(u)
     path: list[Evaluated] = []
     if start is None:
         begin = _begun(desk, u, problem, method, progress)
-        rough = solve(problem, method, start=begin, iterations=u.iterations)
+        rough = solve(problem, method, start=begin, iterations=u.iterations, progress=told)
         path, start = list(rough.history), rough.y
     aims = [c.target for c in problem.configurations]
-    near = solve(_aimed(problem, [a.doubting() for a in aims]), method, start=start, iterations=u.iterations)
+    doubting = _aimed(problem, [a.doubting() for a in aims])
+    near = solve(doubting, method, start=start, iterations=u.iterations, progress=told)
     path += near.history[1:] if path else near.history
-    settled = _aimed(problem, [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)])
-    weighed = _weighed(settled, near.end) if u.discrepancy == "evidence" else settled
+    firm = _aimed(problem, [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)])
+    weighed = _weighed(firm, near.end) if u.discrepancy == "evidence" else firm
     if u.prior != "study":
         done = regularised(weighed, u.prior, method, start=near.y).solution
     else:
-        done = solve(weighed, method, start=near.y, iterations=u.iterations)
-    if weighed is not settled:  # J as all sets have it
-        done = replace(done, history=(*done.history[:-1], settled.evaluate(done.y, done.end)))
+        done = solve(weighed, method, start=near.y, iterations=u.iterations, progress=told)
+    if weighed is not firm:  # J as all sets have it
+        done = replace(done, history=(*done.history[:-1], firm.evaluate(done.y, done.end)))
     return done, [*path, *done.history[1:]]
 
 
@@ -211,9 +218,10 @@ def _mean(error: Float, which: Bool) -> float:
     return float(100 * np.mean(np.abs(error[which]))) if which.any() else float("nan")
 
 
-def _summary(
+def summary(
     problem: Problem, aims: Sequence[Target], name: str, done: Solution, path: Sequence[Evaluated]
 ) -> SetResult:
+    """The updated set as it is compared with others."""
     p, told = problem.parameters, [_errors(aims, at) for at in path]
     error, mac, used = told[-1]
     low, high = p.bounds()

@@ -10,6 +10,7 @@ from scipy.special import ndtri, stdtrit
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.reduce.condense import condensed
+from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.objective import scales, terms_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels
@@ -30,12 +31,16 @@ DRAWS = 12  # points around the updated one whose modes it holds, beside those o
 REACH, LEAST_REACH = 3.0, 0.1  # how far these points lie apart: standard deviations, and x
 FEWEST = 4  # used modes below which none can be left out
 HANDFUL = 5.0  # independent errors in a shape: what the model lacks is smooth over the channels
+ALIKE = 0.8  # MAC from which on modes of two solvers are the same
 KEPT = 400  # draws that are stored
 BURN = 0.5  # steps that are thrown away, over those kept
 
 
 def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
-    """Discrepancy from modes left out in turn, posterior and bands; None where fewer than four modes were used."""
+    """Discrepancy from modes left out in turn, posterior and bands; None where fewer than four modes were used.
+
+    By the embedded solver in any case; None where its modes are not those that another solver has delivered.
+    """
     done: UpdateStage = desk.get("update")
     final: FinalStage = desk.get("final")
     best, asked, aim = done.sets[done.chosen], desk.config.uncertainty, target(desk)
@@ -45,6 +50,8 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
         progress(0.4 * fraction, text)
 
     model, x = as_delivered(desk, desk.candidates(early), factor, final.observed.frequencies, early)
+    if desk.engine is not None and not _same(desk, model, final, x):
+        return None
     paired = _paired(aim, model, final, x)
     count = int(paired.used.sum())
     if count < FEWEST:
@@ -68,6 +75,15 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     problem = Problem((_likelihood(likely), *(_likelihood(c.weighed(w.frequency, w.mac)) for c in others)))
     chains = _sampled(problem, posterior, asked.samples, rng, lambda f, t: progress(0.8 + 0.2 * f, t))
     return _with_draws(told, chains, posterior.parameters)
+
+
+def _same(desk: Workbench, model: AtChannels, final: FinalStage, x: Float) -> bool:
+    """Whether the paired modes of the delivered deck have the same place and shape in the model."""
+    now, at = model.modes(x), final.table.pairing.b
+    if at.size and at.max() >= now.frequencies.size:
+        return False
+    rows = [final.observed.channels.index(c) for c in desk.reference(OWN).channels]
+    return bool((paired_mac(now.shapes[:, at], final.observed.shapes[rows][:, at]) >= ALIKE).all())
 
 
 def _others(

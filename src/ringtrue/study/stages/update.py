@@ -11,6 +11,7 @@ from ringtrue.study.iterates import Iterates
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
 from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
+from ringtrue.study.stages.by_runs import by_runs
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import together, told_data
@@ -35,15 +36,21 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     sets: SensitivityStage = desk.get("sensitivity")
     found: CorrelateStage = desk.get("correlate")
     named = {s.name: s for s in desk.config.set}
-    kept, results = Iterates.of(desk, aim), list[SetResult]()
+    kept, results, runs = Iterates.of(desk, aim), list[SetResult](), 0
     for i, (name, members) in enumerate(sets.sets.items()):
         progress(i / len(sets.sets), f"updating: {name}")
         own = named[name].own() if name in named else {}
         same = next((r for r in results if set(r.parameters) == set(members) and not r.settings), None)
         if same is not None and not own:  # two rules, one choice
             results.append(replace(same, name=name))
+            continue
+        asked = named[name].settings(desk.config.update) if own else None
+        if desk.engine is not None:
+            done, more = by_runs(desk, name, members, _part(progress, i, len(sets.sets)), kept, asked)
+            results.append(replace(done, settings=named[name].words() if own else ""))
+            runs += more
         elif own:
-            done = together(desk, name, members, progress, kept, named[name].settings(desk.config.update))
+            done = together(desk, name, members, progress, kept, asked)
             results.append(replace(done, settings=named[name].words()))
         elif desk.config.joint:
             results.append(together(desk, name, members, progress, kept))
@@ -67,7 +74,13 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         after,
         {n: regions(desk, n) for n in best.parameters},
         told_data(desk, best, progress) if desk.config.residual else (),
+        desk.deck.solver,
+        runs,
     )
+
+
+def _part(progress: Progress, i: int, n: int) -> Progress:
+    return lambda fraction, text: progress((i + fraction) / n, text)
 
 
 def _values(desk: Workbench, best: SetResult, factor: Float) -> list[float]:
