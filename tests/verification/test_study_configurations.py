@@ -90,6 +90,17 @@ def test_the_intervals_know_of_both_tests(both: StudyRun) -> None:
     assert (np.abs(found.factor / truth - 1) < 4 * found.std).all()
 
 
+def test_the_proposal_rests_on_both_tests(both: StudyRun) -> None:
+    found = both.results["localise"]
+    assert found.beside == "the test of loaded"
+    assert {m.name for m in found.proposal.members} == set(TRUTH)
+    for m in found.proposal.members:
+        assert m.factor == pytest.approx(TRUTH[m.name], rel=0.02)
+        assert not m.named[1:]
+    page = (both.folder / "report.html").read_text(encoding="utf-8")
+    assert "The proposal rests on the test of loaded, too." in page
+
+
 @pytest.mark.parametrize(("e", "rho", "wrong"), [(1.0, 0.8, "density"), (0.8, 1.0, "stiffness")])
 def test_one_wrong_parameter_is_chosen_by_both_tests(tmp_path: Path, e: float, rho: float, wrong: str) -> None:
     toml = PLAIN.replace("[update]", "[update]\nchoose = 1") + LOADED  # the bare frame cannot say which of the two

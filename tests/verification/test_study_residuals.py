@@ -346,3 +346,26 @@ def test_steps_of_a_remodelling_are_told_one_by_one(made: Path, tmp_path: Path) 
     assert len(read_deck(path.parent / "remodelled/step 1/frame.bdf")["CONM2"]) == 1
     assert len(read_deck(path.parent / "remodelled/frame.bdf")["CONM2"]) == 2
     assert "after each step of the remodelling" in (run.folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("kind", ["", "static", "mass", "frf"])
+def test_the_proposal_takes_what_was_measured_beside_the_modes(made: Path, tmp_path: Path, kind: str) -> None:
+    """The modes tell the ratio of the two factors alone: one of them is proposed, and stands for both."""
+    more = {"": "", "static": STATIC, "mass": weighing(made), "frf": FRF}[kind]
+    run = run_study(study(made, tmp_path, more, "propose = true\n"), until="sensitivity")
+    found = run.results["localise"]
+    named = {m.name: m for m in found.proposal.members}
+    told = summarise(run)
+    if not kind:
+        (one,) = named.values()
+        assert set(one.named) == set(TRUTH)
+        assert "proposed_by" not in told
+        return
+    assert set(named) == set(TRUTH)
+    for name, m in named.items():
+        assert m.factor == pytest.approx(TRUTH[name], rel=0.03)
+        assert not m.alike
+    assert told["proposed_by"] == {"static": "pull", "mass": "mass", "frf": "hammer"}[kind]
+    assert set(run.results["sensitivity"].sets["proposal"]) == set(TRUTH)
+    # all candidates free: known beside each other as well as alone only with the data that part them
+    assert (found.together < 0.1).all()

@@ -214,7 +214,8 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
         {"name": m.name, "factor": m.factor, "std": m.std, "worth": m.worth, "not_told_from": [*m.alike, *m.rivals]}
         for m in found.proposal.members
     ]
-    return {"error_concentration": {n: _number(x) for n, x in gathered}, "proposed": proposed}
+    rests = {"proposed_by": found.beside} if found.beside else {}
+    return {"error_concentration": {n: _number(x) for n, x in gathered}, "proposed": proposed, **rests}
 
 
 def _known(r: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import System
 from ringtrue.fem.change import affected_cards
@@ -260,10 +260,11 @@ def variation(target: Target, r: Residual, prior: Float, low: Float, high: Float
     after = (value[:, None] - g * x) ** 2
     before = value[:, None] ** 2
 
-    def fall(rows: slice) -> Float:
+    def fall(rows: slice | Bool) -> Float:
         total = float(before[rows].sum())
         return np.asarray(1 - after[rows].sum(axis=0) / total if total > EXACT else np.zeros(x.size))
 
-    shapes = fall(slice(k, None)) if target.weights.shape > 0 else np.zeros(x.size)
+    of = (r.kinds == 0, r.kinds == 1) if r.kinds.size else (slice(0, k), slice(k, None))
+    shapes = fall(of[1]) if target.weights.shape > 0 else np.zeros(x.size)
     gain = before.sum() - after.sum(axis=0) - (x / prior) ** 2
-    return Variation(x, fall(slice(0, k)), shapes, gain)
+    return Variation(x, fall(of[0]), shapes, gain)

@@ -128,6 +128,10 @@ class Residual:
         (f_FE − f_test)/f_test, of all pairs.
     used : (k,) bool
         Pairs that the residual holds.
+    kinds : (r,) int64
+        0: frequency, 1: shape, 2: what else was measured; empty: a frequency a used pair, then shapes.
+    more : float
+        Number of data beside the modes.
     """
 
     value: Float
@@ -136,6 +140,8 @@ class Residual:
     mac: Float
     frequency_error: Float
     used: Bool
+    kinds: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    more: float = 0.0
 
 
 def match(
@@ -268,7 +274,7 @@ def comparable_criteria(
         x and the prior standard deviations of each set.
     """
     counted = np.unique(np.concatenate([r.pairs[r.used, 0] for r in residuals]))
-    n = (2 if target.weights.shape > 0 else 1) * max(counted.size, 1)
+    n = (2 if target.weights.shape > 0 else 1) * max(counted.size, 1) + residuals[0].more
     out = []
     for r, x, prior in zip(residuals, points, priors, strict=True):
         missing = counted.size - int(r.used.sum())

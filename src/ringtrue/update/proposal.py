@@ -17,6 +17,7 @@ from ringtrue.update.choose import Candidates, Choice, largest, orthogonal
 from ringtrue.update.identifiable import ALIKE, identifiability
 from ringtrue.update.localise import Variation, variation
 from ringtrue.update.objective import Residual, Target
+from ringtrue.update.several import Problem
 from ringtrue.update.sparse import lasso_path
 from ringtrue.update.subsets import Search, Subsets, aicc, subsets
 
@@ -147,6 +148,7 @@ def propose(
     apart: Bool | None = None,
     errors: Mapping[str, Float] | None = None,
     words: Sequence[str] = (),
+    problem: Problem | None = None,
     progress: Progress | None = None,
 ) -> Proposal:
     """A ranked, explained set of parameters.
@@ -165,6 +167,8 @@ def propose(
         Concentration of local errors on each candidate (`ElementErrors.concentration`), told among the reasons.
     words : sequence (p,) of str, optional
         What each candidate is.
+    problem : Problem, optional
+        Other tests and what was measured beside modes, too: all of them, the first being `model` and `target`.
 
     Raises
     ------
@@ -174,7 +178,7 @@ def propose(
     told = progress or (lambda _f, _t: None)
     if most < 1:
         raise InputError(f"propose at most {most} parameters: allowed are 1 and more")
-    found = subsets(model, target, most, alike, apart, lambda f, t: told(0.7 * f, t))
+    found = subsets(model, target, most, alike, apart, lambda f, t: told(0.7 * f, t), problem)
     told(0.7, "testing each parameter")
     return _explained(found, errors or {}, words)
 

@@ -24,7 +24,9 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.update.choose import GAIN, TURNS, Candidates, Choice, predicted, short_update
 from ringtrue.update.identifiable import clusters
+from ringtrue.update.joint import joint_residual, sharper, short_solve
 from ringtrue.update.objective import Residual, Target, comparable_criteria, residual
+from ringtrue.update.several import Problem
 
 TRIALS = 2  # promising sets that are fitted in one round
 SENSITIVE = 0.05  # least effect of one prior standard deviation, in standard deviations of the residual
@@ -40,7 +42,10 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
-    """The candidates, what they aim at, and which of them may enter."""
+    """The candidates, what they aim at, and which of them may enter.
+
+    With a `problem` over the same candidates all of its tests and data are aimed at; `target` is its first.
+    """
 
     model: Candidates
     target: Target
@@ -51,14 +56,17 @@ class Search:
     low: Float
     high: Float
     prior: Float
+    problem: Problem | None = None
     seen: dict[bytes, Residual] = field(default_factory=dict)
     done: dict[tuple[tuple[int, ...], bytes, int], Choice] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, model: Candidates, target: Target, alike: float, apart: Bool | None) -> Search:
+    def of(
+        cls, model: Candidates, target: Target, alike: float, apart: Bool | None, problem: Problem | None = None
+    ) -> Search:
         p = model.parameters
         low, high = p.bounds()
-        start = residual(target, model.linearise(np.zeros(len(p))))
+        start = _residual(model, target, problem, np.zeros(len(p)))
         sensitive = start.slope * p.std()
         size = np.linalg.norm(sensitive, axis=0)
         groups = clusters(sensitive, alike)
@@ -73,7 +81,16 @@ class Search:
             low,
             high,
             p.std(),
+            problem,
         )
+
+    @property
+    def data(self) -> float:
+        """Number of data: two a used mode, and what else was measured."""
+        if self.problem is None:
+            return 2 * int(self.target.used.sum())
+        modes = sum(int(c.target.used.sum()) for c in self.problem.configurations)
+        return 2 * modes + self.point(np.zeros(self.prior.size)).more
 
     def sharper(self, discrepancy: Float) -> Search:
         """The same with the discrepancy (relative frequency, 1 − MAC) that was found, and with pairs of least cost.
@@ -81,13 +98,15 @@ class Search:
         A test mode that no candidate explains then pulls none of them.
         """
         w = replace(self.target.weights, frequency=float(discrepancy[0]), mac=float(discrepancy[1]))
-        return replace(self, target=replace(self.target, weights=w).doubting(), seen={}, done={})
+        aim = replace(self.target, weights=w).doubting()
+        more = None if self.problem is None else sharper(self.problem, w.frequency, w.mac)
+        return replace(self, target=aim, problem=more, seen={}, done={})
 
     def point(self, x: Float) -> Residual:
         """Residuals and sensitivities to all candidates at x, computed once."""
         key = x.tobytes()
         if key not in self.seen:
-            self.seen[key] = residual(self.target, self.model.linearise(x))
+            self.seen[key] = _residual(self.model, self.target, self.problem, x)
         return self.seen[key]
 
     def fit(self, members: Sequence[int], x: Float, turns: int = TURNS) -> Choice:
@@ -96,10 +115,15 @@ class Search:
         key = (tuple(members), x.tobytes(), turns)
         if key not in self.done:
             try:
-                self.done[key] = short_update(self.model, self.target, members, x, turns)
+                self.done[key] = self._updated(members, x, turns)
             except NumericalError:
-                self.done[key] = short_update(self.model, self.target, members, np.zeros(x.size), turns)
+                self.done[key] = self._updated(members, np.zeros(x.size), turns)
         return self.done[key]
+
+    def _updated(self, members: Sequence[int], x: Float, turns: int) -> Choice:
+        if self.problem is not None:
+            return short_solve(self.problem, members, x, turns)
+        return short_update(self.model, self.target, members, x, turns)
 
     def refitted(self, c: Choice) -> Choice:
         """A set of another search, updated in this one."""
@@ -171,20 +195,34 @@ class Subsets:
     discrepancy: Float
 
 
-def subsets(model: Candidates, target: Target, most: int, alike: float, apart: Bool | None, told: Progress) -> Subsets:
+def _residual(model: Candidates, target: Target, problem: Problem | None, x: Float) -> Residual:
+    return residual(target, model.linearise(x)) if problem is None else joint_residual(problem, x)
+
+
+def subsets(
+    model: Candidates,
+    target: Target,
+    most: int,
+    alike: float,
+    apart: Bool | None,
+    told: Progress,
+    problem: Problem | None = None,
+) -> Subsets:
     """The best sets of up to `most` candidates, and the one that the criterion chooses.
 
     Parameters
     ----------
     apart : (p, p) bool, optional
         Candidates that must not be in one set.
+    problem : Problem, optional
+        All tests and data, the first of them `target`; over the same candidates.
 
     Raises
     ------
     InputError
         If no mode is paired at the start.
     """
-    plain = Search.of(model, target, alike, apart)
+    plain = Search.of(model, target, alike, apart, problem)
     none = Choice(np.zeros(0, dtype=np.int64), np.zeros(len(model.parameters)), np.inf)
     start = plain.point(none.x)
     if not start.used.any():
@@ -235,7 +273,7 @@ def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: 
     """The best set of each size from 0 on, members exchanged: of `few`, or that of the size below with one more."""
     names = search.model.parameters.names
     path = [none]
-    for k in range(1, min(most, 2 * int(search.target.used.sum()) - 4) + 1):  # AICc needs more data than parameters
+    for k in range(1, min(most, int(search.data) - 4) + 1):  # AICc needs more data than parameters
         now, r, stay = path[-1], search.point(path[-1].x), path[-1].members.tolist()
         tried = [c for c in few if c.members.size == k]
         free = search.free(stay)

@@ -77,6 +77,8 @@ def _regions(s: LocaliseStage) -> Table:
 def _proposal(s: LocaliseStage) -> list[Block]:
     p = s.proposal
     origin = f"{len(s.what)} candidates are given." if not s.made else _made(s)
+    if s.beside:
+        origin += f" The proposal rests on {s.beside}, too."
     if not p.members:
         told = "No change of a candidate explains the test better than the model as it is."
         return [Text(f"{origin} {told}"), _candidates(s)]

@@ -42,6 +42,7 @@ class LocaliseStage:
     proposal: Proposal
     expansion: str = "hybrid"  # of the test shapes
     misfit: Float = field(default_factory=lambda: np.zeros(0))  # (m,) readings that it does not reproduce, relative
+    beside: str = ""  # what the proposal rests on beside the modes of the study's own test
 
     @property
     def concentration(self) -> Float:

@@ -111,9 +111,9 @@ STAGES = (
         "localise",
         "where the model is wrong",
         localise.run,
-        ("candidate", "suspension", "localise", "update"),
-        ("correlate",),
-        _remodelled,
+        ("candidate", "suspension", "localise", "update", "residual", "constraint"),
+        ("correlate", "configurations"),
+        lambda desk: [*_remodelled(desk), *_residual_files(desk)],
         _BOTH,
     ),
     Stage(

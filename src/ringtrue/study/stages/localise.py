@@ -19,19 +19,22 @@ from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_reduced
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.expansion import expanded
+from ringtrue.study.objective import names_of, problem_of
 from ringtrue.study.opened import Progress, quiet
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.results import CorrelateStage, LocaliseStage
-from ringtrue.study.stages.sensitivity import target
+from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
 from ringtrue.update.effects import LEAST, effects
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import identifiability
+from ringtrue.update.joint import joint_residual
 from ringtrue.update.localise import NOISE, ElementErrors, expanded_errors, variation
 from ringtrue.update.objective import Target, match, residual
 from ringtrue.update.pool import conflicts, of_parameter, screened
 from ringtrue.update.proposal import Proposal, propose
+from ringtrue.update.several import Problem
 
 SMALL = 160  # vectors of the model that the proposal searches with
 DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
@@ -73,8 +76,23 @@ def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
     progress(0.6, "error indicators")
     errors, misfit = _errors(desk, model, aim, pairs)
     member = membership(desk.remodelled.model, pool.candidates)
-    proposal = _proposal(desk, model, aim, pool, errors.concentration(member), lambda f, t: progress(0.7 + 0.3 * f, t))
-    return _result(desk, model, aim, pool, pairs, errors, misfit, proposal)
+    others = desk.others(progress) if desk.config.configuration and _shared(desk) else ()
+    proposal = _proposal(
+        desk, model, others, aim, pool, errors.concentration(member), lambda f, t: progress(0.7 + 0.3 * f, t)
+    )
+    return _result(desk, model, _problem(desk, model, others), aim, pool, pairs, errors, misfit, proposal)
+
+
+def _shared(desk: Workbench) -> bool:
+    """Whether the candidates are those of the updating: only then do other tests and data know them."""
+    return bool(len(desk.config.candidates())) or desk.config.propose
+
+
+def _problem(desk: Workbench, model: AtChannels, others: Sequence[AtChannels]) -> Problem | None:
+    """All tests and what was measured beside modes; None where there are the study's own modes alone."""
+    if not (others or (desk.config.residual and _shared(desk))):
+        return None
+    return problem_of(desk, (model, *others), targets(desk), desk.config.update)
 
 
 def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
@@ -148,12 +166,19 @@ def _errors(desk: Workbench, model: AtChannels, aim: Target, pairs: Int) -> tupl
 
 
 def _proposal(
-    desk: Workbench, model: AtChannels, aim: Target, pool: _Pool, errors: Mapping[str, Float], progress: Progress
+    desk: Workbench,
+    model: AtChannels,
+    others: Sequence[AtChannels],
+    aim: Target,
+    pool: _Pool,
+    errors: Mapping[str, Float],
+    progress: Progress,
 ) -> Proposal:
     asked, apart = desk.config.localise, conflicts(desk.remodelled.model, pool.candidates)
-    rng = np.random.default_rng([desk.config.study.seed, 5])
-    size = max(SMALL, 2 * model.model.count)
-    search = replace(model, model=condensed(model.model, _points(model.parameters, apart, rng), size))
+    points = _points(model.parameters, apart, np.random.default_rng([desk.config.study.seed, 5]))
+    search = _small(desk, model, points)
+    names = model.parameters.names
+    also = [_small(desk, o, [x[[names.index(n) for n in o.parameters.names]] for x in points]) for o in others]
     return propose(
         search,
         aim,
@@ -162,8 +187,16 @@ def _proposal(
         apart=apart,
         errors=errors,
         words=[c.what for c in pool.candidates],
+        problem=_problem(desk, search, also),
         progress=progress,
     )
+
+
+def _small(desk: Workbench, model: AtChannels, points: Sequence[Float]) -> AtChannels:
+    """The model on its modes around the points; as it is where more than modes was measured."""
+    if desk.config.residual and _shared(desk):
+        return model
+    return replace(model, model=condensed(model.model, points, max(SMALL, 2 * model.model.count)))
 
 
 def _points(p: ParameterSet, apart: Bool, rng: np.random.Generator) -> list[Float]:
@@ -181,6 +214,7 @@ def _points(p: ParameterSet, apart: Bool, rng: np.random.Generator) -> list[Floa
 def _result(
     desk: Workbench,
     model: AtChannels,
+    problem: Problem | None,
     aim: Target,
     pool: _Pool,
     pairs: Int,
@@ -190,9 +224,11 @@ def _result(
 ) -> LocaliseStage:
     p = model.parameters
     low, high = p.bounds()
-    start = residual(aim, model.linearise(np.zeros(len(p))))
-    end = residual(aim, model.linearise(proposal.x)).slope * p.std()
-    known = identifiability(end)
+    start, end = (
+        residual(aim, model.linearise(x)) if problem is None else joint_residual(problem, x)
+        for x in (np.zeros(len(p)), proposal.x)
+    )
+    known = identifiability(end.slope * p.std())
     labels = element_regions(desk.remodelled.model, desk.deck.regions)
     names = tuple(dict.fromkeys(labels))
     at = np.array([names.index(x) for x in labels])
@@ -222,7 +258,15 @@ def _result(
         proposal,
         desk.config.correlate.expand or "hybrid",
         misfit,
+        _beside(desk) if problem is not None else "",
     )
+
+
+def _beside(desk: Workbench) -> str:
+    """What the proposal rests on beside the modes of the study's own test."""
+    tests = [f"the test of {c.name}" for c in desk.config.configuration]
+    data = [m.name for n in names_of(desk) for m in desk.measured(n)]
+    return ", ".join([*tests, *data])
 
 
 def element_regions(model: Model, regions: Mapping[str, Sequence[int]]) -> list[str]:

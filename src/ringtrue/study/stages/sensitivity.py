@@ -25,7 +25,6 @@ RULES = choose.RULES | {
 }
 
 ALL = "; of the tests of all configurations"
-OWN = {"proposal": "; by the test of the deck of the study alone"}
 
 
 def target(desk: Workbench, u: UpdateSection | None = None) -> Target:
@@ -88,7 +87,7 @@ def _rules(desk: Workbench, sets: Mapping[str, Int]) -> dict[str, str]:
     """How each set was chosen, in words."""
     several = desk.config.configuration
     out = {s.name: "named in the study" + (f"; {s.words()}" if s.own() else "") for s in desk.config.set}
-    made = {rule: RULES[rule] + (OWN.get(rule, ALL) if several else "") for rule in sets if rule not in out}
+    made = {rule: RULES[rule] + (ALL if several else "") for rule in sets if rule not in out}
     return made | out
 
 

@@ -1,0 +1,59 @@
+"""A problem with several tests, and with what was measured beside modes, in the form of one test's residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.update.choose import Choice
+from ringtrue.update.objective import Residual
+from ringtrue.update.residuals import CrossOrthogonality, Eigenvalues, Frequencies, Mac, Shapes, Term, Weighted
+from ringtrue.update.several import APART, Evaluated, Problem, held_to
+from ringtrue.update.trust import solve
+
+
+def joint_residual(problem: Problem, x: Float) -> Residual:
+    """All residuals at x (p,); test modes of configuration i are numbered from i times `APART`."""
+    at = problem.evaluate(x)
+    value, slope = problem.weighted(at)
+    pairs, error, used = [], [], []
+    for i, (c, p) in enumerate(zip(problem.configurations, at.points, strict=True)):
+        test, fe = p.every.T
+        pairs.append(np.stack([test + i * APART, fe], axis=1))
+        error.append(p.now.frequencies[fe] / c.target.frequencies[test] - 1)
+        used.append(c.target.used[test])
+    kind, more = _kinds(problem, at)
+    mac = np.concatenate([p.mac for p in at.points])
+    return Residual(
+        value, slope, np.concatenate(pairs), mac, np.concatenate(error), np.concatenate(used), kind[at.kind], more
+    )
+
+
+def _kinds(problem: Problem, at: Evaluated) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float]:
+    """Of each term 0 for frequencies, 1 for shapes, 2 for the rest, and the number of data of the rest."""
+    terms = [t for c in problem.configurations for t in c.terms]
+    kind = np.array([_kind(t) for t in terms], dtype=np.int64)
+    rows = np.bincount(at.kind, minlength=kind.size).tolist()
+    return kind, float(sum(t.factor * n for t, n in zip(terms, rows, strict=True) if isinstance(t, Weighted)))
+
+
+def _kind(term: Term) -> int:
+    if isinstance(term, Eigenvalues | Frequencies):
+        return 0
+    return 1 if isinstance(term, Shapes | Mac | CrossOrthogonality) else 2
+
+
+def sharper(problem: Problem, frequency: float, mac: float) -> Problem:
+    """With discrepancies of a relative frequency and of 1 − MAC as found, and with pairs of least cost."""
+    weighed = [c.weighed(frequency, mac) for c in problem.configurations]
+    return replace(problem, configurations=tuple(replace(c, target=c.target.doubting()) for c in weighed))
+
+
+def short_solve(problem: Problem, members: Sequence[int], x: Float, turns: int) -> Choice:
+    """A short updating of some parameters from x; the others go to 0."""
+    names, at = problem.parameters.names, sorted(members)
+    done = solve(held_to(problem, [names[i] for i in at]), start=x[at], iterations=turns)
+    return Choice(np.array(list(members), dtype=np.int64), done.x, done.cost)
