@@ -209,3 +209,30 @@ def test_a_deck_that_carries_nothing_is_refused(tmp_path: Path) -> None:
     (tmp_path / "deck/loaded.bdf").write_text(text.replace("PSHELL,10,10,0.1,10,,10", "PSHELL,10,60,0.1,60,,60"))
     with pytest.raises(ConfigError, match="its deck has no card of a candidate"):
         run_study(study, until="configurations")
+
+
+def test_a_suspension_is_tuned_to_the_rigid_body_modes_of_both_tests(tmp_path: Path) -> None:
+    """All moduli and all densities play the suspension; two sways and a torsion lie below 3 Hz in each test."""
+    sure = small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
+    toml = small_study.MODEL + small_study.TEST + sure + "[correlate]\nrigid_below = 3.0\n"
+    toml += small_study.WHOLE.replace("[[candidate]]", "[[suspension]]")
+    study = folder(tmp_path, toml)
+    small_study.write_data(tmp_path / "data", truth=truth(0.75, 0.9, loaded=False))
+    found = []
+    for more in ("", OWN):
+        study.write_text(toml + more)
+        run = run_study(study)
+        tune = run.results["tune"]
+        found.append(max(abs(tune.factors[n] / value - 1) for n, value in TRUTH.items()))
+    assert found[0] > 0.1  # their ratio alone
+    assert found[1] < 0.02
+    assert max(tune.std.values()) < 0.05
+    (other,) = tune.others
+    assert len(other.after) == 3
+    assert other.after.max_deviation() < 0.5 < 5 < other.before.max_deviation()
+    deliver(run)
+    told = json.loads((run.folder / "summary.json").read_text())["suspension_configurations"]
+    assert [len(t["after"]) for t in told] == [3]
+    assert "loaded: rigid-body modes after tuning." in (run.folder / "report.html").read_text(encoding="utf-8")
+    (deck,) = run.results["configured"].items
+    assert any("MAT1 10 RHO" in c for c in deck.changes)

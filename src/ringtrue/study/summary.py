@@ -293,6 +293,10 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
         out |= _measured(update)
     if tune is not None:
         out["suspension"] = [{"name": n, "factor": a, "std": tune.std[n] * a} for n, a in tune.factors.items()]
+        if tune.others:
+            out["suspension_configurations"] = [
+                {"name": o.name, "before": pairs(o.before), "after": pairs(o.after)} for o in tune.others
+            ]
     if final is not None:
         out["final"] = pairs(final.table)
         out["left_out"] = [p for p in pairs(final.table) if not p["used"]]

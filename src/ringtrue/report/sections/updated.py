@@ -118,6 +118,11 @@ def suspension(data: Stages) -> Section | None:
         pairs(t.before, data, "Rigid-body modes before tuning.", updating=False),
         pairs(t.after, data, "Rigid-body modes after tuning.", updating=False),
     ]
+    for o in t.others:
+        blocks += [
+            pairs(table, data, f"{o.name}: rigid-body modes {when} tuning.", updating=False)
+            for table, when in ((o.before, "before"), (o.after, "after"))
+        ]
     rows = [(k, fixed(v, 3), number(100 * t.std[k] if k in t.std else None, 2)) for k, v in t.factors.items()]
     blocks.append(Table(("|Suspension parameter", "Factor", "σ, %"), rows, "Tuned stiffnesses of the suspension."))
     blocks += [Text(f"The pairing is not certain. {v}.") for v in t.ambiguity]

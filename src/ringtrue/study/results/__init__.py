@@ -36,6 +36,7 @@ from ringtrue.study.results.updated import (
     PredictStage,
     SensitivityStage,
     SetResult,
+    TunedConfiguration,
     TuneStage,
     UncertaintyStage,
     UpdateStage,
@@ -69,6 +70,7 @@ __all__ = [
     "SensitivityStage",
     "SetResult",
     "TuneStage",
+    "TunedConfiguration",
     "UncertaintyStage",
     "UpdateStage",
 ]

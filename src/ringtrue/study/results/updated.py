@@ -122,6 +122,15 @@ class UpdateStage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TunedConfiguration:
+    """The rigid-body modes of another configuration before and after the tuning of the shared suspension."""
+
+    name: str
+    before: CorrelationTable
+    after: CorrelationTable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TuneStage:
     """Rigid-body tuning of the suspension."""
 
@@ -131,6 +140,7 @@ class TuneStage:
     std: dict[str, float]
     ambiguity: tuple[str, ...] = ()  # pairings that the test leaves open, with their weight, in words
     flags: tuple[str, ...] = ()  # factors that are not plausible
+    others: tuple[TunedConfiguration, ...] = ()  # configurations that were tuned to as well
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -139,7 +139,7 @@ STAGES = (
         "rigid-body tuning",
         tune.run,
         ("suspension",),
-        ("correlate", "update"),
+        ("correlate", "configurations", "update"),
         _nothing,
         (*_BOTH, "suspension"),
     ),

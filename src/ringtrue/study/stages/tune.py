@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
+from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.errors import DataError
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels
-from ringtrue.study.reference import reference_modes, rigid_settings, rigid_table
-from ringtrue.study.results import CorrelateStage, TuneStage
+from ringtrue.study.reference import Reference, reference_modes, rigid_settings, rigid_table
+from ringtrue.study.results import ConfigurationsStage, ConfiguredTest, CorrelateStage, TunedConfiguration, TuneStage
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.gauss_newton import update
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.plausible import plausibility
+from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.suspension import Suspended, tune
+from ringtrue.update.trust import Solution, solve
 
 # a rigid-body mode on springs leaves no room for model discrepancy but the mass distribution
 WEIGHTS = Weights(frequency=0.005, mac=0.1, shape=0.1)
@@ -33,13 +37,17 @@ def target(desk: Workbench) -> Target:
         If there is none.
     """
     found: CorrelateStage = desk.get("correlate")
-    n = len(found.rigid)
-    if not n:
+    if not len(found.rigid):
         raise DataError(
             "rigid-body tuning: the ambient test holds no rigid-body mode to tune [[suspension]] to; set "
             "correlate.rigid_below above them, or leave [[suspension]] out"
         )
-    std = np.maximum(found.rigid_uncertainty.frequency / found.rigid.frequencies, 1e-4)
+    return _target(desk, found)
+
+
+def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest) -> Target:
+    n = len(found.rigid)
+    std = np.fmax(found.rigid_uncertainty.frequency / found.rigid.frequencies, 1e-4)
     gates = rigid_settings(desk.config)
     return Target(found.rigid.frequencies, found.rigid.shapes, std, np.ones(n, dtype=bool), WEIGHTS, gates)
 
@@ -69,28 +77,90 @@ def tuned(active: AtChannels, aim: Target, iterations: int, progress: Progress) 
     return tune(active, replace(aim, used=used), start=near.x, progress=progress)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Other:
+    """Another configuration whose test holds rigid-body modes and whose deck has part of the suspension."""
+
+    test: ConfiguredTest
+    active: AtChannels
+    aim: Target
+
+    def table(self, x: Float, desk: Workbench) -> CorrelationTable:
+        """At x (p,) of its part of the suspension."""
+        t = self.test
+        reference = Reference(t.reference, t.reference_uncertainty, t.rigid, t.rigid_uncertainty)
+        return rigid_table(reference, _seen(self.active, x, t.rigid.channels), desk.config)
+
+
+def _others(desk: Workbench, progress: Progress) -> tuple[_Other, ...]:
+    """Elastic parameters held at their updated values."""
+    if not desk.config.configuration:
+        return ()
+    found: ConfigurationsStage = desk.get("configurations")
+    known = dict(zip(desk.parameters.names, chosen_factors(desk).tolist(), strict=True))
+    out = []
+    for test, model in zip(found.items, desk.others(progress), strict=True):
+        every, mine = model.model.system.parameters, model.parameters
+        springs = range(len(mine), len(every))
+        if not (len(test.rigid) and len(springs)):
+            continue
+        base = np.concatenate([mine.vector(np.array([known[n] for n in mine.names])), np.zeros(len(springs))])
+        channels = desk.channels(test.name)
+        rows = np.array([channels.index(c) for c in test.rigid.channels], dtype=np.int64)
+        out.append(_Other(test, AtChannels(model.model, rows).with_parameters(springs, base), _target(desk, test)))
+    return tuple(out)
+
+
+def _jointly(first: Configuration, start: Float, others: Sequence[_Other], iterations: int) -> Solution:
+    """Over all tests from the point that the study's own leads to: gates, pairs of least cost, then these for good."""
+    every = (first, *(Configuration(o.active, o.aim, name=o.test.name) for o in others))
+
+    def aimed(aims: Sequence[Target]) -> Problem:
+        return Problem(tuple(replace(c, target=a) for c, a in zip(every, aims, strict=True)))
+
+    aims = [c.target for c in every]
+    far = solve(aimed(aims), start=start, iterations=iterations)
+    near = solve(aimed([a.doubting() for a in aims]), start=far.y, iterations=iterations)
+    firm = [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)]
+    return solve(aimed(firm), start=near.y, iterations=iterations)
+
+
 def run(desk: Workbench, progress: Progress) -> TuneStage:
-    """Tune the suspension with the elastic parameters held at their updated values."""
+    """Tune the suspension with the elastic parameters held at their updated values.
+
+    Every pairing of the study's own test is weighed; configurations with rigid-body modes join from there.
+    """
     aim = target(desk)
-    active = suspended(desk, lambda f, t: progress(0.7 * f, t))
-    before = _seen(active, np.zeros(len(active.parameters)), desk)
-    found = tuned(active, aim, desk.config.update.iterations, lambda f, t: progress(0.7 + 0.3 * f, t))
-    parameters, x = active.parameters, found.best.x
+    active = suspended(desk, lambda f, t: progress(0.6 * f, t))
+    others = _others(desk, lambda f, t: progress(0.6 + 0.1 * f, t))
+    limit, parameters = desk.config.update.iterations, active.parameters
+    found = tuned(active, aim, limit, lambda f, t: progress(0.7 + 0.3 * f, t))
+    x, std = found.best.x, found.std
+    if others:
+        used = np.isin(np.arange(aim.used.size), found.best.pairs[:, 0])
+        done = _jointly(Configuration(active, replace(aim, used=used)), x, others, limit)
+        x, std = done.x, done.std
     factors = parameters.factors(x)
     slope = parameters.slope(x) / factors
     reference = reference_modes(desk.get("identify"), desk.config)
+    channels = desk.get("correlate").rigid.channels
+    before, after = (rigid_table(reference, _seen(active, at, channels), desk.config) for at in (0 * x, x))
+    at = dict(zip(parameters.names, x.tolist(), strict=True))
+    of = [np.array([at[n] for n in o.active.parameters.names]) for o in others]
     return TuneStage(
-        rigid_table(reference, before, desk.config),
-        rigid_table(reference, _seen(active, x, desk), desk.config),
+        before,
+        after,
         dict(zip(parameters.names, factors.tolist(), strict=True)),
-        dict(zip(parameters.names, (found.std * slope).tolist(), strict=True)),
+        dict(zip(parameters.names, (std * slope).tolist(), strict=True)),
         found.ambiguity(),
-        tuple(f.text for f in plausibility(parameters, x, found.std / parameters.std())),
+        tuple(f.text for f in plausibility(parameters, x, std / parameters.std())),
+        tuple(
+            TunedConfiguration(o.test.name, o.table(0 * v, desk), o.table(v, desk))
+            for o, v in zip(others, of, strict=True)
+        ),
     )
 
 
-def _seen(active: AtChannels, x: Float, desk: Workbench) -> ModeSet:
-    found: CorrelateStage = desk.get("correlate")
+def _seen(active: AtChannels, x: Float, channels: tuple[str, ...]) -> ModeSet:
     point = active.modes(x)
-    zeros = np.zeros(point.frequencies.size)
-    return ModeSet(point.frequencies, zeros, point.shapes, found.rigid.channels, source="reduced")
+    return ModeSet(point.frequencies, np.zeros(point.frequencies.size), point.shapes, channels, source="reduced")
