@@ -20,8 +20,15 @@ from ringtrue.errors import InputError
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.model import Model
 from ringtrue.study.opened import Opened
-from ringtrue.update.damping import fit_poles, mode_damping
-from ringtrue.update.damping_regions import DampingRegion, dampers, default_regions, undamped
+from ringtrue.update.damping import Mechanism, fit_poles, mode_damping
+from ringtrue.update.damping_regions import (
+    Dampers,
+    DampingRegion,
+    dampers,
+    default_regions,
+    joined_dampers,
+    undamped,
+)
 
 FMAX = 300.0
 GE, B = {1: 0.01, 2: 0.03, 3: 0.002}, 40.0
@@ -153,3 +160,26 @@ def test_input_is_checked(tmp_path: Path) -> None:
         dampers(opened.model, [steel, steel], values, shapes, total, 0.01)
     with pytest.raises(InputError, match="MAT1 7 is not in the model"):
         dampers(opened.model, [DampingRegion("x", (Target("MAT1", 7, "GE"),))], values, shapes, total, 0.01)
+
+
+def test_two_decks_with_common_coefficients_tell_apart_what_one_cannot() -> None:
+    """In the first deck A and B act in proportion; the second has B alone. ζ = Σ η_k κ_km / (2 λ_m)."""
+    one, two = np.array([100.0, 900.0]), np.array([400.0, 2500.0])
+    regions = [DampingRegion(n, (Target("MAT1", i, "GE"),)) for i, n in ((1, "A"), (2, "B"))]
+
+    def mechanism(name: str, share: float, values: np.ndarray) -> Mechanism:
+        return Mechanism(name, "structural", np.diag(share * values), upper=1.0, prior=0.02, std=0.02)
+
+    none = np.zeros((2, 2)), np.zeros((2, 2))
+    first = Dampers(tuple(regions), (mechanism("A", 0.4, one), mechanism("B", 0.6, one)), none)
+    second = Dampers((regions[1],), (mechanism("B", 1.0, two),), none)
+    whole = joined_dampers([first, second])
+    assert [m.name for m in whole.mechanisms] == ["A", "B"]
+    assert whole.mechanisms[0].matrix[2:].any() == 0
+    values, truth = np.concatenate([one, two]), np.array([0.05, 0.01])
+    h = sum(c * m.matrix for c, m in zip(truth, whole.mechanisms, strict=True))
+    zeta = complex_modes(values, np.zeros((4, 4)), h).damping[np.argsort(np.argsort(values))]
+    fit = fit_poles(values, whole.mechanisms, zeta, 1e-3 * zeta, np.arange(4), base=whole.base)
+    np.testing.assert_allclose(fit.coefficients, truth, rtol=0.01)
+    alone = fit_poles(one, first.mechanisms, zeta[:2], 1e-3 * zeta[:2], np.arange(2), base=none)
+    assert np.abs(alone.coefficients / truth - 1).max() > 0.1

@@ -101,6 +101,19 @@ def test_the_proposal_rests_on_both_tests(both: StudyRun) -> None:
     assert "The proposal rests on the test of loaded, too." in page
 
 
+def test_damping_is_fitted_to_both_tests(both: StudyRun) -> None:
+    d = both.results["damping"]
+    (other,) = d.others
+    assert other.name == "loaded"
+    assert (~other.modes.used).sum() == 2
+    for modes in (d.modes, other.modes):  # the truth has one ratio in all modes of both
+        assert modes.spread(True)[1] < 0.1
+    np.testing.assert_allclose(d.regions.coefficients, 2 * small_study.DAMPING, rtol=0.2)
+    told = json.loads((both.folder / "summary.json").read_text())["damping"]["configurations"]
+    assert [t["name"] for t in told] == ["loaded"]
+    assert "Damping of the modes: loaded" in (both.folder / "report.html").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize(("e", "rho", "wrong"), [(1.0, 0.8, "density"), (0.8, 1.0, "stiffness")])
 def test_one_wrong_parameter_is_chosen_by_both_tests(tmp_path: Path, e: float, rho: float, wrong: str) -> None:
     toml = PLAIN.replace("[update]", "[update]\nchoose = 1") + LOADED  # the bare frame cannot say which of the two

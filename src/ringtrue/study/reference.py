@@ -16,7 +16,7 @@ from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import read_frequency_std, read_modes
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig
-from ringtrue.study.results import IdentifyStage
+from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +27,11 @@ class Reference:
     elastic_std: Uncertainty
     rigid: ModeSet
     rigid_std: Uncertainty
+
+    @classmethod
+    def of(cls, found: CorrelateStage | ConfiguredTest) -> Reference:
+        """The test modes that were kept with a correlation."""
+        return cls(found.reference, found.reference_uncertainty, found.rigid, found.rigid_uncertainty)
 
 
 def split_frequency(frequencies: Float, below: float | None) -> float:

@@ -319,6 +319,11 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
             "deviation_left_out_percent": [_number(100 * x) for x in damping.modes.spread(False)],
             "flags": list(damping.flags),
         }
+        if damping.others:
+            out["damping"]["configurations"] = [
+                {"name": o.name, "deviation_percent": [_number(100 * x) for x in o.modes.spread(True)]}
+                for o in damping.others
+            ]
     predicted: PredictStage | None = r.get("predict")
     if predicted is not None:
         u = predicted.run_up

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy import linalg
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import ParameterSet, Target
@@ -298,6 +299,25 @@ def dampers(
         kept.append(r)
         mechanisms.append(Mechanism(r.name, r.kind, matrix, r.lower, upper, expected, std))
     return Dampers(tuple(kept), tuple(mechanisms), base)
+
+
+def joined_dampers(parts: Sequence[Dampers]) -> Dampers:
+    """The regions of several decks with common coefficients: modes of all of them side by side, uncoupled.
+
+    A region that two decks share is one; what is known of it beforehand is what the first of them says.
+    """
+    sizes = [len(p.base[0]) for p in parts]
+    first = np.cumsum([0, *sizes])
+    regions: dict[str, DampingRegion] = {}
+    mechanisms: dict[str, Mechanism] = {}
+    for i, part in enumerate(parts):
+        for r, m in zip(part.regions, part.mechanisms, strict=True):
+            wide = np.zeros((first[-1], first[-1])) if r.name not in regions else mechanisms[r.name].matrix.copy()
+            wide[first[i] : first[i + 1], first[i] : first[i + 1]] = m.matrix
+            mechanisms[r.name] = replace(mechanisms.get(r.name, m), matrix=wide)
+            regions.setdefault(r.name, r)
+    d, h = (linalg.block_diag(*(p.base[k] for p in parts)) for k in range(2))
+    return Dampers(tuple(regions.values()), tuple(mechanisms.values()), (d, h))
 
 
 def matrices_of(

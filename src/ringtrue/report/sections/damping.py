@@ -29,6 +29,8 @@ def section(data: Stages) -> Section | None:
         )
     blocks += [Text(sentence(f), "note") for f in d.flags]
     blocks += [Heading("Damping of the modes"), *_modes(d, d.modes)]
+    for o in d.others:
+        blocks += [Heading(f"Damping of the modes: {o.name}"), *_modes(d, o.modes)]
     if d.files:
         blocks += [Heading("The damped deck"), *changes(d.files, d.changes)]
     return Section("damping", "Damping by region", blocks)

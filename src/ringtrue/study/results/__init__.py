@@ -27,6 +27,7 @@ from ringtrue.study.results.model import (
     Scene,
 )
 from ringtrue.study.results.updated import (
+    DampedConfiguration,
     DampedModes,
     DampedRegions,
     DampingStage,
@@ -48,6 +49,7 @@ __all__ = [
     "ConfiguredStage",
     "ConfiguredTest",
     "CorrelateStage",
+    "DampedConfiguration",
     "DampedModes",
     "DampedRegions",
     "DampingStage",

@@ -207,6 +207,14 @@ class DampedModes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DampedConfiguration:
+    """The same of another configuration, whose test the regions were fitted to, too."""
+
+    name: str
+    modes: DampedModes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DampingStage:
     """Damping by region and by mode; None where the test tells nothing of it."""
 
@@ -218,6 +226,7 @@ class DampingStage:
     flags: tuple[str, ...]  # what is not plausible, in words
     files: tuple[str, ...]  # of the damped deck, if it was written
     changes: tuple[str, ...]
+    others: tuple[DampedConfiguration, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -175,7 +175,7 @@ STAGES = (
         "damping by region",
         damping.run,
         ("damping", "suspension"),
-        ("identify", "correlate", "final"),
+        ("identify", "correlate", "final", "configured"),
         _nothing,
         (*_BOTH, "candidate|suspension|propose"),
     ),

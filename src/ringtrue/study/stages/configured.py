@@ -7,7 +7,7 @@ import numpy as np
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.model.edit import carried, field_changes
 from ringtrue.study.config import ConfigurationSection
-from ringtrue.study.opened import Progress
+from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.reference import Reference, elastic_table
 from ringtrue.study.results import ConfigurationsStage, ConfiguredStage, ConfiguredTest, DeliveredConfiguration
 from ringtrue.study.stages.configurations import seen
@@ -25,7 +25,8 @@ def run(desk: Workbench, progress: Progress) -> ConfiguredStage:
     return ConfiguredStage(tuple(items))
 
 
-def _one(desk: Workbench, section: ConfigurationSection, item: ConfiguredTest) -> DeliveredConfiguration:
+def deliver(desk: Workbench, section: ConfigurationSection) -> tuple[Opened, tuple[str, ...], tuple[str, ...]]:
+    """The deck with what was found, read back; its files, and the changed fields."""
     parameters, factors = delivered_factors(desk)
     model = desk.configured(section).model
     mine = carried(model, parameters)
@@ -33,13 +34,11 @@ def _one(desk: Workbench, section: ConfigurationSection, item: ConfiguredTest) -
     moved = [i for i, a in enumerate(factors[at].tolist()) if a != 1.0]
     changes = field_changes(model, mine.take(moved), factors[at][moved])
     written = edit_fields(model, changes, desk.out / "configurations" / section.name / "updated")
-    opened = desk.opened(written[0])
+    return desk.opened(written[0]), tuple(str(p) for p in written), tuple(said(model, c) for c in changes)
+
+
+def _one(desk: Workbench, section: ConfigurationSection, item: ConfiguredTest) -> DeliveredConfiguration:
+    opened, files, told = deliver(desk, section)
     fe = seen(desk, opened, item.test, item.reference.channels)
-    reference = Reference(item.reference, item.reference_uncertainty, item.rigid, item.rigid_uncertainty)
-    return DeliveredConfiguration(
-        section.name,
-        tuple(str(p) for p in written),
-        tuple(said(model, c) for c in changes),
-        elastic_table(reference, fe, desk.config, item.left_out),
-        fe,
-    )
+    table = elastic_table(Reference.of(item), fe, desk.config, item.left_out)
+    return DeliveredConfiguration(section.name, files, told, table, fe)

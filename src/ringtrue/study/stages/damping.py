@@ -7,7 +7,8 @@ amplitude as damping.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,11 +22,13 @@ from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.study.evidence import MASS, on_sheet
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.parametric import STILL
-from ringtrue.study.results import CorrelateStage, DampedModes, DampedRegions, DampingStage, FinalStage
+from ringtrue.study.reference import Reference, rigid_table
+from ringtrue.study.results import DampedConfiguration, DampedModes, DampedRegions, DampingStage, FinalStage
+from ringtrue.study.stages.configured import deliver as deliver_other
 from ringtrue.study.stages.final import deliver, said
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.damping import DampingFit, fit_poles, mode_damping
-from ringtrue.update.damping_regions import Dampers, DampingRegion, dampers, default_regions
+from ringtrue.update.damping_regions import Dampers, DampingRegion, dampers, default_regions, joined_dampers
 
 SPAN = 3.0  # half-power half-bandwidths around a resonance in which FRFs are compared
 SILENT = 0.8  # standard deviation over that before the data: they said little
@@ -46,17 +49,25 @@ class _Measured:
     elastic: Bool
 
 
-def measured(found: CorrelateStage, final: FinalStage) -> _Measured:
-    """The rigid-body modes of the ambient test and the elastic reference modes, those with damping above 0."""
-    low = _partners("ambient", found.rigid, found.rigid_uncertainty, final.rigid)
-    high = _partners("test", found.reference, found.reference_uncertainty, final.table)
-    fe, hertz, ratio, std, used = (np.concatenate(p) for p in zip(low[1:], high[1:], strict=True))
+def measured(reference: Reference, table: CorrelationTable, rigid: CorrelationTable, hertz: Float) -> _Measured:
+    """The rigid-body modes of the ambient test and the elastic reference modes, those with damping above 0.
+
+    Parameters
+    ----------
+    table, rigid : CorrelationTable
+        Of both with the delivered deck.
+    hertz : (m,) float64, Hz
+        Of its modes.
+    """
+    low = _partners("ambient", reference.rigid, reference.rigid_std, rigid)
+    high = _partners("test", reference.elastic, reference.elastic_std, table)
+    fe, f, ratio, std, used = (np.concatenate(p) for p in zip(low[1:], high[1:], strict=True))
     names = low[0] + high[0]
-    good = np.flatnonzero((ratio > 0) & np.isfinite(std) & (final.observed.frequencies[fe] > 0))
+    good = np.flatnonzero((ratio > 0) & np.isfinite(std) & (hertz[fe] > 0))
     return _Measured(
         fe[good],
         tuple(names[i] for i in good.tolist()),
-        hertz[good],
+        f[good],
         ratio[good],
         std[good],
         used[good].astype(bool),
@@ -77,47 +88,108 @@ def nothing(why: str) -> DampingStage:
     return DampingStage(why, None, None, 0.0, "", (), (), ())
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A delivered deck on its modes that move (n), and what its test says of their damping."""
+
+    name: str
+    opened: Opened
+    test: _Measured
+    moving: Int
+    values: Float
+    shapes: Float
+    total: tuple[Float, Float]
+
+    @property
+    def at(self) -> Int:
+        """Partner of each test mode among those that move, (t,)."""
+        return np.searchsorted(self.moving, self.test.fe)
+
+
+def _part(desk: Workbench, name: str, opened: Opened, test: _Measured) -> _Part:
+    modes, system = opened.modes(desk.deck.fmax).modes, opened.analysis.system
+    f = modes.frequencies
+    moving = np.flatnonzero(f > STILL * f.max())
+    phi = np.asarray(system.local @ modes.shapes[:, moving])
+    total = project(phi, system.viscous, system.structural)
+    return _Part(name, opened, test, moving, (2 * np.pi * f[moving]) ** 2, modes.shapes[:, moving], total)
+
+
+def _others(desk: Workbench, progress: Progress) -> list[_Part]:
+    """The delivered decks of the other configurations whose tests tell damping."""
+    out: list[_Part] = []
+    if not desk.config.configuration:
+        return out
+    tests, done = desk.get("configurations").items, desk.get("configured").items
+    for section, test, found in zip(desk.config.configuration, tests, done, strict=True):
+        reference = Reference.of(test)
+        rigid = rigid_table(reference, found.observed, desk.config)
+        told = measured(reference, found.table, rigid, found.observed.frequencies)
+        if told.fe.size:
+            progress(0.3, f"modes of the delivered deck of {section.name}")
+            out.append(_part(desk, section.name, deliver_other(desk, section)[0], told))
+    return out
+
+
 def run(desk: Workbench, progress: Progress) -> DampingStage:
-    """Fit the regions to the modes that the updating saw, predict those left out, compare the FRFs."""
+    """Fit the regions to the modes that the updating saw, predict those left out, compare the FRFs.
+
+    The tests of all configurations have one set of coefficients; FRFs are those of the study's own.
+    """
     final: FinalStage = desk.get("final")
-    test = measured(desk.get("correlate"), final)
+    reference = Reference.of(desk.get("correlate"))
+    test = measured(reference, final.table, final.rigid, final.observed.frequencies)
     if not test.used.any():
         return nothing("no test mode with a damping ratio has a partner in the final model")
     opened = desk.delivered or deliver(desk)[0]
     progress(0.1, "modes of the delivered deck")
-    shapes = opened.modes(desk.deck.fmax).modes
-    f = shapes.frequencies
-    moving = np.flatnonzero(f > STILL * f.max())
-    at = np.searchsorted(moving, test.fe)
-    values = (2 * np.pi * f[moving]) ** 2
+    own = _part(desk, OWN, opened, test)
+    parts = [own, *_others(desk, progress)]
     progress(0.5, "damping of the regions")
-    phi = np.asarray(opened.analysis.system.local @ shapes.shapes[:, moving])
-    total = project(phi, opened.analysis.system.viscous, opened.analysis.system.structural)
-    common = float(np.median(test.ratio[test.used]))
-    found = dampers(opened.model, regions(desk, opened), values, shapes.shapes[:, moving], total, common)
-    if not found.regions:
+    common, wanted = float(np.median(test.ratio[test.used])), regions(desk, opened)
+    mine = [wanted, *(_held(wanted, p.opened) for p in parts[1:])]
+    found = [dampers(p.opened.model, r, p.values, p.shapes, p.total, common) for p, r in zip(parts, mine, strict=True)]
+    if not found[0].regions:
         return nothing("no region takes part in any mode")
-    std = np.hypot(test.std, desk.config.damping.error * test.ratio)
-    use = test.used
-    fit = fit_poles(values, found.mechanisms, test.ratio[use], std[use], at[use], base=found.base)
-    after, after_std = mode_damping(values, found.mechanisms, fit, at)
-    before, words = _before(values, total, common)
+    whole, first = joined_dampers(found), np.cumsum([0, *(p.values.size for p in parts)]).tolist()
+    values = np.concatenate([p.values for p in parts])
+    at = np.concatenate([p.at + k for p, k in zip(parts, first, strict=False)])
+    ratio, std, use = (np.concatenate([getattr(p.test, n) for p in parts]) for n in ("ratio", "std", "used"))
+    std = np.hypot(std, desk.config.damping.error * ratio)
+    fit = fit_poles(values, whole.mechanisms, ratio[use], std[use], at[use], base=whole.base)
+    after = mode_damping(values, whole.mechanisms, fit, at)
+    ends = np.cumsum([0, *(p.at.size for p in parts)]).tolist()
     progress(0.8, "FRFs around the resonances")
-    errors = frf_errors(desk, test, moving, (before, (fit.viscous, fit.structural)))
-    ratio = complex_modes(values, *before).damping[at]
-    changes, files = _written(desk, opened, found, fit)
+    before, words = _before(own.values, own.total, common)
+    n = own.values.size
+    errors = frf_errors(desk, test, own.moving, (before, (fit.viscous[:n, :n], fit.structural[:n, :n])))
+    told = [_modes(p, common, [x[a:b] for x in after]) for p, a, b in zip(parts, ends, ends[1:], strict=False)]
+    changes, files = _written(desk, opened, whole, fit)
     return DampingStage(
         "",
-        _regions(found, fit),
-        DampedModes(
-            test.fe, test.names, use, test.hertz, test.ratio, test.std, ratio, after, after_std, errors[0], errors[1]
-        ),
+        _regions(whole, fit),
+        replace(told[0], frf_before=errors[0], frf_after=errors[1]),
         fit.misfit,
         words,
-        flags(found, fit),
+        flags(whole, fit),
         files,
         changes,
+        tuple(DampedConfiguration(p.name, m) for p, m in zip(parts[1:], told[1:], strict=True)),
     )
+
+
+def _modes(part: _Part, common: float, after: Sequence[Float]) -> DampedModes:
+    """The paired modes of a deck; errors of FRFs are not known."""
+    t, none = part.test, np.full(part.test.hertz.size, np.nan)
+    before = complex_modes(part.values, *_before(part.values, part.total, common)[0]).damping[part.at]
+    return DampedModes(t.fe, t.names, t.used, t.hertz, t.ratio, t.std, before, after[0], after[1], none, none)
+
+
+def _held(wanted: Sequence[DampingRegion], opened: Opened) -> tuple[DampingRegion, ...]:
+    """Those of the regions that a deck has, as far as it has their fields."""
+    model = opened.model
+    there = [[t for t in r.targets if t.card in model and (model[t.card].ids == t.id).any()] for r in wanted]
+    return tuple(replace(r, targets=tuple(ts)) for r, ts in zip(wanted, there, strict=True) if ts)
 
 
 def regions(desk: Workbench, opened: Opened) -> tuple[DampingRegion, ...]:

@@ -87,9 +87,8 @@ class _Other:
 
     def table(self, x: Float, desk: Workbench) -> CorrelationTable:
         """At x (p,) of its part of the suspension."""
-        t = self.test
-        reference = Reference(t.reference, t.reference_uncertainty, t.rigid, t.rigid_uncertainty)
-        return rigid_table(reference, _seen(self.active, x, t.rigid.channels), desk.config)
+        seen = _seen(self.active, x, self.test.rigid.channels)
+        return rigid_table(Reference.of(self.test), seen, desk.config)
 
 
 def _others(desk: Workbench, progress: Progress) -> tuple[_Other, ...]:
