@@ -26,6 +26,7 @@ from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
+from ringtrue.study import workbench
 from ringtrue.study.config import parse_config
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
@@ -244,14 +245,20 @@ def test_pairs_that_the_study_decides_hold_from_the_deck_to_the_delivered_one(ma
         parse_config(PLAIN + '[correlate]\nforbid = ["4-3"]\n', tmp_path / "s/study.toml")
 
 
-def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(made: Path, tmp_path: Path) -> None:
+def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = study(made, tmp_path, '[correlate]\nalign = "points"\n' + STATIC)
     c, s = np.cos(0.5), np.sin(0.5)
     about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     turn = Alignment(about_z, np.array([20.0, -3, 1]), 1.0, np.zeros(0), np.zeros(0, dtype=bool))
     turned = turn.move(small_study.test_model())
     write_sheet(path.parent / "data/sensors.csv", turned, turned.channels)
+    found: list[str] = []
+    real = workbench.alignment
+    monkeypatch.setattr(workbench, "alignment", lambda *a: found.append(a[2]) or real(*a))
     run = run_study(path, until="update")
+    assert found == ["points"]  # once, for the deck before and after
     assert "turned by 28.6°" in run.results["correlate"].placed
     for name, value in factors(run).items():
         assert value == pytest.approx(TRUTH[name], rel=0.02)

@@ -16,6 +16,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlate.align import Alignment
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError
 from ringtrue.io.nastran.edit import add_cards
@@ -53,6 +54,7 @@ class Workbench:
     _measured: dict[str, tuple[Measured, ...]] = field(default_factory=dict)  # by configuration
     masses: dict[str, Float] = field(default_factory=dict)  # at the channels of the test modes, by configuration
     weighed: dict[str, RigidMass] = field(default_factory=dict)  # rigid-body masses, by configuration
+    _placed: dict[int, tuple[TestModel, TestModel]] = field(default_factory=dict)  # sheets as measured and as laid
     _channels: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of the reduced models, by configuration
 
     def get(self, stage: str) -> Any:
@@ -192,11 +194,21 @@ class Workbench:
 
     def bridge(self, opened: Opened, test: TestModel | None = None) -> Observation:
         """The bridge from a deck to the channels of a test, that of the study if not given, laid onto the deck."""
-        test = test or self.get("identify").test
         c = self.config.correlate
-        if c.align:
-            test = alignment(test, opened, c.align).move(test)
+        if test is None:
+            test = self.placed[1] if c.align else self.get("identify").test
+        elif c.align:
+            if id(test) not in self._placed:
+                self._placed[id(test)] = (test, alignment(test, opened, c.align).move(test))
+            test = self._placed[id(test)][1]
         return opened.observation(test, c.tolerance, c.match)
+
+    @cached_property
+    def placed(self) -> tuple[Alignment, TestModel]:
+        """How the sheet of the study is laid onto the deck as delivered, and the sheet there: for all its states."""
+        test = self.get("identify").test
+        found = alignment(test, self.initial, self.config.correlate.align)
+        return found, found.move(test)
 
     def others(self, progress: Progress) -> tuple[AtChannels, ...]:
         """Reduced models of the other configurations over the candidates they carry, at their reference channels."""
