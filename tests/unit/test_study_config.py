@@ -16,7 +16,10 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        (MODEL + "fmx = 3.0\n", "unknown key 'model.fmx'; did you mean 'fmax'? Allowed: deck, fmax, regions, solver, units"),
+        (
+            MODEL + "fmx = 3.0\n",
+            "unknown key 'model.fmx'; did you mean 'fmax'? Allowed: deck, fmax, regions, solver, units",
+        ),
         (MODEL + "[modl]\n", "unknown key 'modl'; did you mean 'model'?"),
         (
             MODEL + '[[candidate]]\nnme = "a"\nname = "a"\ntargets = ["MAT1 1 E"]\n',
