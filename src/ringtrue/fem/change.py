@@ -236,10 +236,10 @@ def affected_cards(model: Model) -> Iterable[str]:
 
 
 def _on(table: Table, nodes: Int) -> Bool:
-    names = [f for f in _NODES.get(table.card, []) if f in table.columns and not isinstance(table.columns[f], Ragged)]
-    if not names:
-        return np.zeros(len(table), dtype=bool)
-    return np.asarray(np.isin(table.stack(*names), nodes).any(axis=1))
+    hit = np.zeros(len(table), dtype=bool)
+    for name in _NODES.get(table.card, []):
+        hit[_naming(table, name, nodes)] = True
+    return hit
 
 
 def _own(model: Model, name: str, target: Target) -> tuple[Model, Target]:

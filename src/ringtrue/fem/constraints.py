@@ -137,6 +137,14 @@ def _motion(m: Mesh, node: Int, component: Int, origin: Float, size: Float) -> F
     return np.asarray(np.einsum("...i,...ij->...j", axis, kind))
 
 
+def rigid_motion(m: Mesh, node: Int, component: Int) -> Float:
+    """Motion of components (e, k) of nodes (rows, e, k) by that of a rigid body about their centre, (e, k, 6)."""
+    origin = m.xyz[node].mean(axis=1, keepdims=True)
+    size = np.abs(m.xyz[node] - origin).max(axis=(1, 2))
+    size = np.where(size > 1e-9 * np.abs(m.xyz).max(), size, 1.0)
+    return _motion(m, node, component, origin, size[:, None])
+
+
 def _rbe3(m: Mesh) -> Equations:
     """u_ref = (Σ SᵀWS)⁻¹ Σ SᵀWu, rotations weighted by the square of a length; solved for UM where it is given.
 

@@ -13,6 +13,7 @@ from ringtrue.fem.elements import (
     bush,
     damper,
     gap,
+    general,
     hexa,
     mass,
     penta,
@@ -53,6 +54,7 @@ ELEMENTS: Mapping[str, Build] = {
     "CBUSH": bush.build,
     "CBUSH1D": gap.build,
     "CGAP": gap.build_gap,
+    "GENEL": general.build,
     "CELAS1": spring.build,
     "CELAS2": spring.build,
     "CELAS3": spring.build,
@@ -130,7 +132,9 @@ def batches(model: Model, rows: Mapping[str, Int] | None = None) -> Iterable[tup
         if card in SOLIDS:
             yield from ((card, build, group) for group in alike(SOLIDS[card], model, at))
             continue
-        if at.size:
+        if card == "GENEL":
+            yield from ((card, build, group) for group in general.alike(model, at))
+        elif at.size:
             yield card, build, at
 
 

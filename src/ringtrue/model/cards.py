@@ -95,6 +95,7 @@ SPECIAL = {
     "SPC": "SID G C:s D:f",  # one row a (G, C) pair; two pairs on a card make two rows
     "MPC": "SID *G *C *A:f",  # one row a card; three ragged columns of equal offsets
     "RBE1": "EID *GN *CN:s *GM *CM:s",  # independent pairs share the offsets of GN, dependent ones (UM) those of GM
+    "GENEL": "EID FORM:s *UI *CI *UD *CD *KZ:f *S:f",  # FORM K or Z; KZ by columns of the lower triangle, S by rows
     "RSPLINE": "EID DL:f=0.1 *G *C:s",  # one entry a node; without components it is independent
     "RBE3": "EID REFGRID REFC:s *G *C:s *WT:f *GM *CM:s",  # one entry of G an independent node; GM those of UM
     "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f "
@@ -159,7 +160,7 @@ def columns(card: str) -> tuple[FieldSpec, ...]:
 # Cards that carry stiffness, mass or constraint (or change what other cards mean) and are not read.
 _CARRYING = """
 CQUAD CQUADX CTRIAX CTRIAX6 CTRAX3 CTRAX6 CQUADX4 CQUADX8 CPYRA5 CHEX8 CHEX20 CBEND CBEAM3 CWELD CFAST CSEAM CBUSH2D
-CDAMP5 CBAR3 CINTC CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR GENEL CRAC2D CRAC3D CTWIST CWEDGE
+CDAMP5 CBAR3 CINTC CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR CRAC2D CRAC3D CTWIST CWEDGE
 PCOMPS PLPLANE PBCOMP PBEND PBEAM3 PWELD PFAST PSEAM PBUSH2D PBUSHT PELAST PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT
 PBRSECT MAT3 MAT11 MATORT MATHP MFLUID RBE2GS RBE2F RSSCON RBAX DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX
 MPCD SEBULK SECONCT SEELT SESET SEBNDRY SELOC SEMPLN SETREE CSUPER CSUPEXT RELEASE BCONP BCTABLE BLSEG SLBLOAD AXIC

@@ -71,6 +71,7 @@ REFERENCES: tuple[Reference, ...] = (
     *_nodes("CBUSH", "GA", "GB G0"),
     *_nodes("CBUSH1D", "GA", "GB"),
     *_nodes("CGAP", "GA GB", "G0"),
+    *_nodes("GENEL", "", "UI UD"),
     *_nodes("CONM1", "G"),
     *_nodes("CONM2", "G"),
     *_nodes("RBAR", "GA GB"),

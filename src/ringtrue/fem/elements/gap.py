@@ -34,7 +34,7 @@ def _ends(m: Mesh, card: str, at: Int) -> tuple[Int, Float, Bool]:
 
 def _pair(block: Any_) -> Any_:
     """Stiffness (e, 6, 6) between the translations of two nodes, by that of the spring (e, 3, 3)."""
-    return np.einsum("kl,eij->ekilj", _PAIR, block).reshape(-1, 6, 6)
+    return np.asarray(np.einsum("kl,eij->ekilj", _PAIR, block).reshape(-1, 6, 6))
 
 
 def _dofs(nodes: Int, grounded: Bool) -> Int:

@@ -7,6 +7,19 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import scaled
 from ringtrue.fem.mesh import Matrices, Mesh, lookup
+from ringtrue.model.model import Table
+
+
+def spread(m: Mesh, ids: Int, component: Int, t: Table, at: Int) -> tuple[Int, Float]:
+    """Three full DOFs (k, 3) of components of nodes or scalar points (k,), -1 for none, and their direction in them."""
+    dof = m.dof(ids, component, t, at)
+    node = dof < 6 * len(m.xyz)
+    first = np.where(node, dof - dof % 3, dof)
+    dofs = np.where(node[:, None], first[:, None] + np.arange(3), -1)
+    dofs[:, 0] = first
+    way = np.tile([1.0, 0.0, 0.0], (dof.size, 1))
+    way[node] = m.cd[dof[node] // 6, dof[node] % 3]
+    return dofs, way
 
 
 def _end(m: Mesh, card: str, at: Int, end: int) -> tuple[Int, Float]:
@@ -17,14 +30,7 @@ def _end(m: Mesh, card: str, at: Int, end: int) -> tuple[Int, Float]:
     component = np.zeros_like(ids) if scalar else t[f"C{end}"][at]
     dofs, direction = np.full((at.size, 3), -1), np.zeros((at.size, 3))
     used = ids > 0
-    dof = m.dof(ids[used], component[used], t, at[used])
-    node = dof < 6 * len(m.xyz)
-    first = np.where(node, dof - dof % 3, dof)
-    spread = np.where(node[:, None], first[:, None] + np.arange(3), -1)
-    spread[:, 0] = first
-    way = np.tile([1.0, 0.0, 0.0], (dof.size, 1))
-    way[node] = m.cd[dof[node] // 6, dof[node] % 3]
-    dofs[used], direction[used] = spread, way
+    dofs[used], direction[used] = spread(m, ids[used], component[used], t, at[used])
     return dofs, direction
 
 

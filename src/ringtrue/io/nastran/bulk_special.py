@@ -118,6 +118,18 @@ def _rspline(t: Table) -> Iterator[str]:
         yield format_card("RSPLINE", [eid, ratio, pairs[0][0], *(v or None for pair in pairs[1:] for v in pair)])
 
 
+def _genel(t: Table) -> Iterator[str]:
+    lists = {k: t.ragged(k) for k in ("UI", "CI", "UD", "CD", "KZ", "S")}
+    for i, (eid, form) in enumerate(zip(t["EID"].tolist(), t["FORM"].tolist(), strict=True)):
+        row = {k: v.row(i).tolist() for k, v in lists.items()}
+        ui, ud = ([v for p in zip(row[f"U{k}"], row[f"C{k}"], strict=True) for v in p] for k in "ID")
+        fields: list[Value] = [eid, None, *ui]
+        for name, values in (("UD", [None, *ud] if ud else []), (form, row["KZ"]), ("S", row["S"])):
+            if values:
+                fields += [*[None] * (-len(fields) % 8), name, *values]
+        yield large_card("GENEL", fields)
+
+
 def _laminate(t: Table) -> Iterator[str]:
     names = (("GPLYID",) if t.card == "PCOMPG" else ()) + ("MID", "T", "THETA", "SOUT")
     plies = [t.ragged(n) for n in names]
@@ -157,6 +169,7 @@ SPECIAL: dict[str, Callable[[Table], Iterator[str]]] = {
     "NSML1": _nsm_lists,
     "RBE1": _rbe1,
     "RSPLINE": _rspline,
+    "GENEL": _genel,
     "PCOMP": _laminate,
     "PCOMPG": _laminate,
     "DMIG": _dmig,

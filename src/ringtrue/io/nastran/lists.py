@@ -123,6 +123,53 @@ def rspline(cards: Sequence[Card], files: Files) -> Table:
     return Table("RSPLINE", cols | {"G": ragged(g, np.int64), "C": ragged(c, np.str_)}, *places(cards))
 
 
+_BLOCKS = {"": 2, "UD": 2, "K": 1, "Z": 1, "S": 1}  # what opens a line, and where its entries begin
+
+
+def _genel_blocks(r: Reader) -> dict[str, range]:
+    """Fields of each block of a GENEL, that of UI under ""."""
+    texts = [(i, r.text(i).upper()) for i in range(8, len(r.card.fields), 8)]
+    marks = [(i, text) for i, text in texts if text and text in _BLOCKS]
+    found = [name for _, name in marks]
+    if len(set(found)) < len(found) or found.count("K") + found.count("Z") != 1:
+        raise r.fail("K", "one block K or Z is needed, and each block once")
+    ends = [*(i for i, _ in marks[1:]), len(r.card.fields)]
+    blocks = {name: range(i + _BLOCKS[name], end) for (i, name), end in zip(marks, ends, strict=True)}
+    return {"": range(2, marks[0][0]), **blocks}
+
+
+def _genel_reals(r: Reader, name: str, at: range, count: int) -> list[float]:
+    """The reals of a block, a blank for 0 among them."""
+    given = [r.real(i, name, 0.0) for i in at]
+    if any(given[count:]) or len(given) + 7 < count:
+        raise r.fail(name, f"{sum(bool(r.text(i)) for i in at)} numbers, {count} are needed")
+    return (given + [0.0] * 7)[:count]
+
+
+def genel(cards: Sequence[Card], files: Files) -> Table:
+    """GENEL: pairs (UI, CI) and (UD, CD), the lower triangle of K or Z by columns, and S by rows."""
+    head: dict[str, list[Any]] = {"EID": [], "FORM": []}
+    lists: dict[str, list[list[Any]]] = {key: [] for key in ("UI", "CI", "UD", "CD", "KZ", "S")}
+    for c in cards:
+        r = Reader(c, files)
+        blocks = _genel_blocks(r)
+        head["EID"].append(r.whole(0, "EID"))
+        head["FORM"].append("Z" if "Z" in blocks else "K")
+        for kind, block in (("I", ""), ("D", "UD")):
+            at = [i for i in blocks.get(block, range(0))[::2] if r.text(i)]
+            lists[f"U{kind}"].append([r.whole(i, f"U{kind}") for i in at])
+            lists[f"C{kind}"].append([r.whole(i + 1, f"C{kind}", 0) for i in at])
+        n, d = len(lists["UI"][-1]), len(lists["UD"][-1])
+        if not n:
+            raise r.fail("UI", "no component")
+        form = head["FORM"][-1]
+        lists["KZ"].append(_genel_reals(r, form, blocks[form], n * (n + 1) // 2))
+        lists["S"].append(_genel_reals(r, "S", blocks["S"], n * d) if "S" in blocks else [])
+    cols: dict[str, NDArray[Any] | Ragged] = {key: np.array(values) for key, values in head.items()}
+    cols |= {key: ragged(v, np.float64 if key in ("KZ", "S") else np.int64) for key, v in lists.items()}
+    return Table("GENEL", cols, *places(cards))
+
+
 _HEAD = ("IFO", "TIN", "TOUT", "POLAR")
 _TERM = ("GI", "CI", "A", "B")
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ringtrue.io.nastran import added_mass
 from ringtrue.io.nastran.beams import pbarl, pbeam, pbeaml
 from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
-from ringtrue.io.nastran.lists import BUSH, dmig, pcomp, pcompg, rbe1, rspline
+from ringtrue.io.nastran.lists import BUSH, dmig, genel, pcomp, pcompg, rbe1, rspline
 from ringtrue.model.cards import columns
 from ringtrue.model.model import Ragged, Table
 
@@ -175,6 +175,7 @@ EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyTyp
         "RBE1": rbe1,
         "RBE3": _rbe3,
         "RSPLINE": rspline,
+        "GENEL": genel,
         **{f"CORD1{k}": _several(f"CORD1{k}", "CID", ("G1", "G2", "G3"), whole=True) for k in "RCS"},
         "PELAS": _several("PELAS", "PID", ("K", "GE", "S")),
         "PMASS": _several("PMASS", "PID", ("M",)),

@@ -1,0 +1,114 @@
+"""Cards of panels, gaps, joints and general elements: read, written, read again, and edited in place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ringtrue.errors import DeckError
+from ringtrue.io.nastran.bulk import write_bulk
+from ringtrue.io.nastran.edit import edit_fields
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.edit import FieldChange
+from ringtrue.model.model import Model, Ragged
+
+NODES = "GRID,1\nGRID,2,,1.\nGRID,3,,1.,1.\nGRID,4,,,1.\nGRID,5,,2.\nGRID,6,,3.\nSPOINT,42\nMAT1,1,2.+11,,.3\n"
+CARDS = """CSHEAR,22,8,1,2,3,4
+PSHEAR,8,1,.1,2.,1.,.5
+CBUSH1D,71,71,1,2
+CBUSH1D,72,71,1,,0
+PBUSH1D,71,3000.,200.,300.
+,SHOCKA,TABLE,2.2,1.2,1.,,200
+CGAP,73,74,1,2,,,,0
+PGAP,74,.025,2.5,1.+6,,2.+4,.25,.25
+RBAR1,80,1,2,12
+RROD,81,1,2,,1
+RJOINT,82,3,4,123
+RTRPLT,83,1,2,3,1235,3,3
+RTRPLT1,84,1,2,3,,1246
+RSPLINE,85,.05,1,2,123456,5,,3
+,123,4,123,6
+GENEL,629,,1,1,2,4,42,0
+,3,2
+,UD,,4,2,5,1
+,Z,1.,2.,3.,4.,5.,6.,7.
+,8.,9.,10.
+,S,1.5,2.5,3.5,4.5,5.5,6.5,7.5
+,8.5
+GENEL,630,,1,1,2,1
+,K,1.,-1.,1.
+"""
+
+
+def read(folder: Path, text: str, name: str = "main.bdf") -> Model:
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text("BEGIN BULK\n" + text + "ENDDATA\n")
+    return read_deck(folder / name)
+
+
+def test_reading(tmp_path: Path) -> None:
+    m = read(tmp_path, NODES + CARDS)
+    assert [m["PSHEAR"][c][0] for c in ("T", "NSM", "F1", "F2")] == [0.1, 2.0, 1.0, 0.5]
+    assert m["CBUSH1D"].stack("GA", "GB", "CID").tolist() == [[1, 2, -1], [1, 0, 0]]
+    assert [m["PBUSH1D"][c][0] for c in "KCM"] == [3000.0, 200.0, 300.0]
+    assert [m["PGAP"][c][0] for c in ("U0", "KA", "KT", "MU1")] == [0.025, 1e6, 2e4, 0.25]
+    assert (m["RBAR1"]["CB"][0], m["RROD"]["CMA"][0], m["RROD"]["CMB"][0], m["RTRPLT1"]["CMC"][0]) == (
+        "12",
+        "",
+        "1",
+        "1246",
+    )
+    assert m["RSPLINE"].ragged("G").row(0).tolist() == [1, 2, 5, 3, 4, 6]
+    assert m["RSPLINE"].ragged("C").row(0).tolist() == ["", "123456", "", "123", "123", ""]
+    t = m["GENEL"]
+    assert t["FORM"].tolist() == ["Z", "K"]
+    assert [t.ragged(c).row(0).tolist() for c in ("UI", "CI", "UD", "CD")] == [
+        [1, 2, 42, 3],
+        [1, 4, 0, 2],
+        [4, 5],
+        [2, 1],
+    ]
+    assert t.ragged("KZ").row(0).tolist() == [float(i) for i in range(1, 11)]
+    assert t.ragged("S").row(0).tolist() == [1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5]
+    assert (t.ragged("KZ").row(1).tolist(), t.ragged("UD").row(1).size) == ([1, -1, 1], 0)
+
+
+def test_writing_and_reading_again(tmp_path: Path) -> None:
+    m = read(tmp_path, NODES + CARDS)
+    again = read(tmp_path / "again", write_bulk(m))
+    assert set(again.tables) == set(m.tables)
+    for card, t in m.tables.items():
+        for name, column in t.columns.items():
+            other = again[card].columns[name]
+            if isinstance(column, Ragged) and isinstance(other, Ragged):
+                assert column.values.tolist() == other.values.tolist(), (card, name)
+                assert column.offsets.tolist() == other.offsets.tolist(), (card, name)
+            else:
+                assert str(column) == str(other), (card, name)
+
+
+def test_editing_in_place(tmp_path: Path) -> None:
+    m = read(tmp_path, NODES + CARDS)
+    changes = (("PSHEAR", 8, "T", 0.125), ("PBUSH1D", 71, "K", 3500.0), ("PGAP", 74, "KB", 12.5))
+    (out,) = edit_fields(m, [FieldChange(*c) for c in changes], tmp_path / "new")
+    for card, at, field, value in changes:
+        t = read_deck(out)[card]
+        assert t[field][t.find([at])[0]] == value
+    before, after = (Path(f).read_text().splitlines() for f in (m.files[0], out))
+    assert sum(a != b for a, b in zip(before, after, strict=True)) == 3
+
+
+@pytest.mark.parametrize(
+    ("card", "message"),
+    [
+        ("GENEL,1,,1,1\n", "GENEL.*one block K or Z"),
+        ("GENEL,1,,1,1,2,1\n,K,1.,2.,3.,4.\n", "GENEL.*4 numbers, 3 are needed"),
+        ("RSPLINE,1,,1,2,12,3,4\n", "RSPLINE.*last node is independent"),
+        ("RBAR1,1,1,77\n", "RBAR1 1.*77"),
+        ("CSHEAR,1,9,1,2,3,4\n", "CSHEAR 1.*PSHEAR 9"),
+    ],
+)
+def test_errors_name_the_card(tmp_path: Path, card: str, message: str) -> None:
+    with pytest.raises(DeckError, match=message):
+        read(tmp_path, NODES + card)
