@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ringtrue.errors import DeckError
+from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.io.nastran.bulk import write_bulk
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.io.nastran.reader import read_deck
@@ -36,6 +36,13 @@ GENEL,629,,1,1,2,4,42,0
 ,8.,9.,10.
 ,S,1.5,2.5,3.5,4.5,5.5,6.5,7.5
 ,8.5
+CBEND,90,91,1,2,0.,1.,0.,3
+PBEND,91,1,.01,1.-5,2.-5,3.-5,1.5
+,,,,,,,,
+,.5,,4.,.1,.2,.03
+CBEND,92,93,2,5,6,,,4
+PBEND,93,1,1,.1,.02,,,30.
+,,,4.,.1,.2
 GENEL,630,,1,1,2,1
 ,K,1.,-1.,1.
 """
@@ -61,6 +68,16 @@ def test_reading(tmp_path: Path) -> None:
     )
     assert m["RSPLINE"].ragged("G").row(0).tolist() == [1, 2, 5, 3, 4, 6]
     assert m["RSPLINE"].ragged("C").row(0).tolist() == ["", "123456", "", "123", "123", ""]
+    p = m["PBEND"]
+    assert [p[c].tolist() for c in ("FSI", "A", "RM", "T")] == [[0, 1], [0.01, 0], [0, 0.1], [0, 0.02]]
+    assert [p[c].tolist() for c in ("RB", "THETAB", "K1", "NSM", "ZC")] == [
+        [1.5, 0],
+        [0, 30],
+        [0.5, 0],
+        [4, 4],
+        [0.2, 0.2],
+    ]
+    assert m["CBEND"].stack("G0", "X2", "GEOM").tolist() == [[0, 1, 3], [6, 0, 4]]
     t = m["GENEL"]
     assert t["FORM"].tolist() == ["Z", "K"]
     assert [t.ragged(c).row(0).tolist() for c in ("UI", "CI", "UD", "CD")] == [
@@ -90,13 +107,19 @@ def test_writing_and_reading_again(tmp_path: Path) -> None:
 
 def test_editing_in_place(tmp_path: Path) -> None:
     m = read(tmp_path, NODES + CARDS)
-    changes = (("PSHEAR", 8, "T", 0.125), ("PBUSH1D", 71, "K", 3500.0), ("PGAP", 74, "KB", 12.5))
+    changes = (
+        ("PSHEAR", 8, "T", 0.125),
+        ("PBUSH1D", 71, "K", 3500.0),
+        ("PGAP", 74, "KB", 12.5),
+        ("PBEND", 91, "K1", 0.25),
+        ("PBEND", 93, "T", 0.01),
+    )
     (out,) = edit_fields(m, [FieldChange(*c) for c in changes], tmp_path / "new")
     for card, at, field, value in changes:
         t = read_deck(out)[card]
         assert t[field][t.find([at])[0]] == value
     before, after = (Path(f).read_text().splitlines() for f in (m.files[0], out))
-    assert sum(a != b for a, b in zip(before, after, strict=True)) == 3
+    assert sum(a != b for a, b in zip(before, after, strict=True)) == 5
 
 
 @pytest.mark.parametrize(
@@ -112,3 +135,9 @@ def test_editing_in_place(tmp_path: Path) -> None:
 def test_errors_name_the_card(tmp_path: Path, card: str, message: str) -> None:
     with pytest.raises(DeckError, match=message):
         read(tmp_path, NODES + card)
+
+
+@pytest.mark.parametrize("pipe", ["PBEND,9,1,2,.1,.01,,1.", "PBEND,9,1,1,.1,.01,,1.,\n,.3", "PBEND,9,1,3,.1,.01"])
+def test_pipes_with_flexibility_factors_stop(tmp_path: Path, pipe: str) -> None:
+    with pytest.raises(UnsupportedCard, match=r"main.bdf:10: PBEND is not supported: of pipes FSI = 1"):
+        read(tmp_path, NODES + pipe + "\n")

@@ -20,6 +20,7 @@ _LINES = {
     "CONROD": ("G1", "G2"),
     "CBAR": ("GA", "GB"),
     "CBEAM": ("GA", "GB"),
+    "CBEND": ("GA", "GB"),
 }
 _SURFACES = {"CTRIA3": 3, "CTRIAR": 3, "CTRIA6": 3, "CQUAD4": 4, "CQUADR": 4, "CQUAD8": 4, "CSHEAR": 4}
 _SOLIDS = {"CTETRA": 4, "CPYRAM": 5, "CPENTA": 6, "CHEXA": 8}

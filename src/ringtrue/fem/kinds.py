@@ -10,6 +10,7 @@ from ringtrue.core.arrays import Bool, Int
 from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.elements import (
     bar,
+    bend,
     bush,
     damper,
     gap,
@@ -40,6 +41,7 @@ ELEMENTS: Mapping[str, Build] = {
     "CTUBE": rod.build,
     "CBAR": bar.build,
     "CBEAM": bar.build,
+    "CBEND": bend.build,
     "CQUAD4": shell4.build,
     "CQUADR": shell4.build,
     "CTRIA3": shell3.build,
@@ -81,6 +83,7 @@ PROPERTY = {
     "CTUBE": "PTUBE",
     "CBAR": "PBAR",
     "CBEAM": "PBEAM",
+    "CBEND": "PBEND",
     **dict.fromkeys(SHELLS, "PSHELL"),
     "CSHEAR": "PSHEAR",
     "CHEXA": "PSOLID",
@@ -105,6 +108,7 @@ MATERIAL = {
     "CONROD": ("MID",),
     "PBAR": ("MID",),
     "PBEAM": ("MID",),
+    "PBEND": ("MID",),
     "PSHEAR": ("MID",),
     "PSOLID": ("MID",),
     "PSHELL": ("MID1", "MID2", "MID3", "MID4"),

@@ -22,7 +22,7 @@ from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
 JOINTS = {  # cards with rotational stiffness and no inertia of their own, and their nodes
-    **dict.fromkeys(("CBAR", "CBUSH", "RBAR", "RBAR1", "RJOINT"), ("GA", "GB")),
+    **dict.fromkeys(("CBAR", "CBEND", "CBUSH", "RBAR", "RBAR1", "RJOINT"), ("GA", "GB")),
     "RBE2": ("GN",),
     **dict.fromkeys(("CROD", "CONROD", "CTUBE", "CELAS1", "CELAS2"), ("G1", "G2")),
 }

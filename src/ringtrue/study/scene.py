@@ -26,6 +26,7 @@ _CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4, "CQUAD4": 4, "CTRIA3": 3, "CSH
 _LINES = {
     "CBAR": ("GA", "GB"),
     "CBEAM": ("GA", "GB"),
+    "CBEND": ("GA", "GB"),
     "CROD": ("G1", "G2"),
     "CTUBE": ("G1", "G2"),
     "CGAP": ("GA", "GB"),

@@ -45,7 +45,7 @@ SECTIONS = {
         ("NSM", "non-structural mass", "line"),
     ),
 }
-SECTIONS["PBEAM"] = SECTIONS["PBAR"]
+SECTIONS["PBEAM"] = SECTIONS["PBEND"] = SECTIONS["PBAR"]
 MATERIALS = {
     "MAT1": (("E+G", "Young's modulus", "modulus"), ("RHO", "density", "density")),
     "MAT2": (("G11+G12+G13+G22+G23+G33", "moduli", "modulus"), ("RHO", "density", "density")),

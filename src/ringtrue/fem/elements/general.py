@@ -31,7 +31,7 @@ def _listed(t: Table, name: str, at: Int) -> Any_:
     """A ragged column of rows with lists of one length, (e, n)."""
     column = t.ragged(name)
     first, size = column.offsets[at], int(np.diff(column.offsets)[at[0]])
-    return column.values[first[:, None] + np.arange(size)]
+    return np.asarray(column.values[first[:, None] + np.arange(size)])
 
 
 def _components(m: Mesh, t: Table, kind: str, at: Int) -> tuple[Int, Float]:

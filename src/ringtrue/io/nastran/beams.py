@@ -134,3 +134,50 @@ def _tapered_row(r: Reader) -> Row:
         for n, value in zip(inner, (x, *(section.get(a, 0.0) for a in END_A)), strict=True):
             inner[n].append(value)
     return row | inner
+
+
+_BEND = {
+    "A": 2,
+    "I1": 3,
+    "I2": 4,
+    "J": 5,
+    "RB": 6,
+    "THETAB": 7,
+    "K1": 16,
+    "K2": 17,
+    "NSM": 18,
+    "RC": 19,
+    "ZC": 20,
+    "DELTAN": 21,
+}
+_PIPE = {"FSI": 2, "RM": 3, "T": 4, "P": 5, "RB": 6, "THETAB": 7, "NSM": 10, "RC": 11, "ZC": 12}
+
+
+def bend_places(fields: Sequence[str]) -> Mapping[str, int]:
+    """Where the fields of a PBEND stand: a pipe if the first behind MID is an integer."""
+    return _PIPE if len(fields) > 2 and fields[2].isdigit() else _BEND
+
+
+def pbend(cards: Sequence[Card], files: Files) -> Table:
+    """PBEND of either form; a pipe with flexibility factors other than 1, or as NX has it, is refused."""
+    names = dict.fromkeys((*_PIPE, *_BEND))
+    cols: dict[str, list[float]] = {n: [] for n in ("PID", "MID", *names)}
+    for c in cards:
+        r = Reader(c, files)
+        at = bend_places(c.fields)
+        if at is _PIPE:
+            foreign = any(r.text(i) for i in (8, 9, *range(13, len(c.fields))))
+            if r.whole(2, "FSI") != 1 or foreign:
+                why = "of pipes FSI = 1, NSM, RC and ZC are; give A, I1, I2, J with the flexibility in I1 and I2"
+                raise UnsupportedCard("PBEND", path=files[c.file], line=c.line, why=why)
+        cols["PID"].append(r.whole(0, "PID"))
+        cols["MID"].append(r.whole(1, "MID"))
+        for n in names:
+            blank = float("nan") if n == "DELTAN" else 0.0
+            cols[n].append(
+                r.real(at[n], n, blank) if n in at and n != "FSI" else float(at is _PIPE) if n == "FSI" else blank
+            )
+    whole = ("PID", "MID", "FSI")
+    return Table(
+        "PBEND", {n: np.array(v, np.int64 if n in whole else np.float64) for n, v in cols.items()}, *places(cards)
+    )

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from ringtrue.io.nastran.beams import bend_places
 from ringtrue.io.nastran.lists import BUSH
 from ringtrue.io.nastran.writer import Value, format_card
 from ringtrue.model.model import Table
@@ -88,6 +89,15 @@ def _pbeam(t: Table) -> Iterator[str]:
         yield large_card("PBEAM", fields)
 
 
+def _pbend(t: Table) -> Iterator[str]:
+    for i, pipe in enumerate((t["FSI"] > 0).tolist()):
+        at = bend_places(["", "", "1" if pipe else ""])
+        fields: list[Value] = [int(t["PID"][i]), int(t["MID"][i]), *[None] * max(at.values())]
+        for name, k in at.items():
+            fields[k] = int(t[name][i]) if name == "FSI" else None if np.isnan(t[name][i]) else float(t[name][i])
+        yield large_card("PBEND", fields)
+
+
 def _nsm_pairs(t: Table) -> Iterator[str]:
     for row in zip(*(t[k].tolist() for k in ("SID", "TYPE", "ID", "VALUE")), strict=True):
         yield large_card(t.card, row)
@@ -163,6 +173,7 @@ SPECIAL: dict[str, Callable[[Table], Iterator[str]]] = {
     "RBE3": _rbe3,
     "PBUSH": _pbush,
     "PBEAM": _pbeam,
+    "PBEND": _pbend,
     "NSM": _nsm_pairs,
     "NSML": _nsm_pairs,
     "NSM1": _nsm_lists,

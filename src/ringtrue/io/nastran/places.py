@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ringtrue.errors import InputError
 from ringtrue.io.nastran.added_mass import VALUE
-from ringtrue.io.nastran.beams import BETWEEN, END_A, END_B, beam_stations
+from ringtrue.io.nastran.beams import BETWEEN, END_A, END_B, beam_stations, bend_places
 from ringtrue.io.nastran.fields import Card, Reader
 from ringtrue.io.nastran.lists import BUSH, PLY, ply_places
 from ringtrue.model.cards import CARDS, columns
@@ -59,6 +59,8 @@ def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | 
         return ("PID", "MID").index(field)
     if name == "PBUSH":
         return _of_bush(fields, field)
+    if name == "PBEND":
+        return bend_places(fields).get(field)
     if name == "PBEAM":
         return _of_beam(fields, field)
     raise InputError(f"fields of {name} cannot be changed in place")
