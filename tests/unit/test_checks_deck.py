@@ -215,3 +215,10 @@ def test_free_edges_and_their_chains(tmp_path: Path) -> None:
 def test_a_folded_brick(tmp_path: Path) -> None:
     text = CUBE.replace("GRID,7,,1.,1.,1.", "GRID,7,,.3,.3,.3") + "CHEXA,1,1,1,2,3,4,5,6\n,7,8\n"
     assert any("is folded" in f.text for f in report(tmp_path, text).findings)
+
+
+def test_tables_of_properties_are_told(tmp_path: Path) -> None:
+    """PELAST, PBUSHT, PDAMPT: the nominal values hold, and the check says so."""
+    deck = tmp_path / "t.bdf"
+    deck.write_text("BEGIN BULK\nGRID,1\nGRID,2,,1.\nCELAS1,1,2,1,1,2,1\nPELAS,2,3.\nPELAST,2,,,4\nENDDATA\n")
+    assert any(f.severity == "info" and f.text.startswith("PELAST: kept") for f in check_deck(read_deck(deck)).findings)

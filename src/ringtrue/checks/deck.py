@@ -15,6 +15,7 @@ from ringtrue.checks.materials import check_materials
 from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
 from ringtrue.io.nastran.constraint_sets import KINDS
+from ringtrue.model.cards import TABLES
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged
 from ringtrue.model.references import NODES, REFERENCES, missing, unused
@@ -184,7 +185,10 @@ def _reductions(model: Model) -> list[Finding]:
     """Cards by which Nastran condenses the model before it computes modes."""
     found = [card for card in ("ASET", "ASET1", "OMIT", "OMIT1") if card in model.kept]
     what = "kept, not applied: the modes here are those of the full model, not of the condensed one"
-    return [Finding("info", f"{', '.join(found)}: {what}")] if found else []
+    out = [Finding("info", f"{', '.join(found)}: {what}")] if found else []
+    tables = [card for card in TABLES if card in model.kept]
+    what = "kept, not applied: the nominal stiffness and damping hold at all frequencies, as in SOL 103"
+    return [*out, Finding("info", f"{', '.join(tables)}: {what}")] if tables else out
 
 
 def _unused(model: Model) -> list[Finding]:

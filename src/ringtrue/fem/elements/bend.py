@@ -52,7 +52,7 @@ class Arc:
         """Points (e, 3) on the concentric arc of that radius, at `height` along Z."""
         frame = self.axes(share)
         centre = self.middle - (self.radius * np.cos(self.angle / 2))[:, None] * self.out
-        return centre + radius[:, None] * frame[:, 0] + height[:, None] * frame[:, 2]
+        return np.asarray(centre + radius[:, None] * frame[:, 0] + height[:, None] * frame[:, 2])
 
 
 def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
@@ -133,7 +133,7 @@ def _compliance(s: dict[str, Any_], E: Any_, G: Any_, shear: tuple[Any_, Any_]) 
 def flexibility(arc: Arc, radius: Any_, height: Any_, compliance: Any_) -> Any_:
     """Motion of end B of the line of centroids against end A by the forces on B, (e, 6, 6) in basic."""
     end = arc.place(1.0, radius, height)
-    F = 0
+    F: Any_ = np.zeros((len(end), 6, 6))
     for share, w in zip(_POINTS.tolist(), _WEIGHTS.tolist(), strict=True):
         R = arc.axes(share)
         e = len(R)
