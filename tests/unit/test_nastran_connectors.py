@@ -43,6 +43,16 @@ PBEND,91,1,.01,1.-5,2.-5,3.-5,1.5
 CBEND,92,93,2,5,6,,,4
 PBEND,93,1,1,.1,.02,,,30.
 ,,,4.,.1,.2
+CQUAD4,100,101,1,2,3,4
+PSHELL,101,1,.1
+CWELD,94,95,5,GRIDID,,,QT
+,1,2,3,4,,,,,
+,5,6,3
+CWELD,96,95,,ALIGN,5,6
+CWELD,97,95,1,ELEMID
+,100,100
+PWELD,95,1,.02,,,OFF
+,.1
 GENEL,630,,1,1,2,1
 ,K,1.,-1.,1.
 """
@@ -78,6 +88,13 @@ def test_reading(tmp_path: Path) -> None:
         [0.2, 0.2],
     ]
     assert m["CBEND"].stack("G0", "X2", "GEOM").tolist() == [[0, 1, 3], [6, 0, 4]]
+    w = m["CWELD"]
+    assert w.stack("GA1", "GA4", "GB1", "GB3", "GB4", "GA", "SHIDB").tolist() == [
+        [1, 4, 5, 3, 0, 0, 0],
+        [0, 0, 0, 0, 0, 5, 0],
+        [0, 0, 0, 0, 0, 0, 100],
+    ]
+    assert [m["PWELD"][c][0] for c in ("D", "MSET", "LDMIN", "LDMAX")] == [0.02, "OFF", 0.1, 5.0]
     t = m["GENEL"]
     assert t["FORM"].tolist() == ["Z", "K"]
     assert [t.ragged(c).row(0).tolist() for c in ("UI", "CI", "UD", "CD")] == [
@@ -113,13 +130,14 @@ def test_editing_in_place(tmp_path: Path) -> None:
         ("PGAP", 74, "KB", 12.5),
         ("PBEND", 91, "K1", 0.25),
         ("PBEND", 93, "T", 0.01),
+        ("PWELD", 95, "D", 0.03),
     )
     (out,) = edit_fields(m, [FieldChange(*c) for c in changes], tmp_path / "new")
     for card, at, field, value in changes:
         t = read_deck(out)[card]
         assert t[field][t.find([at])[0]] == value
     before, after = (Path(f).read_text().splitlines() for f in (m.files[0], out))
-    assert sum(a != b for a, b in zip(before, after, strict=True)) == 5
+    assert sum(a != b for a, b in zip(before, after, strict=True)) == 6
 
 
 @pytest.mark.parametrize(
@@ -141,3 +159,8 @@ def test_errors_name_the_card(tmp_path: Path, card: str, message: str) -> None:
 def test_pipes_with_flexibility_factors_stop(tmp_path: Path, pipe: str) -> None:
     with pytest.raises(UnsupportedCard, match=r"main.bdf:10: PBEND is not supported: of pipes FSI = 1"):
         read(tmp_path, NODES + pipe + "\n")
+
+
+def test_patches_of_several_shells_stop(tmp_path: Path) -> None:
+    with pytest.raises(UnsupportedCard, match=r"main.bdf:10: CWELD is not supported: type PARTPAT; allowed are GRIDID"):
+        read(tmp_path, NODES + "CWELD,1,2,,PARTPAT\n,3,4\n,5.,5.,0.\n")

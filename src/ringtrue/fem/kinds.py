@@ -26,6 +26,7 @@ from ringtrue.fem.elements import (
     shell8,
     spring,
     tetra,
+    weld,
 )
 from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.fem.elements.solid import alike
@@ -56,6 +57,7 @@ ELEMENTS: Mapping[str, Build] = {
     "CBUSH": bush.build,
     "CBUSH1D": gap.build,
     "CGAP": gap.build_gap,
+    "CWELD": weld.build,
     "GENEL": general.build,
     "CELAS1": spring.build,
     "CELAS2": spring.build,
@@ -93,6 +95,7 @@ PROPERTY = {
     "CBUSH": "PBUSH",
     "CBUSH1D": "PBUSH1D",
     "CGAP": "PGAP",
+    "CWELD": "PWELD",
     "CELAS1": "PELAS",
     "CELAS3": "PELAS",
     "CDAMP1": "PDAMP",
@@ -109,6 +112,7 @@ MATERIAL = {
     "PBAR": ("MID",),
     "PBEAM": ("MID",),
     "PBEND": ("MID",),
+    "PWELD": ("MID",),
     "PSHEAR": ("MID",),
     "PSOLID": ("MID",),
     "PSHELL": ("MID1", "MID2", "MID3", "MID4"),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.fem.algebra import arm, rotation
 from ringtrue.fem.constraints import Equations, names, owners, rigid
+from ringtrue.fem.elements import weld
 from ringtrue.fem.mesh import Mesh, error
-from ringtrue.fem.place import components, node_dofs, segment
+from ringtrue.fem.place import components, segment
 from ringtrue.model.model import Table
 
 ALONG = 1e-3  # least part of the dependent component along a rod
@@ -148,20 +149,39 @@ def _tubes(m: Mesh, t: Table, x: Float, of: Int, link: Int, origin: Float) -> Fl
     return np.asarray(A @ f @ A.swapaxes(1, 2))
 
 
-def _interpolated(m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: tuple[tuple[Int, Float], ...]) -> Equations:
+def _interpolated(m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: Sequence[tuple[Int, Float]]) -> Equations:
     """Components `flags` (k, 6) of nodes (k,) by the motions of others, each (node (k,), matrix (k, 6, 6)) in basic."""
     entry, c = np.nonzero(flags)
     mine = rotation(m.cd[node], 1)
     columns, values = [], []
     for other, A in by:
         local = mine @ A @ rotation(m.cd[other], 1).swapaxes(1, 2)
-        columns.append(node_dofs(other[entry][:, None]))
+        columns.append(6 * other[entry][:, None] + np.arange(6))
         values.append(local[entry, c])
     column, value = np.concatenate(columns, axis=1), np.concatenate(values, axis=1)
     row = np.repeat(np.arange(entry.size), column.shape[1])
     keep = np.abs(value.reshape(-1)) > 1e-14 * np.abs(value).max(initial=0.0)
     dependent = 6 * node[entry] + c
     return Equations(dependent, row[keep], column.reshape(-1)[keep], value.reshape(-1)[keep], names(t, of[entry]))
+
+
+def cweld(m: Mesh) -> Equations:
+    """GA and GB of welds on patches, which follow their patch; they may not be corners of it."""
+    t = m.model["CWELD"]
+    every = np.arange(len(t))
+    made = []
+    for side, end in zip("AB", weld.ends(m, "CWELD", every), strict=True):
+        at = np.flatnonzero((t[f"G{side}"] > 0) & (t["TYPE"] != "ALIGN"))
+        node = m.nodes(t[f"G{side}"][at], t, at)
+        free = ~(end.nodes[at] == node[:, None]).any(axis=1)
+        made.append((node[free], at[free], end.nodes[at[free]], end.follow[at[free]]))
+    node, of, corners, follow = (np.concatenate(x) for x in zip(*made, strict=True))
+    parts = []
+    for k in range(4):
+        there = (corners[:, k] >= 0)[:, None, None]
+        corner = np.where(corners[:, k] >= 0, corners[:, k], corners[:, 0])
+        parts.append((corner, np.where(there, follow[:, :, 6 * k : 6 * k + 6], 0.0)))
+    return _interpolated(m, t, node, np.ones((node.size, 6), dtype=bool), of, tuple(parts))
 
 
 RIGID: Mapping[str, Callable[[Mesh], Equations]] = {
@@ -171,4 +191,5 @@ RIGID: Mapping[str, Callable[[Mesh], Equations]] = {
     "RTRPLT": rtrplt,
     "RTRPLT1": rtrplt1,
     "RSPLINE": rspline,
+    "CWELD": cweld,
 }

@@ -8,6 +8,7 @@ import numpy as np
 
 from ringtrue.io.nastran.beams import bend_places
 from ringtrue.io.nastran.lists import BUSH
+from ringtrue.io.nastran.welds import write_cweld
 from ringtrue.io.nastran.writer import Value, format_card
 from ringtrue.model.model import Table
 
@@ -181,6 +182,7 @@ SPECIAL: dict[str, Callable[[Table], Iterator[str]]] = {
     "RBE1": _rbe1,
     "RSPLINE": _rspline,
     "GENEL": _genel,
+    "CWELD": write_cweld,
     "PCOMP": _laminate,
     "PCOMPG": _laminate,
     "DMIG": _dmig,

@@ -13,6 +13,7 @@ from ringtrue.io.nastran import added_mass
 from ringtrue.io.nastran.beams import pbarl, pbeam, pbeaml, pbend
 from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
 from ringtrue.io.nastran.lists import BUSH, dmig, genel, pcomp, pcompg, rbe1, rspline
+from ringtrue.io.nastran.welds import cweld
 from ringtrue.model.cards import columns
 from ringtrue.model.model import Ragged, Table
 
@@ -176,6 +177,7 @@ EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyTyp
         "RBE3": _rbe3,
         "RSPLINE": rspline,
         "GENEL": genel,
+        "CWELD": cweld,
         **{f"CORD1{k}": _several(f"CORD1{k}", "CID", ("G1", "G2", "G3"), whole=True) for k in "RCS"},
         "PELAS": _several("PELAS", "PID", ("K", "GE", "S")),
         "PMASS": _several("PMASS", "PID", ("M",)),
