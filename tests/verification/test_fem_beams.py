@@ -19,8 +19,8 @@ from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.elements import bar
 from ringtrue.fem.mesh import mesh
 from ringtrue.io.nastran.reader import read_deck
-from ringtrue.io.nastran.sections import SECTIONS
 from ringtrue.model.model import Model, Table
+from ringtrue.model.sections import SECTIONS
 
 E, NU, RHO, L = 2e11, 0.3, 8000.0, 2.0
 G = E / 2.6

@@ -12,8 +12,8 @@ import pytest
 
 from ringtrue.backends.registry import solver
 from ringtrue.io.nastran.reader import read_deck
-from ringtrue.io.nastran.sections import SECTIONS
 from ringtrue.model.ports import ModesRequest
+from ringtrue.model.sections import SECTIONS
 
 DECK = Path(__file__).parents[2].parent / "shared/data/fe/beam_modes/beam_modes.dat"
 RECORDED = [

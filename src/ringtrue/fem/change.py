@@ -15,7 +15,9 @@ from ringtrue.core.parameters import Parameter, Shape, Target
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.fem.added_mass import CARDS, sharers
 from ringtrue.fem.elements.shell_normals import with_neighbours
+from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.fem.kinds import ELEMENTS
+from ringtrue.model.dimensions import MADE, resectioned
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.model.references import REFERENCES
@@ -62,6 +64,9 @@ def changed(model: Model, name: str, targets: Sequence[Target], factor: Factor) 
     tables = dict(model.tables)
     for (card, field, step), ids in groups.items():
         tables[card] = _with_fields(tables, f"parameter {name}: {card}", card, field, np.array(ids), step, factor)
+    for card in MADE:
+        if dimensioned := [t.id for t in targets if t.card == card]:
+            tables[MADE[card]] = resectioned(tables, card, np.array(dimensioned))
     return replace(model, tables=tables)
 
 
@@ -112,7 +117,7 @@ def _multiplied(column: NDArray[Any], rows: Int, where: str, step: float, factor
 def _with_ply(table: Table, where: str, name: str, ply: int, rows: Int, step: float, factor: Factor) -> Table:
     """Entry `ply` (from 1) of a list; a blank one takes the value of the entry before it first."""
     ragged = table.ragged(name)
-    values = ragged.values if table.card == "PBEAM" else _filled(ragged, rows)
+    values = _filled(ragged, rows) if table.card in LAMINATES else ragged.values
     at = ragged.offsets[rows] + ply - 1
     if (at >= ragged.offsets[rows + 1]).any() or ply < 1:
         raise InputError(f"{where}: there is no entry {ply}")
@@ -173,6 +178,7 @@ def rows_of(model: Model, target: Target) -> dict[str, Int]:
 
 def _users(model: Model, card: str, ids: Int) -> dict[str, Int]:
     """Rows of each element card that name one of these cards, themselves or through a property."""
+    card = MADE.get(card, card)
     elements, found = set(affected_cards(model)), dict[str, Int]()
     if card in elements:
         found[card] = np.flatnonzero(np.isin(model[card].ids, ids))
@@ -250,10 +256,12 @@ def _own(model: Model, name: str, target: Target) -> tuple[Model, Target]:
         raise InputError(f"{where}: none of its elements {list(target.elements[:5])} uses it")
     if target.card in model and target.card in affected_cards(model):
         return model, replace(target, elements=())
-    links = [r for r in REFERENCES if target.card in r.of and r.card in model]
+    named = MADE.get(target.card, target.card)
+    links = [r for r in REFERENCES if named in r.of and r.card in model]
     direct = [r for r in links if r.card in rows]
     if direct:
-        fresh, model = _copied(model, target.card, target.id, _family(direct[0].of))
+        fresh, model = _copied(model, named, target.id, _family(direct[0].of))
+        model = model if named == target.card else _row_added(model, target.card, target.id, fresh)
         for r in direct:
             model = _redirected(model, r.card, r.field, rows[r.card], target.id, fresh)
         rows = {c: at for c, at in rows.items() if c not in {r.card for r in direct}}
@@ -271,7 +279,12 @@ def _family(cards: tuple[str, ...]) -> str:
 def _copied(model: Model, card: str, row_id: int, family: str) -> tuple[int, Model]:
     """A copy of a row under a new id, which no card of the family has."""
     ids = [t.ids.max(initial=0) for c, t in model.tables.items() if c.startswith(family) and c != "PARAM"]
-    fresh, table = int(max(ids)) + 1, model[card]
+    fresh = int(max(ids)) + 1
+    return fresh, _row_added(model, card, row_id, fresh)
+
+
+def _row_added(model: Model, card: str, row_id: int, fresh: int) -> Model:
+    table = model[card]
     row = int(table.find(np.array([row_id]))[0])
     columns: dict[str, Any] = {}
     for i, (n, column) in enumerate(table.columns.items()):
@@ -281,7 +294,7 @@ def _copied(model: Model, card: str, row_id: int, family: str) -> tuple[int, Mod
         else:
             columns[n] = np.append(column, fresh if i == 0 else column[row])
     made = Table(card, columns, np.append(table.file, -1), np.append(table.line, 0))
-    return fresh, replace(model, tables={**model.tables, card: made})
+    return replace(model, tables={**model.tables, card: made})
 
 
 def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh: int) -> Model:

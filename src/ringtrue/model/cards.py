@@ -110,6 +110,9 @@ SPECIAL = {
     "PBEAM": "PID MID A:f I1:f I2:f I12:f J:f NSM:f K1:f=1.0 K2:f=1.0 S1:f S2:f NSIA:f NSIB:f "
     "M1A:f M2A:f M1B:f M2B:f N1A:f N2A:f N1B:f N2B:f AB:f I1B:f I2B:f I12B:f JB:f NSMB:f "
     "*X:f *AX:f *I1X:f *I2X:f *I12X:f *JX:f *NSMX:f",
+    # the dimensions behind a PBAR or PBEAM; end B of a beam where it has a section of its own
+    "PBARL": "PID TYPE:s NSM:f *DIM:f",
+    "PBEAML": "PID TYPE:s NSM:f NSMB:f=nan *DIM:f *DIMB:f",
     "PCOMP": "PID Z0:f=nan NSM:f SB:f FT:s TREF:f GE:f LAM:s *MID *T:f *THETA:f *SOUT:s",  # one entry a ply
     "PCOMPG": "PID Z0:f=nan NSM:f SB:f FT:s TREF:f GE:f LAM:s *GPLYID *MID *T:f *THETA:f *SOUT:s",
     # non-structural mass a length or area, in all of the elements for NSML and NSML1; it counts where case control

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.model.cards import NONSTRUCTURAL
+from ringtrue.model.dimensions import MADE, resectioned
 from ringtrue.model.model import Model, Ragged, Table
 
 # A PBEAM whose end B equals its end A keeps that.
@@ -53,7 +55,9 @@ def resolve_target(model: Model, target: Target | FieldChange) -> Int:
     if ply and target.field not in table.columns:
         count = int(np.diff(table.ragged(ply[0]).offsets)[rows].min())
         if not 1 <= ply[1] <= count:
-            what = "stations between its ends" if target.card == "PBEAM" else "plies"
+            what = {"PBEAM": "stations between its ends"}.get(
+                target.card, "dimensions" if target.card in MADE else "plies"
+            )
             raise InputError(f"{target.card} {target.id} has no {target.field}: it has {count} {what}")
     return rows
 
@@ -153,7 +157,8 @@ def apply_factors(model: Model, parameters: ParameterSet, factors: Float) -> Mod
         If a target is not in the model, is blank or is no real quantity.
     """
     grouped: dict[tuple[str, str], list[FieldChange]] = {}
-    for change in field_changes(model, parameters, factors):
+    all_changes = field_changes(model, parameters, factors)
+    for change in all_changes:
         if _is_ply(model[change.card], change.field) and change.field not in model[change.card].columns:
             model = _with_ply(model, change)
             continue
@@ -161,7 +166,16 @@ def apply_factors(model: Model, parameters: ParameterSet, factors: Float) -> Mod
     for (card, name), changes in grouped.items():
         ids = np.array([c.id for c in changes], dtype=np.int64)
         model = model.with_values(card, name, ids, np.array([c.value for c in changes]))
-    return model
+    return _with_sections(model, all_changes)
+
+
+def _with_sections(model: Model, changes: Sequence[FieldChange]) -> Model:
+    """A copy with the PBAR and PBEAM of the sections whose dimensions changed."""
+    tables = dict(model.tables)
+    for card, made in MADE.items():
+        if ids := [c.id for c in changes if c.card == card]:
+            tables[made] = resectioned(tables, card, np.array(ids))
+    return replace(model, tables=tables)
 
 
 def _with_ply(model: Model, change: FieldChange) -> Model:

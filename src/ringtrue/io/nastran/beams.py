@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 
 from ringtrue.errors import UnsupportedCard
 from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
-from ringtrue.io.nastran.sections import FALLBACK, SECTIONS
 from ringtrue.model.cards import columns
+from ringtrue.model.dimensions import END_A, END_B, properties
+from ringtrue.model.edit import ply_field
 from ringtrue.model.model import Ragged, Table
+from ringtrue.model.sections import FALLBACK, SECTIONS
 
-END_A = ("A", "I1", "I2", "I12", "J", "NSM")
-END_B = ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
 BETWEEN = ("AX", "I1X", "I2X", "I12X", "JX", "NSMX")
 _TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")  # CWA and CWB count with SA and SB of a CBEAM only
 _TAIL2 = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
-_CENTRE = ("N1", "N2")  # of a section: neutral axis from shear centre, which a PBARL leaves out
 _STATION = ("YES", "YESA", "NO")
 Row = Mapping[str, float | list[float]]
 
@@ -36,12 +35,12 @@ def pbeam(cards: Sequence[Card], files: Files) -> Table:
 
 def pbarl(cards: Sequence[Card], files: Files) -> Table:
     """PBARL as a table of PBAR."""
-    return _table("PBAR", [(c, _section(Reader(c, files), 8)[0]) for c in cards], files)
+    return _table("PBAR", [(c, _made(Reader(c, files))) for c in cards], files)
 
 
 def pbeaml(cards: Sequence[Card], files: Files) -> Table:
     """PBEAML as a table of PBEAM."""
-    return _table("PBEAM", [(c, _tapered_row(Reader(c, files))) for c in cards], files)
+    return _table("PBEAM", [(c, _made(Reader(c, files))) for c in cards], files)
 
 
 def _table(card: str, rows: Sequence[tuple[Card, Row]], files: Files) -> Table:
@@ -99,41 +98,68 @@ def _beam_row(r: Reader) -> Row:
     return row | {"X": [x for x, _ in between]} | inner
 
 
-def _section(r: Reader, at: int) -> tuple[dict[str, float], int]:
-    """Properties of the section whose dimensions begin at field `at`, NSM among them, and the field behind."""
+def _dimensions(r: Reader, at: int) -> tuple[list[float], float, int]:
+    """Dimensions from field `at` on, nan for a blank that is that of another, NSM, and the field behind."""
     c, kind = r.card, r.text(3).upper()
     if kind not in SECTIONS:
         why = f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
         raise UnsupportedCard(c.name, path=r.files[c.file], line=c.line, why=why)
-    count, section = SECTIONS[kind]
-    dims: list[float] = []
-    for k in range(count):
-        other = FALLBACK.get(kind, {}).get(k)
-        dims.append(r.real(at + k, f"DIM{k + 1}", None if other is None else dims[other]))
-    try:
-        values = section(*dims)
-    except ValueError as e:
-        raise r.fail("DIM1", str(e)) from None
-    return {**values, "NSM": r.real(at + count, "NSM", 0.0)}, at + count + 1
+    count, may = SECTIONS[kind][0], FALLBACK.get(kind, {})
+    dims = [r.real(at + k, f"DIM{k + 1}", np.nan if k in may else None) for k in range(count)]
+    return dims, r.real(at + count, "NSM", 0.0), at + count + 1
 
 
-def _tapered_row(r: Reader) -> Row:
-    row, at = _section(r, 8)
-    row |= {f"{n}A": row.get(n, 0.0) for n in _CENTRE} | {f"{n}B": row.get(n, 0.0) for n in _CENTRE}
-    row |= {b: row.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
-    inner: dict[str, list[float]] = {n: [] for n in ("X", *BETWEEN)}
+def _stations(r: Reader, at: int) -> list[tuple[float, list[float], float, int]]:
+    """Places over the length of the sections behind end A, their dimensions and NSM, and where the first stands."""
+    found = []
     while r.text(at).upper() in _STATION:
         x = _place(r, at + 1)
         if not r.text(at + 2):  # a blank section is that of end A
             break
-        section, at = _section(r, at + 2)
-        if x == 1.0:
-            row |= {b: section.get(a, 0.0) for a, b in zip(END_A, END_B, strict=True)}
-            row |= {f"{n}B": section.get(n, 0.0) for n in _CENTRE}
-            continue
-        for n, value in zip(inner, (x, *(section.get(a, 0.0) for a in END_A)), strict=True):
-            inner[n].append(value)
-    return row | inner
+        dims, nsm, behind = _dimensions(r, at + 2)
+        found.append((x, dims, nsm, at + 2))
+        at = behind
+    return found
+
+
+def _made(r: Reader) -> Row:
+    """The PBAR or PBEAM of a PBARL or PBEAML."""
+    name, kind = r.card.name, r.text(3).upper()
+    dims, nsm, at = _dimensions(r, 8)
+    stations = _stations(r, at) if name == "PBEAML" else []
+    end_b = next(((d, m) for x, d, m, _ in stations if x == 1.0), None)
+    try:
+        row = properties(name, kind, (dims, nsm), end_b)
+        inner = [(x, properties("PBARL", kind, (d, m), None)) for x, d, m, _ in stations if x < 1.0]
+    except ValueError as e:
+        raise r.fail("DIM1", str(e)) from None
+    between = {b: [p.get(a, 0.0) for _, p in inner] for a, b in zip(END_A, BETWEEN, strict=True)}
+    return row | {"X": [x for x, _ in inner]} | between
+
+
+def dimensions(cards: Sequence[Card], files: Files) -> Table:
+    """The dimensions that PBARL or PBEAML give, for the ends of the beam; a row a property."""
+    rows: dict[str, list[Any]] = {s.name: [] for s in columns(cards[0].name)}
+    for c in cards:
+        r = Reader(c, files)
+        dims, nsm, at = _dimensions(r, 8)
+        end_b = next(((d, m) for x, d, m, _ in _stations(r, at) if x == 1.0), ([], np.nan))
+        values = (r.whole(0, "PID"), r.text(3).upper(), nsm, dims, end_b[1], end_b[0])
+        for name, value in zip(("PID", "TYPE", "NSM", "DIM", "NSMB", "DIMB"), values, strict=True):
+            if name in rows:
+                rows[name].append(value)
+    made = {n: ragged(v, np.float64) if n.startswith("DIM") else np.array(v) for n, v in rows.items()}
+    return Table(cards[0].name, made, *places(cards))
+
+
+def dimension_place(fields: Sequence[str], field: str) -> int | None:
+    """Field of NSM, DIM1 .. or, at end B, of NSMB, DIMB1 .. on a PBARL or PBEAML; None without."""
+    r = Reader(Card("PBEAML", list(fields), 0, 0), ("",))
+    count, (_, _, behind) = SECTIONS[r.text(3).upper()][0], _dimensions(r, 8)
+    end_b = next((at for x, _, _, at in _stations(r, behind) if x == 1.0), None)
+    name, number = ply_field(field) or (field, count + 1)
+    at = {"DIM": 8, "NSM": 8, "DIMB": end_b, "NSMB": end_b}.get(name)
+    return None if at is None else at + number - 1
 
 
 _BEND = {

@@ -13,6 +13,7 @@ from ringtrue.errors import UnsupportedError
 from ringtrue.io.nastran.bulk_special import SPECIAL
 from ringtrue.io.nastran.writer import format_card, format_real
 from ringtrue.model.cards import CARDS, FieldSpec, columns
+from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Table
 
 NOT_MODEL = frozenset(("EIGRL", "EIGR"))  # the caller's choice, not the model's
@@ -51,7 +52,7 @@ def _short(value: float) -> str:
 
 
 def _cards(table: Table) -> Iterator[str]:
-    if not len(table):
+    if not len(table) or table.card in MADE:  # the PBAR or PBEAM is written in its place
         return
     if table.card in SPECIAL:
         yield "".join(SPECIAL[table.card](table))

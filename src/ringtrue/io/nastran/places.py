@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 from ringtrue.errors import InputError
 from ringtrue.io.nastran.added_mass import VALUE
-from ringtrue.io.nastran.beams import BETWEEN, END_A, END_B, beam_stations, bend_places
+from ringtrue.io.nastran.beams import BETWEEN, beam_stations, bend_places, dimension_place
 from ringtrue.io.nastran.fields import Card, Reader
 from ringtrue.io.nastran.lists import BUSH, PLY, ply_places
 from ringtrue.model.cards import CARDS, columns
+from ringtrue.model.dimensions import END_A, END_B, MADE
 from ringtrue.model.edit import ply_field
 
 _SEVERAL = {
@@ -55,6 +56,8 @@ def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | 
         return _by_schema(name, field)
     if name in PLY:
         return _of_laminate(name, fields, field)
+    if name in MADE:
+        return dimension_place(fields, field)
     if field in ("PID", "MID"):
         return ("PID", "MID").index(field)
     if name == "PBUSH":

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.io.nastran.beams import dimensions
 from ringtrue.io.nastran.case import STIFFENING, case_control, commands, params, value
 from ringtrue.io.nastran.constraint_sets import only_sets, unclear_sets
 from ringtrue.io.nastran.deck import load
@@ -19,6 +20,7 @@ from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, is_unsupported
+from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.model.references import Missing, missing, unused
 
@@ -156,6 +158,8 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
                 skipped[name] = (str(e).partition(" is not supported: ")[2], (str(e.path), e.line or 0))
                 continue
             tables[made.card] = _stacked(tables[made.card], made) if made.card in tables else made
+            if name in MADE:
+                tables[name] = dimensions(written_out(found, name), found.deck.files)
         elif name not in DEFAULTS and name != "PARAM":
             kept[name] = n
     if "INCLUDE" in kept:

@@ -2,7 +2,7 @@
 
 Sections stand in the y (up), z (right) axes of the element. I12 = ∫ yz dA about the centroid. N1 and N2 are y and z of
 the centroid (neutral axis) from the shear centre, absent where the two coincide. Shear areas are those of the walls
-along the force.
+along the force. The functions are generic in the kind of number, so that a complex step passes.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from math import pi
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-Properties = dict[str, float]
+Properties = dict[str, Any]
 
 
 def _rod(radius: float) -> Properties:
@@ -41,7 +42,7 @@ def _bar(width: float, height: float) -> Properties:
 
 
 def _rectangle_torsion(a: float, b: float) -> float:
-    long, short = max(a, b), min(a, b)
+    short, long = sorted((a, b), key=_real)
     q = short / long
     return long * short**3 * (1 / 3 - 0.21 * q * (1 - q**4 / 12))
 
@@ -287,13 +288,13 @@ def _dbox(
     }
 
 
-def _cells(cells: Sequence[tuple[float, float]], shared: float = 0.0) -> float:
+def _cells(cells: Sequence[tuple[float, float]], shared: float = 0.0) -> Any:
     """Bredt's torsion constant of one or two cells: area and ∮ ds/t of each, and ∫ ds/t of the wall between them."""
     flow = np.diag([around for _, around in cells])
     if len(cells) > 1:
         flow[0, 1] = flow[1, 0] = -shared
     area = np.array([a for a, _ in cells])
-    return float(4 * area @ np.linalg.solve(flow, area))
+    return (4 * area @ np.linalg.solve(flow, area)).item()
 
 
 def _hexa(point: float, width: float, height: float) -> Properties:
@@ -307,8 +308,12 @@ def _hexa(point: float, width: float, height: float) -> Properties:
     return {"A": area, "I1": i1, "I2": i2, "J": area**4 / (4 * pi**2 * (i1 + i2)), "K1": 5 / 6, "K2": 5 / 6}
 
 
+def _real(x: complex) -> float:
+    return x.real
+
+
 def _positive(*lengths: float) -> None:
-    if min(lengths) <= 0:
+    if min(map(_real, lengths)) <= 0:
         raise ValueError("the dimensions do not make a section: a thickness or a clear width is not positive")
 
 
@@ -345,3 +350,17 @@ SECTIONS: Mapping[str, tuple[int, Callable[..., Properties]]] = MappingProxyType
         "HEXA": (3, _hexa),
     }
 )
+
+
+def section(kind: str, dimensions: Sequence[Any]) -> Properties:
+    """The properties of a section with these dimensions; a blank one (nan) may be that of another.
+
+    Raises
+    ------
+    ValueError
+        If the dimensions do not make a section.
+    """
+    dims = list(dimensions)
+    for k, other in FALLBACK.get(kind, {}).items():
+        dims[k] = dims[other] if dims[k] != dims[k] else dims[k]
+    return SECTIONS[kind][1](*dims)
