@@ -17,6 +17,8 @@ from op2_writer import Op2Writer
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.parameters import Shape
+from ringtrue.fem.change import moved
 from ringtrue.io.nastran.lexer import real
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.frames import axes, positions
@@ -69,6 +71,10 @@ def changed(model: Model, deck: list[list[str]], x: np.ndarray) -> Model:
         value = (real(spare) if spare else 0.0) + sum(real(c) * x[int(v) - 1] for v, c in terms)
         assert name == {"P": "DVPREL1", "M": "DVMREL1"}.get(card[0], "DVCREL1")
         model = model.with_values(card, field, np.array([int(target)]), np.array([value]))
+    for _, variable, node, frame, factor, *vector in (c[:8] for c in deck if c[0] == "DVGRID"):
+        assert frame in ("", "0")
+        n = Shape((int(node),), (tuple(real(v or "0.") for v in vector),))  # type: ignore[arg-type]
+        model = moved(model, n, real(factor) * (x[int(variable) - 1] - 1))
     return model
 
 

@@ -17,9 +17,10 @@ from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.backends.nastran import NastranSolver, nastran_command, nastran_make, sensitivity_deck
 from ringtrue.backends.nastran_design import design_cards
 from ringtrue.backends.runner_deck import modes_deck
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import Parameter, ParameterSet, Shape, Target
 from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, table
 from ringtrue.model.ports import ModesRequest
 from ringtrue.testing.solver import check_modal_solver
@@ -70,6 +71,34 @@ def test_derivatives_by_sol_200() -> None:
         theirs = analysis.derivatives(modes, chosen)
     for a, b in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(b, a, atol=1e-5 * np.abs(a).max())  # the stand-in differences, step 1e-3
+
+
+def test_derivatives_to_places_of_nodes_by_sol_200() -> None:
+    """A shape, and a coordinate in a cylindrical frame together with a thickness, against the embedded solver's."""
+    model = turned(shell(4, 3, clamped=True))
+    polar = table(
+        "CORD2C", CID=[9], RID=[0], **{f"{p}{i + 1}": [v] for p, x in POINTS.items() for i, v in enumerate(x)}
+    )
+    grid = model["GRID"]
+    at = grid.find(np.array([17]))
+    x = positions(model)[at[0]]
+    there = {"X1": np.hypot(x[0] + 1, x[1] + 1), "X2": np.degrees(np.arctan2(x[1] + 1, x[0] + 1)), "X3": x[2], "CP": 9}
+    for name, value in there.items():
+        column = grid[name].copy()
+        column[at] = value
+        grid = grid.with_column(name, column)
+    model = Model({**model.tables, "GRID": grid, "CORD2C": polar}, model.params, model.case)
+    bump = Shape((8, 13), ((0.02, 0.01, 0.05), (0.0, 0.0, 0.04)))
+    radius = (Target("GRID", 17, "X1", step=0.1), Target("GRID", 17, "X2", step=5.0), Target("PSHELL", 1, "T"))
+    chosen = ParameterSet((Parameter("bump", shapes=(bump,)), Parameter("radius", radius)))
+    with EmbeddedSolver().open(model) as analysis:
+        modes = analysis.modes(ModesRequest(4)).modes
+        ours = analysis.derivatives(modes, chosen)
+    with stub(kind="h5").open(model) as analysis:
+        theirs = analysis.derivatives(modes, chosen)
+    assert (np.abs(ours[0]).max(axis=0) > 1e-3 * modes.frequencies.max()).all()
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(b, a, atol=5e-4 * np.abs(a).max())  # the stand-in differences, step 1e-3
 
 
 def test_derivatives_of_repeated_modes_are_refused() -> None:
@@ -150,14 +179,21 @@ def test_a_deck_reads_back_as_the_same_model(tmp_path: Path) -> None:
 def test_fields_that_sol_200_has_not() -> None:
     model = shell(3, 2)
     grids = np.empty(0, dtype=np.int64)
-    for target, why in ((Target("GRID", 3, "X3"), "cannot be a design variable"), (Target("PSHELL", 1, "NSM"), "is 0")):
+    for target, why in (
+        (Target("CQUAD4", 3, "THETA"), "cannot be a design variable"),
+        (Target("PSHELL", 1, "NSM"), "is 0"),
+    ):
         with pytest.raises(UnsupportedError, match=why):
             sensitivity_deck(model, stub(), ParameterSet((Parameter("p", (target,)),)), 3, grids)
 
 
+POINTS = {"A": (-1.0, -1.0, 0.0), "B": (-1.0, -1.0, 1.0), "C": (0.0, -1.0, 0.0)}
 CARDS = """MAT8,8,1.+11,1.+10,.3,5.+9
 PCOMP,9
 +,8,.1,30.,,8,.2,60.
+PCOMPG,19
++,70,8,.1,30.
++,71,8,.2,60.
 PSHELL,10,8,.1,8,1.2,,.8
 PELAS,11,5.,.1
 PMASS,12,3.
@@ -179,6 +215,7 @@ CONM1,18,1,,2.
         (Target("MAT8", 8, "G12"), "DVMREL1 1 MAT8 8 G12"),
         (Target("PCOMP", 9, "T2"), "DVPREL1 1 PCOMP 9 T2"),
         (Target("PCOMP", 9, "THETA1"), "DVPREL1 1 PCOMP 9 THETA1"),
+        (Target("PCOMPG", 19, "T2"), "DVPREL1 1 PCOMP 19 T2"),
         (Target("PSHELL", 10, "I12T3"), "DVPREL1 1 PSHELL 10 6"),
         (Target("PSHELL", 10, "TST"), "DVPREL1 1 PSHELL 10 8"),
         (Target("PELAS", 11, "K"), "DVPREL1 1 PELAS 11 3"),

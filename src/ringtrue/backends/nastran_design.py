@@ -1,26 +1,29 @@
 """The design model of SOL 200: parameters as DESVARs, modes as DRESP1s.
 
 Each parameter is a design variable of value 1 that multiplies its fields' nominal values, so that a sensitivity is a
-derivative to the factor and a normalised matrix equals the plain one. Cards: MSC Nastran Quick Reference Guide.
+derivative to the factor and a normalised matrix equals the plain one. Nodes move from their places by DVGRID times what
+the variable is over 1. A PCOMPG is written as the PCOMP that it equals. Cards: MSC Nastran Quick Reference Guide.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import ParameterSet, Target
 from ringtrue.errors import SolverFailed, UnsupportedError
+from ringtrue.fem.change import scaled
 from ringtrue.fem.kinds import MATERIALS
 from ringtrue.io.nastran.bulk_special import large_card
 from ringtrue.io.nastran.writer import Value, format_card
 from ringtrue.io.nastran_results.sensitivity import Sensitivities
 from ringtrue.model.edit import companions, field_changes, resolve_target
-from ringtrue.model.model import Model
+from ringtrue.model.frames import positions
+from ringtrue.model.model import Model, Table, stacked
 
 SET = 1  # id of the constraints that keep every response
 _PROPERTIES = {
@@ -54,6 +57,7 @@ _ELEMENTS = {
     "CDAMP2": ("B",),
     "CDAMP4": ("B",),
 }
+_STEP, _STILL = 1e-3, 1e-9  # of the differences that give velocities of nodes; of the fastest: one that stands still
 _PLY = re.compile(r"(T|THETA)\d+")
 _NAMES: Mapping[tuple[str, str], str | int] = {  # by number where the name begins with a digit or has no one spelling
     ("PSHELL", "I12T3"): 6,
@@ -130,8 +134,42 @@ def _relation(number: int, field: _Field, lower: float, upper: float) -> str:
     return large_card(kind, head)
 
 
+def _as_pcomp(model: Model) -> Model:
+    """PCOMPG cards as PCOMP, whose plies design variables know by their numbers."""
+    if "PCOMPG" not in model:
+        return model
+    t = model["PCOMPG"]
+    made = Table("PCOMP", {n: c for n, c in t.columns.items() if n != "GPLYID"}, t.file, t.line)
+    tables = {c: t for c, t in model.tables.items() if c != "PCOMPG"}
+    return replace(model, tables=tables | {"PCOMP": stacked(tables["PCOMP"], made) if "PCOMP" in tables else made})
+
+
+def _fixed_nodes(parameters: ParameterSet) -> ParameterSet:
+    """The parameters without nodes that move, PCOMPG called PCOMP."""
+    made = []
+    for p in parameters.parameters:
+        targets = [replace(t, card="PCOMP") if t.card == "PCOMPG" else t for t in p.targets if t.card != "GRID"]
+        made.append(replace(p, targets=tuple(targets), shapes=()))
+    return ParameterSet(tuple(made))
+
+
+def _moved_nodes(model: Model, parameters: ParameterSet) -> str:
+    """DVGRID of the nodes that move with each parameter, by their velocities in basic."""
+    cards = []
+    ids = model["GRID"].ids
+    for k, p in enumerate(parameters.parameters):
+        places = tuple(t for t in p.targets if t.card == "GRID")
+        if places or p.shapes:
+            moving = replace(p, targets=places, substructures=())
+            near = {j: positions(scaled(model, moving, 1 + j * _STEP)) for j in (-2, -1, 1, 2)}
+            velocity = (8 * (near[1] - near[-1]) - near[2] + near[-2]) / (12 * _STEP)
+            for row in np.flatnonzero(np.abs(velocity).max(axis=1) > _STILL * np.abs(velocity).max()).tolist():
+                cards.append(large_card("DVGRID", (k + 1, int(ids[row]), 0, 1.0, *velocity[row].tolist())))
+    return "".join(cards)
+
+
 def design_cards(model: Model, parameters: ParameterSet) -> tuple[Model, str]:
-    """The model with shear moduli written out, and its DESVAR, DVPREL1, DVMREL1 and DVCREL1 cards.
+    """The model with shear moduli written out, and its DESVAR, DVPREL1, DVMREL1, DVCREL1 and DVGRID cards.
 
     Raises
     ------
@@ -140,6 +178,7 @@ def design_cards(model: Model, parameters: ParameterSet) -> tuple[Model, str]:
     InputError
         If a target is not in the model or blank.
     """
+    moves, model, parameters = _moved_nodes(model, parameters), _as_pcomp(model), _fixed_nodes(parameters)
     whole = with_shear_moduli(model)
     derived = np.empty(0, dtype=np.int64)
     if "MAT1" in model:
@@ -152,7 +191,7 @@ def design_cards(model: Model, parameters: ParameterSet) -> tuple[Model, str]:
     high = max((p.upper for p in parameters.parameters), default=10.0)
     fields = _fields(whole, parameters, derived)
     cards += [_relation(k + 1, f, low * 1e-3, high * 1e3) for k, f in enumerate(fields)]
-    return whole, "".join(cards)
+    return whole, "".join(cards) + moves
 
 
 def response_id(mode: int, component: int, count: int) -> int:

@@ -162,3 +162,15 @@ def table(card: str, **columns: Any) -> Table:
     made = {k: v if isinstance(v, Ragged) else frozen(v) for k, v in columns.items()}
     n = len(next(iter(made.values())))
     return Table(card, made, np.full(n, -1), np.zeros(n, dtype=np.int64))
+
+
+def stacked(a: Table, b: Table) -> Table:
+    """The rows of a table and, behind them, those of one with the same columns."""
+    columns = {k: _behind(a.columns[k], b.columns[k]) for k in a.columns}
+    return replace(a, columns=columns, file=np.concatenate([a.file, b.file]), line=np.concatenate([a.line, b.line]))
+
+
+def _behind(a: NDArray[Any] | Ragged, b: NDArray[Any] | Ragged) -> NDArray[Any] | Ragged:
+    if isinstance(a, Ragged) and isinstance(b, Ragged):
+        return Ragged(np.concatenate([a.values, b.values]), np.concatenate([a.offsets, a.offsets[-1] + b.offsets[1:]]))
+    return np.concatenate([np.asarray(a), np.asarray(b)])

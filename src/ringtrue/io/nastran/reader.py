@@ -21,7 +21,7 @@ from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, is_unsupported
 from ringtrue.model.dimensions import MADE
-from ringtrue.model.model import Model, Ragged, Table
+from ringtrue.model.model import Model, Ragged, Table, stacked
 from ringtrue.model.references import Missing, missing, unused
 
 _SHARED_IDS = frozenset(  # several cards of one id belong together
@@ -157,7 +157,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
             except UnsupportedCard as e:
                 skipped[name] = (str(e).partition(" is not supported: ")[2], (str(e.path), e.line or 0))
                 continue
-            tables[made.card] = _stacked(tables[made.card], made) if made.card in tables else made
+            tables[made.card] = stacked(tables[made.card], made) if made.card in tables else made
             if name in MADE:
                 tables[name] = dimensions(written_out(found, name), found.deck.files)
         elif name not in DEFAULTS and name != "PARAM":
@@ -175,17 +175,6 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
         tables["SPC1"] = _without_gaps(tables, found)
     case = case if found.deck.top else only_sets(case, tables)
     return Model(tables, _params(found), case, found.deck.files, kept), skipped
-
-
-def _stacked(a: Table, b: Table) -> Table:
-    columns = {k: _behind(a.columns[k], b.columns[k]) for k in a.columns}
-    return replace(a, columns=columns, file=np.concatenate([a.file, b.file]), line=np.concatenate([a.line, b.line]))
-
-
-def _behind(a: Any_ | Ragged, b: Any_ | Ragged) -> Any_ | Ragged:
-    if isinstance(a, Ragged) and isinstance(b, Ragged):
-        return Ragged(np.concatenate([a.values, b.values]), np.concatenate([a.offsets, a.offsets[-1] + b.offsets[1:]]))
-    return np.concatenate([np.asarray(a), np.asarray(b)])
 
 
 def _params(found: Cards) -> dict[str, int | float | str]:
