@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from eigen_plate import held, plate
+from eigen_shell import shell
 from scipy import sparse
 
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.core.arrays import Float
+from ringtrue.core.parameters import Parameter, ParameterSet, Shape
 from ringtrue.eigen.derivatives import (
     Slope,
     eigenvalue_derivatives,
@@ -16,6 +20,8 @@ from ringtrue.eigen.derivatives import (
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, NotConverged
+from ringtrue.fem.derivatives import scaled
+from ringtrue.model.ports import ModesRequest
 
 N, M = 14, 8
 
@@ -120,3 +126,22 @@ def test_missing_lower_mode_is_refused():
     band = solve_modes(pencil, band=(100.0, 400.0))
     with pytest.raises(NotConverged, match="compute more modes"):
         eigenvector_derivatives(pencil, band, slopes)
+
+
+def test_vectors_where_nodes_move_across_a_shell() -> None:
+    """The forces of such a move are large and move next to nothing: the residual must be small beside what is left."""
+    m = shell(8, 5, clamped=True)
+    p = Parameter("p", shapes=(Shape((20, 27), ((0.02, 0.01, 0.05), (0.0, 0.0, 0.04))),))
+    with EmbeddedSolver().open(m) as analysis:
+        found = analysis.modes(ModesRequest(4)).modes
+        _, got = analysis.derivatives(found, ParameterSet((p,)))
+
+    def shapes(a: float) -> Float:
+        with EmbeddedSolver().open(scaled(m, p, a)) as there:
+            x = there.modes(ModesRequest(4)).modes.shapes
+        return np.asarray(x * np.sign((x * found.shapes).sum(axis=0)))
+
+    h = 1e-2
+    near = {j: shapes(1 + j * h) for j in (-2, -1, 1, 2)}
+    want = (8 * (near[1] - near[-1]) - near[2] + near[-2]) / (12 * h)
+    np.testing.assert_allclose(got[:, :, 0], want, atol=1e-4 * np.abs(want).max())

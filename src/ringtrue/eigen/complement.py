@@ -25,6 +25,8 @@ from ringtrue.errors import NotConverged
 RUNS = 8
 EACH, SPARE = 2, 60  # directions of a run for each column and beyond, before the columns that are left start anew
 DROP = 0.9  # share of the residual allowed to a column that a block may leave out of it
+INERTIA = 1e-5  # residual allowed at most, in inertia forces of the solution without iteration
+LOWEST = 1e-4  # of the residual allowed, to which that lowers it: below is rounding
 MARGIN = 0.93  # of the residual allowed, for one that is estimated
 SURE = 1 / (1 + 8 * (2 / TILE) ** 0.5)  # of the square allowed: an estimate below it is 8 standard deviations away
 LEAST = 1e-5  # share of the largest eigenvalue of a projection that one below zero may have by rounding
@@ -162,11 +164,11 @@ class Complement:
 
         The modes times `along` (n, k) are added. The next call overwrites what this one returned.
         """
-        z, at = np.empty((0, 0)), np.arange(lam.size)
+        z, at, allowed = np.empty((0, 0)), np.arange(lam.size), allowed.copy()
         for run in range(RUNS):
             if not at.size:
                 break
-            step, rest, left = self._run(loads, lam[at], allowed[at], None if run else along)
+            step, rest, left = self._run(loads, lam[at], allowed, at, None if run else along, first=not run)
             if run:
                 z[at] += step
             else:
@@ -200,12 +202,22 @@ class Complement:
         space.clear()
         return x[:columns], inner.cut(slice(columns)), space
 
-    def _run(self, loads: Loads, lam: Float, allowed: Float, along: Float | None) -> tuple[Float, Float, Int]:
-        """Solution, forces that are left over in the columns not done, and which these are."""
+    def _run(
+        self, loads: Loads, lam: Float, limits: Float, which: Int, along: Float | None, *, first: bool
+    ) -> tuple[Float, Float, Int]:
+        """Solution, forces that are left over in the columns not done, and which these are.
+
+        The first run lowers the limits where the inertia of x is small beside the loads: forces that hardly move
+        anything, as those of nodes that move across a shell, would hide all that is left.
+        """
         delta, at = lam - self.shift, np.arange(lam.size)
         z, x, space = self._room(lam.size)
         part = self.solved(loads, z, x)
         y, b, folded = np.zeros((0, lam.size)), np.zeros((0, lam.size)), self.inertia.sketch(x)
+        if first:
+            inertia = np.linalg.norm(folded * delta[:, None], axis=1)
+            limits[:] = np.clip(INERTIA * inertia, LOWEST * limits, limits)
+        allowed = limits[which]
         while True:
             rough = folded[at] * delta[at, None] + space.sketch(y[:, at], delta[at])
             gram, limit = rough @ rough.T, MARGIN * allowed[at]
