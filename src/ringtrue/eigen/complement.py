@@ -77,10 +77,13 @@ class _Space:
         """A⁻¹MV (k, f) as solved for, and its coefficients along the known modes (n, k)."""
         return self._images[: self.size], self._parts[:, : self.size]
 
+    def next(self, count: int) -> Fields:
+        """Where the next so many motions stand."""
+        return self._basis.cut(slice(self.size, self.size + count))
+
     def add(self, v: Fields, of: Complement) -> None:
-        """A further block."""
+        """A further block, which has been written to `next`."""
         cut = slice(self.size, self.size + v.count)
-        self._basis.cut(cut).put(v)
         inner = self._inner.cut(cut)
         self._parts[:, cut] = of.solved(lambda c: of.inertia.forces(v.cut(c)), self._images[cut], inner)
         self._rough[:, cut] = of.inertia.sketch(inner), of.inertia.sketch(v)
@@ -97,11 +100,11 @@ class _Space:
         """δUy − Vy as products cᵀf."""
         return (y * delta, self.inner), (-y, self.basis)
 
-    def defect(self, x: Fields, at: Int, y: Float, delta: Float, turn: Float) -> Fields:
-        """δ(x + Uy) − Vy of the columns `at`, times `turn` (columns, r)."""
+    def defect(self, x: Fields, at: Int, y: Float, delta: Float, turn: Float, out: Fields) -> Fields:
+        """Write δ(x + Uy) − Vy of the columns `at`, times `turn` (columns, r)."""
         first = np.zeros((x.count, turn.shape[1]))
         first[at] = delta[at, None] * turn
-        out = x.times(first)
+        x.times(first, out)
         for c, f in self.change(y[:, at], delta[at]):
             out.add(c @ turn, f)
         return out
@@ -230,7 +233,7 @@ class Complement:
             turn = _principal(gram, limit)
             if not at.size or space.size + turn.shape[1] > space.room:
                 break
-            v = space.defect(x, at, y, delta, turn)
+            v = space.defect(x, at, y, delta, turn, space.next(turn.shape[1]))
             space.add(v, self)
             b = np.vstack([b, v.dot(x)])
             y = np.vstack([y, np.zeros((v.count, lam.size))])
@@ -238,7 +241,7 @@ class Complement:
         images, parts = space.images
         more = -part - parts @ y if along is None else along - part - parts @ y
         add(z, (y, images), (more, self.modes.vectors.T))
-        return z, self.inertia.forces(space.defect(x, at, y, delta, np.eye(at.size))), at
+        return z, self.inertia.forces(space.defect(x, at, y, delta, np.eye(at.size), x.room(at.size))), at
 
 
 def _principal(gram: Float, allowed: Float) -> Float:

@@ -29,7 +29,7 @@ DENSE_LIMIT = 300  # rows up to which a dense LDLᵀ is as fast as a sparse one
 _IPARM = {1: 2, 9: 13, 10: 0, 12: 0, 20: 1}
 _BLOCKS = 36  # a negative value here: the pattern is stored as blocks that are filled to this percentage
 FILLED = 80
-ENTRIES = 1_500_000  # of the triangle, from which on the index lists of blocks save more memory than they cost time
+ENTRIES = 300_000  # of the triangle, from which on blocks pay: small solids lose a few per cent of time by them
 PADDING = 1.3  # memory that a factor by blocks takes while it is made, against what its analysis says (measured)
 _REAL, _COMPLEX = -2, 6  # PARDISO's matrix types: real and complex symmetric
 

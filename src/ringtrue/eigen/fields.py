@@ -50,10 +50,11 @@ class Fields:
         """xMyᵀ (k, l)."""
         return np.asarray(self.plain @ other.loaded.T)
 
-    def times(self, c: Float) -> Fields:
-        """cᵀx (l, r) for c (k, l)."""
-        plain = c.T @ self.plain
-        return Fields(plain, plain if self._one else c.T @ self.loaded)
+    def times(self, c: Float, out: Fields) -> None:
+        """Write cᵀx (l, r) for c (k, l)."""
+        np.matmul(c.T, self.plain, out=out.plain)
+        if not self._one:
+            np.matmul(c.T, self.loaded, out=out.loaded)
 
     def add(self, c: Float, other: Fields) -> None:
         """Add cᵀy to x."""
@@ -65,12 +66,6 @@ class Fields:
         """So many like these, not filled: pages that are never written take no memory."""
         plain = np.empty((count, self.plain.shape[1]))
         return Fields(plain, plain if self._one else np.empty_like(plain))
-
-    def put(self, other: Fields) -> None:
-        """Become a copy of others, as many."""
-        self.plain[:] = other.plain
-        if not self._one:
-            self.loaded[:] = other.loaded
 
     def cut(self, at: slice) -> Fields:
         """A view of some."""
@@ -98,6 +93,10 @@ class Inertia:
         diagonal = np.count_nonzero(mass.data) == self._rows.size and bool((m > 0).all())
         self._root = np.sqrt(m) if diagonal else None
         self._mass = sparse.csr_array(mass[self._rows][:, self._rows])
+        self._weight = np.zeros(self._size)
+        self._weight[self._rows] = 1.0 if self._root is None else self._root
+        self._place = np.zeros(self._size, dtype=np.int64)  # of each row among those with mass
+        self._place[self._rows] = np.arange(self._rows.size)
         self._signs = np.random.default_rng(0).choice([-1.0, 1.0], self._rows.size)
 
     def fields(self, x: Float, out: Fields | None = None) -> Fields:
@@ -114,8 +113,10 @@ class Inertia:
 
     def forces(self, x: Fields) -> Float:
         """xM on all rows (k, f)."""
-        out = np.zeros((x.count, self._size))
-        out[:, self._rows] = x.loaded if self._root is None else x.loaded * self._root
+        if not self._rows.size:
+            return np.zeros((x.count, self._size))
+        out = np.take(x.loaded, self._place, axis=1)
+        out *= self._weight
         return out
 
     def sketch(self, x: Fields) -> Float:
