@@ -145,7 +145,7 @@ class Complement:
         self.shift = modes.shift if there else _amid(modes.values, float(lam.max(initial=0.0)), modes.shift)
         self.pencil, self.modes, self.inertia = pencil, modes, Inertia(pencil.mass)
         self._known = self.inertia.fields(modes.vectors.T)
-        self._rooms: tuple[Float, Fields, _Space] | None = None
+        self._rooms: tuple[Fields, _Space] | None = None
 
     def solve(self, loads: Float, lam: Float, tolerance: float) -> Float:
         """z (f, k), M-orthogonal to the modes, for loads (f, k) and λ (k,).
@@ -160,26 +160,23 @@ class Complement:
         NotConverged
             If a mode below some λ is not among those known, or the residual stays above the tolerance.
         """
-        return self.columns(loads.T.__getitem__, lam, tolerance * np.linalg.norm(loads, axis=0)).T
+        z = np.empty(loads.T.shape)
+        self.columns(loads.T.__getitem__, lam, tolerance * np.linalg.norm(loads, axis=0), z)
+        return z.T
 
-    def columns(self, loads: Loads, lam: Float, allowed: Float, along: Float | None = None) -> Float:
-        """`solve` (k, f) with the residuals allowed (k,); what loads have along the modes is left out.
-
-        The modes times `along` (n, k) are added. The next call overwrites what this one returned.
-        """
-        z, at, allowed = np.empty((0, 0)), np.arange(lam.size), allowed.copy()
+    def columns(self, loads: Loads, lam: Float, allowed: Float, z: Float, along: Float | None = None) -> None:
+        """Write `solve` to z (k, f) with the residuals allowed (k,), and add the modes times `along` (n, k)."""
+        at, allowed = np.arange(lam.size), allowed.copy()
         for run in range(RUNS):
             if not at.size:
-                break
-            step, rest, left = self._run(loads, lam[at], allowed, at, None if run else along, first=not run)
+                return
+            step = np.empty((at.size, self.pencil.size)) if run else z
+            rest, left = self._run(loads, lam[at], allowed, at, None if run else along, step, first=not run)
             if run:
                 z[at] += step
-            else:
-                z = step.copy() if left.size else step
             at, loads = at[left], partial(np.ndarray.__getitem__, rest)
         if at.size:
             raise NotConverged(f"{at.size} of {lam.size} right-hand sides did not converge; {_MORE}")
-        return z
 
     def solved(self, loads: Loads, x: Float, inner: Fields) -> Float:
         """Write x = A⁻¹ loads (k, f) and its fields in the complement; its coefficients along the modes (n, k).
@@ -194,27 +191,26 @@ class Complement:
             fields.add(-part[:, cut], self._known)
         return part
 
-    def _room(self, columns: int) -> tuple[Float, Fields, _Space]:
-        """Memory for solutions, their fields and a space; that of the last call if it is large enough."""
-        if self._rooms is None or len(self._rooms[0]) < columns:
+    def _room(self, columns: int) -> tuple[Fields, _Space]:
+        """Memory for the fields of solutions and a space; that of the last call if it is large enough."""
+        if self._rooms is None or self._rooms[0].count < columns:
             self._rooms = None
-            size, directions = self.pencil.size, EACH * columns + SPARE
-            space = _Space(self._known, size, self._known.count, directions)
-            self._rooms = np.empty((columns, size)), self._known.room(columns), space
-        x, inner, space = self._rooms
+            space = _Space(self._known, self.pencil.size, self._known.count, EACH * columns + SPARE)
+            self._rooms = self._known.room(columns), space
+        inner, space = self._rooms
         space.clear()
-        return x[:columns], inner.cut(slice(columns)), space
+        return inner.cut(slice(columns)), space
 
     def _run(
-        self, loads: Loads, lam: Float, limits: Float, which: Int, along: Float | None, *, first: bool
-    ) -> tuple[Float, Float, Int]:
-        """Solution, forces that are left over in the columns not done, and which these are.
+        self, loads: Loads, lam: Float, limits: Float, which: Int, along: Float | None, z: Float, *, first: bool
+    ) -> tuple[Float, Int]:
+        """Write the solution; forces that are left over in the columns not done, and which these are.
 
         The first run lowers the limits where the inertia of x is small beside the loads: forces that hardly move
         anything, as those of nodes that move across a shell, would hide all that is left.
         """
         delta, at = lam - self.shift, np.arange(lam.size)
-        z, x, space = self._room(lam.size)
+        x, space = self._room(lam.size)
         part = self.solved(loads, z, x)
         y, b, folded = np.zeros((0, lam.size)), np.zeros((0, lam.size)), self.inertia.sketch(x)
         if first:
@@ -241,7 +237,7 @@ class Complement:
         images, parts = space.images
         more = -part - parts @ y if along is None else along - part - parts @ y
         add(z, (y, images), (more, self.modes.vectors.T))
-        return z, self.inertia.forces(space.defect(x, at, y, delta, np.eye(at.size), x.room(at.size))), at
+        return self.inertia.forces(space.defect(x, at, y, delta, np.eye(at.size), x.room(at.size))), at
 
 
 def _principal(gram: Float, allowed: Float) -> Float:

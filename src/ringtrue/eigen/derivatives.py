@@ -144,12 +144,15 @@ def eigenvector_derivatives(
     columns = min(max(ROOM // max(pencil.size, 1), 30), COLUMNS)
     per = max(columns // max(m, 1), 1)
     out = np.empty((len(slopes), m, pencil.size))
+    rows = out.reshape(-1, pencil.size)
     for start in range(0, len(slopes), per):
         loads = [_Load.of(s, phi, lam, m, close) for s in slopes[start : start + per]]
         owner, mode = np.nonzero([load.live for load in loads])
         for first in range(0, owner.size, columns):
-            cut = slice(first, first + columns)
-            out[start + owner[cut], mode[cut]] = _moved(space, loads, owner[cut], mode[cut], tolerance)
+            i, j = owner[first : first + columns], mode[first : first + columns]
+            at = (start + i) * m + j
+            _write(space, loads, i, j, tolerance, rows[at[0] : at[0] + at.size])
+            _spread(rows, at)
         for i, load in enumerate(loads, start):
             still = np.flatnonzero(~load.live)
             out[i, still] = (phi @ load.along[:, still]).T
@@ -196,8 +199,16 @@ class _Load:
         return cls(rows, force, modal_coefficients(pk, pm, lam, close), live)
 
 
-def _moved(space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tolerance: float) -> Float:
-    """φ' (k, f) for pairs of a load and a mode; those of a load stand side by side."""
+def _spread(rows: Float, at: Int) -> None:
+    """Move what stands in rows from at[0] on, without gaps, to `at` (ascending)."""
+    ends = np.flatnonzero(np.diff(at, append=-1) != 1) + 1
+    for a, b in zip(np.append(0, ends[:-1])[::-1], ends[::-1], strict=True):  # runs between gaps, the last one first
+        if at[a] != at[0] + a:
+            rows[at[a] : at[a] + b - a] = rows[at[0] + a : at[0] + b]
+
+
+def _write(space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tolerance: float, out: Float) -> None:
+    """Write φ' (k, f) for pairs of a load and a mode; those of a load stand side by side."""
     pairs = list(zip(owner.tolist(), mode.tolist(), strict=True))
     along = np.stack([loads[i].along[:, j] for i, j in pairs], axis=1)
     size = np.array([np.linalg.norm(loads[i].force[:, j]) for i, j in pairs])
@@ -209,7 +220,7 @@ def _moved(space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tol
             r[at[0] : at[-1] + 1, loads[i].rows] += loads[i].force[:, mode[c][at]].T
         return r
 
-    return space.columns(forces, space.modes.values[mode], tolerance * size, along)
+    space.columns(forces, space.modes.values[mode], tolerance * size, out, along)
 
 
 def branch_derivatives(
