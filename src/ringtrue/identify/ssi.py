@@ -115,7 +115,8 @@ def decompose(h: Float, order: int, gram: LinearOperator | None = None) -> tuple
     if j <= 4 * order and len(h) <= 4 * j:
         u, s, vt = svd(h, full_matrices=False)
         return u[:, :order], s[:order], vt[:order].T
-    size, v = eigsh(h.T @ h if gram is None else gram, order, v0=np.ones(j), tol=1e-8)
+    wide = min(max(3 * order // 2, order + 20), j)  # of the Krylov space: the default takes more products
+    size, v = eigsh(h.T @ h if gram is None else gram, order, v0=np.ones(j), tol=1e-8, ncv=wide)
     rank = np.argsort(-size, kind="stable")
     size, v = size[rank], v[:, rank]
     if size[-1] > 1e-10 * size[0]:

@@ -20,7 +20,7 @@ _BETWEEN = 2.1  # kurtosis: the geometric mean of 1.5 of a sine and 3 of random 
 _WIDEST = 0.05  # apparent damping of a machine that still has a speed
 _NEAR = 0.4  # share of the power of a band that lies near its pole
 _INSTANTS = 1 << 14  # of an envelope that tell its moments
-_EYES, _LONGEST = 3, 1 << 21  # channels and samples that tell whether an amplitude is steady
+_EYES, _LONGEST = 4, 1 << 21  # channels and samples that tell whether an amplitude is steady
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +55,18 @@ def line_statistics(history: TimeHistory, frequencies: Sequence[float], width: f
     _check_band(history, frequencies, width)
     n = int(next_fast_len(history.data.shape[1], real=True))
     spectrum = rfft(detrend(history.data), n, axis=1)
-    kurtosis = [_narrow(spectrum, n, history, at, width)[0] for at in frequencies]
+    kurtosis = [_narrow(spectrum, n, history.data.shape[1], history.rate, at, width)[0] for at in frequencies]
     return tuple(LineStatistic(float(f), k, k < _BETWEEN) for f, k in zip(frequencies, kurtosis, strict=True))
 
 
-def _narrow(spectrum: Complex, n: int, history: TimeHistory, frequency: float, width: float) -> tuple[float, float]:
-    """Kurtosis 1.5 E|a|⁴/(E|a|²)² of a narrow band by its complex envelope a, and the power E|a|² up to a factor."""
-    step_f = history.rate / n
+def _narrow(
+    spectrum: Complex, n: int, samples: int, rate: float, frequency: float, width: float
+) -> tuple[float, float]:
+    """Kurtosis 1.5 E|a|⁴/(E|a|²)² of a narrow band by its complex envelope a, and the power E|a|² up to a factor.
+
+    `spectrum` is that of `samples` at `rate` Hz, by a transform of the length `n`.
+    """
+    step_f = rate / n
     first = max(int((frequency - 0.75 * width) / step_f), 1)
     last = min(int((frequency + 0.75 * width) / step_f) + 2, spectrum.shape[1])
     f = step_f * np.arange(first, last)
@@ -73,7 +78,7 @@ def _narrow(spectrum: Complex, n: int, history: TimeHistory, frequency: float, w
     envelope = ifft(lines.sum(axis=1), axis=1, norm="forward")  # folded lines: the same envelope at fewer instants
     power = envelope.real**2 + envelope.imag**2
     skirt = int(np.ceil(m * step_f / width))
-    power = power[:, skirt : m * history.data.shape[1] // n - skirt]
+    power = power[:, skirt : m * samples // n - skirt]
     mean = power.mean(axis=1, dtype=np.float64)
     each = ((power / np.maximum(mean, 1e-300)[:, None]) ** 2).mean(axis=1, dtype=np.float64) * mean
     return float(1.5 * each.sum() / max(mean.sum(), 1e-300)), float(mean.sum())
@@ -101,21 +106,22 @@ def steady_amplitudes(
     """
     f, z = np.asarray(frequencies, dtype=np.float64), np.asarray(damping, dtype=np.float64)
     eyes = np.unique(np.linspace(0, len(history.channels) - 1, _EYES).astype(np.int64))
-    part = replace(history, data=history.data[eyes, :_LONGEST], channels=tuple(history.channels[i] for i in eyes))
-    width = np.maximum(6 * z * f, 20 / part.duration)
-    cycles = 2 * np.pi * z * f * part.duration
-    known = np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf) - 120 / part.duration
+    samples = min(history.data.shape[1], _LONGEST)
+    duration = samples / history.rate
+    width = np.maximum(6 * z * f, 20 / duration)
+    cycles = 2 * np.pi * z * f * duration
+    known = np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf) - 120 / duration
     room = np.minimum(0.9 * np.minimum(f, history.rate / 2 - f), known / 0.75)
     try_at = (z < _WIDEST) & (cycles > 40) & (width < room)
     out = [""] * f.size
     if not try_at.any():
         return tuple(out)
-    n = int(next_fast_len(part.data.shape[1], real=True))
-    x = Signals.of(part.data).part(0, part.data.shape[1])  # single precision without what it stands on
+    n = int(next_fast_len(samples, real=True))
+    x = Signals.of(history.data).part(0, samples, eyes)  # single precision without what it stands on
     spectrum = rfft(detrended(x).data, n, axis=1)
     for k in np.flatnonzero(try_at).tolist():  # a few poles
         widths = [float(w) for w in width[k] * np.array([1.0, 2.0, 4.0]) if w < room[k]]
-        bands = [_narrow(spectrum, n, part, float(f[k]), w) for w in widths]
+        bands = [_narrow(spectrum, n, samples, history.rate, float(f[k]), w) for w in widths]
         kurtosis = min(kurtosis for kurtosis, power in bands if power < bands[0][1] / _NEAR)
         if kurtosis < _BETWEEN and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
             out[k] = (

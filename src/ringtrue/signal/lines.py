@@ -19,9 +19,10 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.preprocess import Harmonic, line_name
+from ringtrue.signal.pyramid import Signals
 from ringtrue.signal.windows import window
 
-EYES, LONGEST = 3, 1 << 21  # channels and samples that are looked at
+EYES, LONGEST = 4, 1 << 21  # channels (four transforms go in step) and samples that are looked at
 CYCLES = 3600.0  # in which the least damped structure (0.05 %) spreads over four lines of the periodogram
 ABOVE = 50.0  # times the median around; noise reaches it once in 2^50
 BESIDE = 25.0  # times the median just outside of the lobe
@@ -39,7 +40,7 @@ def steady_lines(history: TimeHistory, *, low: float = 0.0, high: float = np.inf
     Parameters
     ----------
     history : TimeHistory
-        At most 3 channels and 2 million samples of it are looked at.
+        At most 4 channels and 2 million samples of it are looked at.
     """
     power, step = _periodogram(history)
     samples = min(history.data.shape[1], LONGEST)
@@ -83,10 +84,9 @@ def with_feet(history: TimeHistory, frequencies: Sequence[float]) -> tuple[float
 def _periodogram(history: TimeHistory) -> tuple[Float, float]:
     """(freq,) of some channels, of unit variance each, and the distance of its lines, Hz."""
     at = np.unique(np.linspace(0, len(history.channels) - 1, EYES).astype(np.int64))
-    raw = history.data[at, :LONGEST]
-    some = raw[:, :: max(1, raw.shape[1] // 20000)]
-    scale = np.maximum(some.std(axis=1, dtype=np.float64, keepdims=True), 1e-300)
-    x = ((raw - some.mean(axis=1, dtype=np.float64, keepdims=True)) / scale).astype(np.float32)
+    x = Signals.of(history.data).part(0, min(history.data.shape[1], LONGEST), at)
+    scale = np.maximum(x[:, :: max(1, x.shape[1] // 20000)].std(axis=1, dtype=np.float64, keepdims=True), 1e-300)
+    x *= (1 / scale).astype(np.float32)
     x *= _taper(x.shape[1])
     n = int(next_fast_len(x.shape[1], real=True))
     y = rfft(x, n, axis=1).view(np.float32)  # single precision is 120 dB below the record, and halves the time
@@ -96,7 +96,7 @@ def _periodogram(history: TimeHistory) -> tuple[Float, float]:
 
 def _taper(samples: int) -> Any_:
     """Blackman-Harris window (sample,) float32 by powers of one cosine."""
-    c = np.cos(np.arange(samples, dtype=np.float32) * np.float32(2 * np.pi / samples))
+    c: Any_ = np.cos(np.arange(samples, dtype=np.float32) * np.float32(2 * np.pi / samples))
     c2 = c * c
     return (0.35875 - 0.14128) + c * (3 * 0.01168 - 0.48829) + c2 * (2 * 0.14128 - 4 * 0.01168 * c)
 

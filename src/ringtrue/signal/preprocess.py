@@ -139,7 +139,7 @@ def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
         raise DataError(
             f"{history.source}: channel {ids[int(top.argmax())]} reaches {top.max():.2g}: no unit makes that"
         )
-    std = np.array([np.std(x, dtype=np.float64) if ok else np.nan for x, ok in zip(data, finite, strict=True)])
+    std = np.array([_std(x) if ok else np.nan for x, ok in zip(data, finite, strict=True)])
     lively = finite & (std > 0)
     typical = float(np.median(std[lively])) if lively.any() else 0.0
     out = []
@@ -152,7 +152,7 @@ def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
             out.append(ChannelState(ids[i], False, "a straight line: no signal"))
         else:
             peers = [std[k] for k, c in enumerate(history.channels) if lively[k] and _alike(c, history.channels[i])]
-            why = (_ends(x), _level(s, peers), _twin(data, i, ids))
+            why = (_ends(x, ends[:, i]), _level(s, peers), _twin(data, i, ids))
             out += [ChannelState(ids[i], True, w) for w in why if w]
     return tuple(out)
 
@@ -170,16 +170,22 @@ def _straight(x: Any_, std: float) -> bool:
     return slope**2 * float(t @ t) / x.size > (1 - 1e-10) * std**2
 
 
-def _stuck(x: Any_) -> int:
+def _std(x: Any_) -> float:
+    """Standard deviation, in as few passes through the memory as keep its digits."""
+    d = np.subtract(x, x.mean(dtype=np.float64), dtype=np.float64)
+    return float(np.sqrt(d @ d / d.size))
+
+
+def _stuck(x: Any_, ends: Float) -> int:
     """Samples that stand at an extreme, in runs of at least three."""
-    return max(_runs(x == x.max()), _runs(x == x.min()))
+    return max(_runs(x == end) for end in ends)
 
 
-def _ends(x: Any_) -> str:
+def _ends(x: Any_, ends: Float) -> str:
     few = np.unique(x[:_FEW]).size < _LEVELS  # to sort more takes its time
     if few and (levels := np.unique(x[:_LOOK]).size) < _LEVELS < x.size / 8:
         return f"coarse: {levels} different values only"
-    stuck = _stuck(x)
+    stuck = _stuck(x, ends)
     return f"clipped: {stuck} samples stand at its largest value" if stuck > max(4, x.size // 50000) else ""
 
 
@@ -204,7 +210,7 @@ def uncut(history: TimeHistory, states: Sequence[ChannelState]) -> TimeHistory |
     whole = [
         c.id
         for c, x in zip(history.channels, history.data, strict=True)
-        if c.id not in doubt or _stuck(x) < _CUT * x.size
+        if c.id not in doubt or _stuck(x, np.array([x.max(), x.min()])) < _CUT * x.size
     ]
     if len(whole) == len(history.channels):
         return history

@@ -122,7 +122,12 @@ class Signals:
             out[:] = 0.0
             return out
         out[:, : a - start], out[:, b - start :] = 0.0, 0.0
-        np.subtract(self.data[rows, a:b], level[:, None], out=out[:, a - start : b - start], casting="same_kind")
+        inner = out[:, a - start : b - start]
+        if isinstance(rows, slice):
+            np.subtract(self.data[rows, a:b], level[:, None], out=inner, casting="same_kind")
+        else:  # channels one by one: all at once would be copied first
+            for x, k, own in zip(inner, rows, level, strict=True):
+                np.subtract(self.data[k, a:b], own, out=x, casting="same_kind")
         if self.slope is not None:
             t = (np.arange(a, b) * (2 / max(self.samples - 1, 1)) - 1).astype(np.float32)
             out[:, a - start : b - start] -= self.slope[rows, None].astype(np.float32) * t
@@ -264,9 +269,10 @@ def _kept(keep: Any_ | None, start: int, size: int) -> Any_ | None:
 
 def _references(x: Any_, cut: Segments, count: int, references: Int, keep: Any_ | None) -> Any_:
     """(freq, segment, ref) conjugate spectra of the samples of each segment that count."""
-    inner = x[:, cut.lead : cut.lead + count * cut.hop].reshape(len(x), count, cut.hop)
     padded = np.zeros((references.size, count, cut.size), dtype=np.float32)
-    np.multiply(inner[references], 1 if keep is None else keep.reshape(count, cut.hop), out=padded[:, :, : cut.hop])
+    for row, k in zip(padded[:, :, : cut.hop], references, strict=True):
+        inner = x[k, cut.lead : cut.lead + count * cut.hop].reshape(count, cut.hop)
+        np.multiply(inner, 1 if keep is None else keep.reshape(count, cut.hop), out=row)
     y = rfft(padded.transpose(2, 1, 0), axis=0)
     return np.conj(y, out=y)
 
