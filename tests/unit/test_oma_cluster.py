@@ -16,7 +16,7 @@ from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.merge import merge_modes
 from ringtrue.identify.ssi import SsiCov, decompose, hankel_gram
 from ringtrue.identify.stabilise import Candidates
-from ringtrue.identify.variance import frequency_damping, hankel
+from ringtrue.identify.variance import frequency_damping, hankel, perturb
 from ringtrue.shapes.mac import mac
 
 
@@ -46,12 +46,28 @@ def test_bands_overlap_and_reach_the_lowest_frequency():
         bands_for(10.0, 600.0, AmbientSettings(fmin=8.0))
 
 
-def test_leading_triplets_are_those_of_the_full_decomposition():
-    h = hankel(np.random.default_rng(2).standard_normal((80, 4, 3)), 40)
-    u, s, v = decompose(h, 6)
+@pytest.mark.parametrize(
+    ("shape", "rows", "order"), [((80, 4, 3), 40, 6), ((40, 30, 3), 20, 25), ((20, 40, 1), 10, 10)]
+)
+def test_leading_triplets_are_those_of_the_full_decomposition(shape: tuple[int, int, int], rows: int, order: int):
+    h = hankel(np.random.default_rng(2).standard_normal(shape), rows)  # wide, tall, and tall of the full order
+    u, s, v = decompose(h, order)
     want = np.linalg.svd(h, compute_uv=False)
-    assert s == pytest.approx(want[:6], rel=1e-9)
+    assert s == pytest.approx(want[:order], rel=1e-9)
     assert h @ v == pytest.approx(u * s, abs=1e-9)
+
+
+def test_perturbations_are_those_of_the_hankel_matrices_of_the_blocks():
+    rng = np.random.default_rng(9)
+    rows, ch, n = 8, 3, 5
+    dr = rng.standard_normal((6, 2 * rows, ch, 2))
+    u, vs = np.linalg.qr(rng.standard_normal((rows * ch, n)))[0], rng.standard_normal((rows * 2, n))
+    q = np.linalg.qr(u[:-ch])[0]
+    p = perturb(dr, rows, u, vs, q)
+    t = np.stack([hankel(x, rows) @ vs for x in dr])
+    want = {"up": q.T @ t[:, :-ch], "down": q.T @ t[:, ch:], "output": t[:, :ch], "inner": u.T @ t}
+    for name, value in want.items():
+        assert getattr(p, name) == pytest.approx(value, abs=1e-5 * np.abs(t).max()), name
 
 
 def test_deviation_of_a_pole_is_its_derivative():

@@ -112,7 +112,7 @@ def decompose(h: Float, order: int, gram: LinearOperator | None = None) -> tuple
     A Rayleigh-Ritz step follows where the square of a singular value comes near the rounding of the largest.
     """
     j = h.shape[1]
-    if j <= 4 * order and len(h) <= 4 * j:
+    if j <= 2 * order or (j <= 4 * order and len(h) <= 4 * j):
         u, s, vt = svd(h, full_matrices=False)
         return u[:, :order], s[:order], vt[:order].T
     wide = min(max(3 * order // 2, order + 20), j)  # of the Krylov space: the default takes more products
