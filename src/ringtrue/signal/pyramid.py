@@ -139,9 +139,10 @@ def detrended(data: Any_) -> Signals:
     if not data.shape[1]:
         return Signals(data, np.zeros(len(data)))
     t = np.linspace(-1.0, 1.0, data.shape[1], dtype=np.float32)
+    mean, slope = np.full(t.size, 1 / t.size, dtype=np.float32), t / np.float32(max(float(t @ t), 1.0))
     for x in data:
-        x -= x.mean(dtype=np.float64)
-        x -= (x @ t) / max(float(t @ t), 1.0) * t
+        x -= x @ mean
+        x -= (x @ mean) + (x @ slope) * t
     return Signals(data, np.zeros(len(data)))
 
 
