@@ -6,15 +6,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.identify.ambient import AmbientSettings, bands_for
 from ringtrue.identify.ambient_verdict import settled
 from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.merge import merge_modes
-from ringtrue.identify.ssi import SsiCov, decompose, hankel_gram
+from ringtrue.identify.ssi import SsiCov, decompose, hankel_gram, ssi_cov
 from ringtrue.identify.stabilise import Candidates
 from ringtrue.identify.variance import frequency_damping, hankel, perturb
 from ringtrue.shapes.mac import mac
@@ -68,6 +70,22 @@ def test_perturbations_are_those_of_the_hankel_matrices_of_the_blocks():
     want = {"up": q.T @ t[:, :-ch], "down": q.T @ t[:, ch:], "output": t[:, :ch], "inner": u.T @ t}
     for name, value in want.items():
         assert getattr(p, name) == pytest.approx(value, abs=1e-5 * np.abs(t).max()), name
+
+
+def test_neither_the_order_of_the_references_nor_the_units_move_a_pole():
+    e = np.random.default_rng(4).standard_normal((3, 6000))
+    y = lfilter([1.0], [1.0, -1.6, 0.95], np.array([[1, 0, 0.2], [0.5, 1, 0], [0, 0.3, 1]]) @ e, axis=1)
+    settings, ids = SsiCov(10, 8, 2, 1), ("1", "2", "3")
+
+    def poles(scale: tuple[float, ...], references: tuple[str, ...]):
+        channels = tuple(Channel(i, "acceleration") for i in ids)
+        return ssi_cov(
+            TimeHistory(y * np.array(scale)[:, None], 50.0, channels, "made"), settings, references=references
+        )
+
+    plain, other = poles((1.0, 1.0, 1.0), ids), poles((1.0, 50.0, 3.0), ("3", "1", "2"))
+    assert other.pole == pytest.approx(plain.pole, rel=1e-4)
+    assert len(poles((1.0, 1.0, 1.0), ("1", "1", "2"))) > 0  # one is missing
 
 
 def test_deviation_of_a_pole_is_its_derivative():

@@ -253,13 +253,20 @@ def blockwise(history: TimeHistory, references: Int | None, settings: SsiCov) ->
         references = spanning(lagged, MAX_REFERENCES)
     r, _ = pyramid.run(signals, cut, AS_IS, AS_IS, references)
     used = pyramid.pairs(cut, signals.samples)[:, 0]
-    if references.size < signals.level.size:
-        scale = _alive(history, signals.power())
-    else:  # they are in the correlations
-        scale = _alive(history, used @ np.einsum("bii->bi", r[:, 0][:, references]) / signals.samples)
+    scale = _alive(history, _power(signals, r, references, used))
     r /= (scale[:, None] * scale[references]).astype(np.float32)
     weights = loudness_weights(r, references) * used
     return r, weights / weights.sum(), scale
+
+
+def _power(signals: Signals, r: Any_, references: Int, used: Float) -> Float:
+    """(ch,) mean squares of the signals: from their correlations `r` (block, lag, ch, ref) where all are in these."""
+    ch = signals.level.size
+    if np.unique(references).size < ch:
+        return signals.power()
+    power = np.empty(ch)
+    power[references] = used @ r[:, 0, references, np.arange(references.size)] / signals.samples
+    return power
 
 
 def loudness_weights(r: Float, references: Int) -> Float:
