@@ -14,6 +14,8 @@ from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
 
 SIGNIFICANT = 12.0  # gain over that of noise
+HELD, PLAIN = 0.8, 3e3  # share of the orders and gain over the error that are no misfit of the FRFs
+COMPLEX = 0.6  # confidence of a mode that is plain to see, but of complex shape
 VISIBLE = 0.3  # share of the response at its own frequency that makes a mode plain to see
 
 
@@ -97,7 +99,8 @@ def judge(
     shapes, gain = solve_shapes(lines, fit.poles, fit.participation)
     total = gain.sum(axis=0)
     driven = _driven(fit, shapes, pairs)
-    real, gains = _real(shapes, lines.response, strict), _gains(lines, fit, shapes, total)
+    gains, ratio = _gains(lines, fit, shapes, total)
+    real = _real(shapes, lines.response, strict)
     share = shares(lines, fit, shapes)
     clear = _clear(fit, shapes, lines) & (share > VISIBLE) & (gains.factor > 0.99) & (driven.factor > 0.99)
     aspects = [
@@ -111,6 +114,9 @@ def judge(
         driven,
     ]
     confidence = np.prod([a.factor for a in aspects], axis=0)
+    phase = real.factor * driven.factor  # complex shapes, as of rotors and local dampers, may be plain to see
+    plain = (candidates.support > HELD) & (ratio > PLAIN) & (phase < COMPLEX)
+    confidence = np.where(plain, COMPLEX / phase, 1.0) * confidence
     reasons = tuple("; ".join(a.text[k] for a in aspects if a.text[k]) for k in range(fit.poles.size))
     return Verdict(np.abs(fit.poles) / (2 * np.pi), confidence, reasons)
 
@@ -139,15 +145,15 @@ def _stable(c: Candidates, clear: Bool) -> _Aspect:
     )
 
 
-def _gains(lines: Lines, fit: Refined, shapes: Complex, total: Float) -> _Aspect:
-    """Gain per real unknown over the squared error near the mode, weighted with the mode's own magnitude."""
+def _gains(lines: Lines, fit: Refined, shapes: Complex, total: Float) -> tuple[_Aspect, Float]:
+    """Gain per real unknown over the squared error near the mode, weighted with its own magnitude; that ratio."""
     rest = _rest(lines, fit.poles, fit.participation, shapes)
     near = np.abs(1 / (lines.s[:, None] - fit.poles)) ** 4
     near /= near.sum(axis=0)
     ratio = total / (2 * shapes.shape[0]) / np.maximum(near.T @ rest, 1e-300)
     factor = np.clip(np.log(np.maximum(ratio, 1e-9) / 2) / np.log(SIGNIFICANT / 2), 0, 1)
     text = [f"contribution {10 * np.log10(max(r, 1e-9)):.0f} dB over the error" for r in ratio]
-    return _texts(factor, text, [f"weak, {t}" for t in text])
+    return _texts(factor, text, [f"weak, {t}" for t in text]), ratio
 
 
 def _rest(lines: Lines, poles: Complex, participation: Complex, shapes: Complex) -> Float:
