@@ -22,6 +22,7 @@ from ringtrue.identify import variance as var
 from ringtrue.identify.ambient_record import (
     Heard,
     Motion,
+    filter_edges,
     long_enough,
     one_motion,
     references,
@@ -352,13 +353,16 @@ def _assemble(
     f_all, z_all = (np.array([getattr(found[b].table, x)[i] for b, i in rows]) for x in ("frequencies", "damping"))
     known = [h.frequency for h in lines]
     machines = steady_amplitudes(whole, f_all, z_all, known) if whole else ("",) * len(rows)
-    for (b, i), f, z, unsteady in zip(rows, f_all, z_all, machines, strict=True):
+    edges = filter_edges(history, f_all, z_all)
+    for (b, i), f, z, unsteady, edge in zip(rows, f_all, z_all, machines, edges, strict=True):
         if h := machine(f, z, lines, resolution):
             left_out.append(f"pole at {f:.4g} Hz left out: {h.why}{BESIDE}")
         elif z < LEAST_DAMPING:
             left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")
         elif unsteady:
             left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}{BESIDE}")
+        elif edge:
+            left_out.append(f"pole at {f:.4g} Hz left out: the spectrum ends there: the filter of the recorder")
         else:
             at.append((b, i))
     by_hand = chosen(found, at, choice, history.source)

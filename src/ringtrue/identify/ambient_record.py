@@ -14,8 +14,12 @@ from ringtrue.errors import DataError
 from ringtrue.identify.whittle import SpectralBins
 from ringtrue.signal.events import Events
 from ringtrue.signal.preprocess import Band
+from ringtrue.signal.psd import Welch, csd
 
 FEW = 8  # events
+EDGE, LAST = 0.35, 0.49  # of the rate: where filters of recorders begin to end the spectrum, and where it is looked at
+BROAD = 0.02  # damping that the edge of a filter may have
+FALL = 0.4  # of the fall of a mode
 DERIVATIVE = {"acceleration": 2, "velocity": 1, "displacement": 0, "strain": 0}
 
 
@@ -100,6 +104,29 @@ def one_motion(channels: Sequence[Channel]) -> Motion | None:
     order = np.array([DERIVATIVE.get(c.quantity, DERIVATIVE[kind]) - DERIVATIVE[kind] for c in channels])
     strain = np.array([c.quantity == "strain" for c in channels])
     return Motion(kind, np.asarray((-1j) ** order, dtype=np.complex128), np.where(strain, 0, -order))
+
+
+def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> tuple[bool, ...]:
+    """Whether the spectrum above each pole (m,) falls as no mode lets it: the edge of the recorder's filter.
+
+    Above a mode a displacement falls most, by what an oscillator does; velocities and accelerations fall less.
+    """
+    high = (frequency > EDGE * history.rate) & (damping > BROAD)
+    if not high.any():
+        return (False,) * frequency.size
+    pick = np.unique(np.linspace(0, len(history.channels) - 1, 8).astype(np.int64))
+    some = replace(history, data=history.data[pick], channels=tuple(history.channels[i] for i in pick))
+    psd = csd(some, Welch(history.rate / 256))
+    auto = np.real(np.einsum("fii->fi", psd.data))
+    level = (auto / auto.mean(axis=0)).mean(axis=1)
+    out = []
+    for f, z, asked in zip(frequency.tolist(), damping.tolist(), high.tolist(), strict=True):
+        top = min(f * (1 + 3 * z), LAST * history.rate)
+        nu = top / f
+        mode = 4 * z**2 / ((1 - nu**2) ** 2 + 4 * z**2 * nu**2)
+        here, there = np.interp([f, top], psd.freqs, level)
+        out.append(asked and bool(there < FALL * mode * here))
+    return tuple(out)
 
 
 def with_nothing_found(history: TimeHistory, left_out: list[str], modes: int, bands: tuple[Band, ...]) -> list[str]:

@@ -16,6 +16,7 @@ from ringtrue.shapes.mac import mac
 from ringtrue.signal.preprocess import Harmonic
 
 PAIRED = 0.3  # share of the orders
+STRONG = 10.0  # signal-to-noise ratio in the correlations, that poles of noise do not reach
 OVERTONE = 3e-3  # relative distance
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
 
@@ -104,7 +105,8 @@ def unresolved(found: list[Found], told: Float) -> tuple[str, ...]:
             group = np.flatnonzero(np.abs(x.table.frequencies - f) < z * f)
             _, count = np.unique(order[np.isin(x.table.label, group)], return_counts=True)
             lone = not (np.abs(told - f) < 2 * z * f).any()
-            if lone and group.size > 1 and (count > 1).sum() > PAIRED * tried:
+            strong = x.table.strength[group].max(initial=0.0) > STRONG
+            if lone and strong and group.size > 1 and (count > 1).sum() > PAIRED * tried:
                 near.append((float(f), int((count > 1).sum()), tried))
     kept = [n for k, n in enumerate(near) if all(abs(n[0] / b[0] - 1) > 0.03 for b in near[:k])]
     return tuple(
