@@ -110,6 +110,8 @@ class FullModel:
         return self.ledger.points[x.tobytes()]
 
     def _linearised(self, x: Float) -> Linearisation:
+        if not len(self.parameters):  # a deck that shares none of those that are free
+            return self.modes(x)
         with self._open(x) as analysis:
             modes = analysis.modes(self.request).modes
             slopes = self._given(analysis, modes, x)

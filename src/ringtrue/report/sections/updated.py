@@ -59,7 +59,9 @@ def _engines(data: Stages, u: UpdateStage) -> str:
         "rest on the matrices of the embedded solver."
     )
     if data.final is not None and data.uncertainty is None:
-        text += f" No uncertainty is told: fewer than four modes were used, or its modes are not those of {u.solver}."
+        text += (
+            f" No uncertainty is told: fewer than four modes were used, or its modes differ from those of {u.solver}."
+        )
     return text
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import sparse
 
 from ringtrue.backends.observed import FullModel
 from ringtrue.core.observation import Observation
@@ -64,6 +65,9 @@ def _full(desk: Workbench, name: str, members: Sequence[str]) -> FullModel:
     mine = carried(opened.model, desk.parameters.take([names.index(m) for m in members]))
     channels = desk.reference(name).channels
     rows = np.array([look.channels.index(c) for c in channels], dtype=np.int64)
-    seen = Observation(look.matrix[rows], channels, look.dofs, look.unit, look.distance[rows])
+    with desk.engine.open(opened.model) as analysis:
+        at, sign = look.dofs.align(analysis.dofs)
+        matrix = sparse.csr_array(look.matrix[rows][:, at] * sign)
+        seen = Observation(matrix, channels, analysis.dofs, look.unit, look.distance[rows])
     count = len(opened.modes(desk.deck.fmax).modes)
     return FullModel(opened.model, mine, seen, ModesRequest(max(count, 1)), desk.engine)

@@ -13,7 +13,7 @@ from ringtrue.reduce.condense import condensed
 from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.objective import scales, terms_of
 from ringtrue.study.opened import Progress
-from ringtrue.study.parametric import AtChannels
+from ringtrue.study.parametric import AtChannels, frequency_error
 from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import as_delivered, others_at
@@ -78,12 +78,17 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
 
 
 def _same(desk: Workbench, model: AtChannels, final: FinalStage, x: Float) -> bool:
-    """Whether the paired modes of the delivered deck have the same place and shape in the model."""
+    """Whether the paired modes of the delivered deck have the same place, shape and frequency in the model.
+
+    Frequencies within the error that the updating allows a model: else what fits the test is not what was delivered.
+    """
     now, at = model.modes(x), final.table.pairing.b
     if at.size and at.max() >= now.frequencies.size:
         return False
     rows = [final.observed.channels.index(c) for c in desk.reference(OWN).channels]
-    return bool((paired_mac(now.shapes[:, at], final.observed.shapes[rows][:, at]) >= ALIKE).all())
+    like = paired_mac(now.shapes[:, at], final.observed.shapes[rows][:, at]) >= ALIKE
+    error = frequency_error(now.frequencies[at], final.observed.frequencies[at])
+    return bool(like.all() and error <= desk.config.update.frequency_error)
 
 
 def _others(
