@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from ringtrue.core.outcome import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.correlate.assign import PairingSettings
 from ringtrue.errors import InputError
+from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import mac
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.gauss_newton import update
@@ -167,3 +170,32 @@ def test_settled_pairs_make_a_smooth_objective() -> None:
     slope = -2 * r.slope.T @ r.value + 2 * x / prior**2
     assert (value[1] - value[0]) / 2e-5 == pytest.approx(float(slope @ d), rel=1e-6)
     np.testing.assert_allclose(r.mac, mac(aim.shapes, model.linearise(x).shapes)[:, :5].diagonal(), rtol=1e-9)
+
+
+@dataclass(frozen=True)
+class Rough:
+    """A model whose frequencies carry round-off that differs from point to point."""
+
+    model: DenseModel
+    size: float = 1e-9
+
+    @property
+    def parameters(self) -> ParameterSet:
+        return self.model.parameters
+
+    def linearise(self, x: np.ndarray) -> Linearisation:
+        at = self.model.linearise(x)
+        rng = np.random.default_rng(np.frombuffer(x.tobytes(), dtype=np.uint32))
+        return replace(at, frequencies=at.frequencies * (1 + self.size * rng.standard_normal(at.frequencies.size)))
+
+
+def test_what_is_left_at_the_minimum_is_round_off_and_no_stall() -> None:
+    model = chain(9, 3)
+    exact = target(model, np.array([0.3, -0.1, 0.2]), 6)
+    off = 1 + 0.02 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])  # no parameters fit these frequencies
+    aim = replace(exact, frequencies=exact.frequencies * off)
+    best = update(model, aim)
+    assert best.outcome is Outcome.CONVERGED
+    for seed in range(12):  # from where an updating on another basis has ended
+        start = best.x + 1e-6 * np.random.default_rng(seed).standard_normal(3)
+        assert update(Rough(model), aim, start=start).outcome is Outcome.CONVERGED

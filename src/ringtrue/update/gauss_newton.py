@@ -7,7 +7,7 @@ out: equation (4) as printed, which is the case p₀ = 0 and not stationary for 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from ringtrue.update.objective import Residual, Target, objective, residual, sha
 
 SAFE = 1e-3  # least eigenvalue, in units of the Gauss-Newton diagonal, of a Hessian with second derivatives
 NEAR = 0.3  # largest change of x over which a secant says something of the Hessian
+FREE = 0.1  # damping below which the length of a step is the method's own
 STEP, GRADIENT = 1e-5, 1e-6  # convergence: step in x; gradient relative to its size without cancellation
 
 
@@ -131,6 +132,8 @@ class GaussNewton:
         if self._better(x, r, state):
             curvature = np.zeros_like(normal) if self.published else _secant(state, x, r, w)
             return State(x, r, value, max(state.mu / 5, 1e-8), float(np.abs(x - state.x).max()), 0, curvature)
+        if state.mu < FREE and (step := float(np.abs(x - state.x).max())) < STEP:  # what it gains is round-off of J
+            return replace(state, step=step, rejected=state.rejected + 1)
         return self._rejected(state)
 
     def _rejected(self, state: State) -> State:
@@ -157,7 +160,7 @@ class GaussNewton:
         """Small gradient or step, or eight rejected steps in a row."""
         scale = np.abs(state.residual.slope).T @ np.abs(state.residual.value) + 1e-300
         if float(np.max(np.abs(self.gradient(state)) / scale, initial=0.0)) < GRADIENT or (
-            state.step < STEP and state.mu < 0.1  # a step that damping made small proves nothing
+            state.step < STEP and state.mu < FREE  # a step that damping made small proves nothing
         ):
             return Outcome.CONVERGED
         return Outcome.STALLED if state.rejected >= 8 else None
