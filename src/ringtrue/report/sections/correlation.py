@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.correlate.pairing import CorrelationRow, CorrelationTable
 from ringtrue.correlate.significance import Significance, table_significance
 from ringtrue.plots import correlation as plots
-from ringtrue.report.parts import Block, Cell, Diff, Heading, Plot, Section, Table, Text, fixed, sentence, signs
+from ringtrue.report.parts import Block, Cell, Diff, Heading, Items, Plot, Section, Table, Text, fixed, sentence, signs
 from ringtrue.report.sections import evidence
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import RemodelStep
@@ -110,6 +110,7 @@ def initial(data: Stages) -> Section | None:
     if c is None:
         return None
     body: list[Block] = [Text(sentence(c.placed))] if c.placed else []
+    body += [Items(c.gaps, f"Modes and channels of the test that are not used ({len(c.gaps)})")] if c.gaps else []
     body += blocks(c.initial, data, "The model as delivered against the test.", updating=True)
     return Section("initial", "Initial correlation", [*body, *evidence.brief(c.evidence_initial, c.initial, FOLDED)])
 
@@ -117,7 +118,7 @@ def initial(data: Stages) -> Section | None:
 def remodelled(data: Stages) -> Section | None:
     """The stated change of the deck before updating."""
     c = data.correlate
-    if c is None or not (c.diff or c.remodelling):
+    if c is None or not c.changed:
         return None
     body: list[Block] = [Text(sentence(c.remodelling))] if c.remodelling else []
     body += [_history(c.history)] if len(c.history) > 2 else []

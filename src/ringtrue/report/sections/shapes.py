@@ -59,7 +59,7 @@ def _initial(data: Stages) -> list[Shown]:
 
 def _remodelled(data: Stages) -> list[Shown]:
     c = data.correlate
-    if c is None:
+    if c is None or not c.changed:
         return []
     return _paired("Remodelled and test", c.remodelled, c.reference, c.fe_remodelled, None)
 

@@ -18,7 +18,7 @@ from ringtrue.report.parts import (
     fixed,
     number,
 )
-from ringtrue.report.sections import shapes
+from ringtrue.report.sections import shapes, survey
 from ringtrue.report.stages import Stages
 
 
@@ -38,7 +38,8 @@ def section(data: Stages) -> Section | None:
 def _inventory(data: Stages) -> list[Fact]:
     facts: list[Fact] = []
     if data.model is not None:
-        facts += [Fact("Total mass", number(data.model.mass / 1000, 4), "t"), Fact("DOF", f"{data.model.dof:,}")]
+        mass, unit = survey.weight(data.model)
+        facts += [Fact("Total mass", number(mass, 4), unit), Fact("DOF", f"{data.model.dof:,}")]
         facts += [Fact("Modes of the model", str(len(data.model.modes)))]
     if data.identify is not None:
         facts += [Fact("Records", str(len(data.identify.records)))]
@@ -62,12 +63,16 @@ def _figures(table: CorrelationTable) -> tuple[str, str, str, str]:
     return mean, peak, fixed(table.mean_mac(), 1), str(len(table))
 
 
+def _tables(data: Stages) -> list[tuple[str, CorrelationTable]]:
+    """The model as delivered, remodelled if it was, and updated."""
+    out: list[tuple[str, CorrelationTable]] = []
+    if (c := data.correlate) is not None:
+        out += [("initial", c.initial), *([("remodelled", c.remodelled)] if c.changed else [])]
+    return out + ([("final", data.final.table)] if data.final is not None else [])
+
+
 def _deviations(data: Stages) -> Plot:
-    stages: list[tuple[str, CorrelationTable]] = []
-    if data.correlate is not None:
-        stages = [("initial", data.correlate.initial), ("remodelled", data.correlate.remodelled)]
-    if data.final is not None:
-        stages.append(("final", data.final.table))
+    stages = _tables(data)
     caption = "Frequency deviation of the model from the test and MAC of the pairs, mode by mode."
     if data.final is not None:
         caption += " Hollow marks: modes left out of the updating, chosen before it."
@@ -117,19 +122,14 @@ def _beside(left: list[Block], right: Block | None) -> list[Block]:
 
 
 def _stages_table(data: Stages) -> Table:
-    tables = []
-    if data.correlate is not None:
-        tables += [("Initial", data.correlate.initial), ("Remodelled", data.correlate.remodelled)]
-    if data.final is not None:
-        tables.append(("Final", data.final.table))
     rows = []
-    for name, table in tables:
+    for name, table in _tables(data):
         for label, which in (("all", None), ("used in the updating", table.used), ("left out", ~table.used)):
             count = len(table) if which is None else int(which.sum())
             if not count:
                 continue
             deviation = (fixed(table.mean_deviation(which), 2), fixed(table.max_deviation(which), 2))
             mac = (fixed(table.mean_mac(which), 1), fixed(table.min_mac(which), 1))
-            rows.append((name if which is None else "", label, str(count), *deviation, *mac))
+            rows.append((name.capitalize() if which is None else "", label, str(count), *deviation, *mac))
     heads = ("|Model", "|Modes", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Min MAC, %")
     return Table(heads, rows, "The stages of the model against the test; the modes left out judge the prediction.")

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 
+import numpy as np
+
 from ringtrue.report.parts import Block, Fold, Heading, Section, Table, Text, fixed, number, plain
 from ringtrue.report.stages import Stages
+from ringtrue.study.evidence import MASS
+from ringtrue.study.measured import LENGTH
 from ringtrue.study.results import ModelStage, RecordSummary
 
 
@@ -20,20 +24,24 @@ def section(data: Stages) -> Section | None:
 
 
 def _system(model: ModelStage) -> Table:
-    x, y, z = (fixed(float(v), 2) for v in model.cg)
+    length, (mass, unit) = LENGTH[model.units], weight(model)
+    x, y, z = (fixed(float(v) * length, 2) for v in model.cg)
+    inertia = np.diag(model.inertia) * length**2 * (mass / model.mass if model.mass else 1.0)
     rows = [
         ("Model", model.title or "–", ""),
-        ("Mass", number(model.mass / 1000, 4), "t"),
+        ("Mass", number(mass, 4), unit),
         ("Centre of gravity x, y, z", f"{x}, {y}, {z}", "m"),
-        ("Moments of inertia xx, yy, zz", _inertia(model), "t·m²"),
+        ("Moments of inertia xx, yy, zz", ", ".join(number(float(v), 4) for v in inertia), f"{unit}·m²"),
         ("Nodes; degrees of freedom", f"{model.nodes:,}; {model.dof:,}".replace(",", "\u202f"), ""),
         ("Modes computed", _span(model), "Hz"),
     ]
     return Table(("|Quantity", "|Value", "|Unit"), rows, "The system as modelled.")
 
 
-def _inertia(model: ModelStage) -> str:
-    return ", ".join(number(float(model.inertia[i, i]) / 1000, 4) for i in range(3))
+def weight(model: ModelStage) -> tuple[float, str]:
+    """The mass in t, or in kg below one."""
+    kg = model.mass * MASS[model.units]
+    return (kg / 1000, "t") if kg >= 1000 else (kg, "kg")
 
 
 def _span(model: ModelStage) -> str:
