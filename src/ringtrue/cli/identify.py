@@ -9,7 +9,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from ringtrue.cli.show import json_target, out, progress, rows, write_json
@@ -251,20 +250,8 @@ def _frfs_without(frfs: FrfSet, path: Path, lost: Sequence[str]) -> FrfSet:
     """The FRFs without some responses and references."""
     if not lost:
         return frfs
-    every = list({c.id: c for c in (*frfs.outputs, *frfs.inputs)}.values())
-    keep = set(_kept(path, every, lost))
-    o, i = (np.array([k for k, c in enumerate(x) if c.id in keep], dtype=int) for x in (frfs.outputs, frfs.inputs))
-    if not o.size or not i.size:
-        raise DataError(f"{path}: --leave-out leaves {o.size} responses and {i.size} references")
-    at = np.ix_(np.arange(frfs.freqs.size), o, i)
-    return replace(
-        frfs,
-        data=frfs.data[at],
-        coherence=frfs.coherence[at],
-        averages=frfs.averages[i],
-        outputs=tuple(frfs.outputs[k] for k in o),
-        inputs=tuple(frfs.inputs[k] for k in i),
-    )
+    _kept(path, list({c.id: c for c in (*frfs.outputs, *frfs.inputs)}.values()), lost)
+    return frfs.without(lost)
 
 
 def register(app: typer.Typer) -> None:

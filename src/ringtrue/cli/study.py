@@ -15,6 +15,7 @@ from ringtrue.study.acceptance import Check, limits, missed_words
 from ringtrue.study.results import UpdateStage
 from ringtrue.study.run import StudyRun, load_study, run_study
 from ringtrue.study.summary import finite, summarise
+from ringtrue.study.words import told
 
 Json = Annotated[
     str | None,
@@ -71,7 +72,7 @@ def run(
 ) -> int:
     """Run a study: what is up to date is taken from study.h5, the rest is computed.
 
-    Exit status 1: the updating did not converge, or the final model misses a limit of [correlate] (accept_percent,
+    Exit status 1: the updating did not converge, or the final model misses a limit of \\[correlate] (accept_percent,
     accept_hz, accept_mac, accept_pairs, accept_mean_percent, accept_mean_mac, accept_orthogonality,
     accept_off_diagonal) that study.toml sets.
 
@@ -89,8 +90,10 @@ def run(
         write_json(_summary(result.folder), json)
     if json != "-":
         for name, seconds in result.timings.items():
-            told = "up to date" if name in result.loaded else f"{seconds:.1f} s"
-            out.print(f"{name}: {told}", markup=False, highlight=False)
+            took = "up to date" if name in result.loaded else f"{seconds:.1f} s"
+            out.print(f"{name}: {took}", markup=False, highlight=False)
+        for line in told(result.results):
+            out.print(line, markup=False, highlight=False, soft_wrap=True)
         out.print(f"report: {path}", markup=False, soft_wrap=True)
         _verdict(stated)
     for line in missed_words(result.config, result.results):

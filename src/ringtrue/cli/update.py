@@ -44,7 +44,7 @@ from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.placing import placed
-from ringtrue.study.reference import measured_channels
+from ringtrue.study.reference import measured_part
 from ringtrue.update.multistart import latin_hypercube, multi_start
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.plausible import plausibility
@@ -125,7 +125,7 @@ def update(
 ) -> int:
     """Update a model to test modes: factors with their uncertainty, deviations before and after, the deck edited.
 
-    What is compared beside modes comes from the [[residual]] sections of the study and from --frf, --static and --mass.
+    What is compared beside modes comes from the \\[[residual]] sections of the study and --frf, --static, --mass.
 
     Example: ringtrue update study.toml modes.json --leave-out 3,7 --out updated
     """
@@ -218,10 +218,10 @@ def _settings(
 def _target(config: StudyConfig, test: Path, leave_out: str) -> tuple[Target, ModeSet]:
     """What the file says, and its modes."""
     whole, spread = read_modes(test), read_frequency_std(test)
-    modes: ModeSet = realise_modes(measured_channels(whole))
+    kept, channels = measured_part(whole)
+    modes: ModeSet = realise_modes(whole.take(kept).rows(channels))
     if not len(modes) or not modes.channels:
         raise DataError(f"{test}: no mode was measured at a common set of channels")
-    kept = np.isin(whole.frequencies, modes.frequencies)
     relative = np.nan_to_num(spread[kept] / modes.frequencies, nan=0.0)
     used = ~np.isin(np.arange(len(modes)), _left_out(leave_out, len(modes)))
     gates = PairingSettings(mac_gate=config.correlate.mac_gate, frequency_gate=config.correlate.frequency_gate)

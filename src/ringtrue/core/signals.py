@@ -121,3 +121,26 @@ class FrfSet:
         """(output, input) positions with equal ids."""
         at = {c.id: i for i, c in enumerate(self.outputs)}
         return [(at[c.id], j) for j, c in enumerate(self.inputs) if c.id in at]
+
+    def without(self, ids: Sequence[str]) -> FrfSet:
+        """The FRFs without some responses and references.
+
+        Raises
+        ------
+        DataError
+            If no response or no reference is left.
+        """
+        lost, sides = set(ids), (self.outputs, self.inputs)
+        o, i = (np.array([k for k, c in enumerate(side) if c.id not in lost], dtype=np.int64) for side in sides)
+        if not o.size or not i.size:
+            left = f"{o.size} responses and {i.size} references are left"
+            raise DataError(f"{self.source}: without {' '.join(ids)} {left}")
+        at = np.ix_(np.arange(self.freqs.size), o, i)
+        return replace(
+            self,
+            data=self.data[at],
+            coherence=self.coherence[at],
+            averages=self.averages[i],
+            outputs=tuple(self.outputs[k] for k in o),
+            inputs=tuple(self.inputs[k] for k in i),
+        )

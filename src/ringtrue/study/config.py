@@ -54,6 +54,7 @@ class TestSection(_Section):
     log: str | None = None
     frfs: list[str] = []  # .uff, .h5, .npz, in place of hammer records
     modes: str | None = None  # .json, .h5, .uff: identified elsewhere, or by `ringtrue ema` or `oma`
+    leave_out: list[str] = []  # channels that are not used: broken, or on a part that the deck does not have
     lines: str | None = None  # pairs of points to draw
 
     @model_validator(mode="after")

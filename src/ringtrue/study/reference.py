@@ -27,6 +27,7 @@ class Reference:
     elastic_std: Uncertainty
     rigid: ModeSet
     rigid_std: Uncertainty
+    gaps: tuple[str, ...] = ()  # elastic modes and channels of the test that are not used, in words
 
     @classmethod
     def of(cls, found: CorrelateStage | ConfiguredTest) -> Reference:
@@ -55,12 +56,37 @@ def elastic_edge(frequencies: Float, config: StudyConfig) -> float:
     return split_frequency(frequencies, below)
 
 
-def measured_channels(modes: ModeSet) -> ModeSet:
-    """The modes and channels without gaps: modes seen at fewer than half of the channels go first."""
+def measured_part(modes: ModeSet) -> tuple[Int, tuple[str, ...]]:
+    """Positions of the modes, and the channels, of the largest part of the shapes that has no gap.
+
+    Records of other sensors leave gaps where one of them does not show a mode. Modes seen at fewer than half of the
+    channels go first; then, as long as modes times common channels grows, those that were seen at the same channels.
+    """
     known = np.isfinite(modes.shapes)
-    modes = modes.take(np.flatnonzero(known.mean(axis=0) >= 0.5)) if len(modes) else modes
-    full = np.atleast_1d(np.isfinite(modes.shapes).all(axis=1))
-    return modes.rows([c for c, ok in zip(modes.channels, full.tolist(), strict=True) if ok])
+    at = np.flatnonzero(known.mean(axis=0) >= 0.5) if known.size else np.arange(len(modes), dtype=np.int64)
+    size = at.size * known[:, at].all(axis=1).sum()
+    while at.size > 1:
+        _, kind = np.unique(known[:, at], axis=1, return_inverse=True)
+        trials = [at[kind.ravel() != k] for k in range(int(kind.max()) + 1)]
+        worth = [t.size * known[:, t].all(axis=1).sum() if t.size else 0 for t in trials]
+        if max(worth) <= size:
+            break
+        at, size = trials[int(np.argmax(worth))], max(worth)
+    full = known[:, at].all(axis=1)  # all of them where there is no mode
+    return at, tuple(modes.channels[i] for i in np.flatnonzero(full).tolist())
+
+
+def _gaps(modes: ModeSet) -> tuple[str, ...]:
+    """What `measured_part` leaves out, in words."""
+    at, channels = measured_part(modes)
+    lost = np.setdiff1d(np.arange(len(modes)), at)
+    seen, n = np.isfinite(modes.shapes).sum(axis=0), len(modes.channels)
+    out = [f"{modes.frequencies[k]:.4g} Hz: not used, seen at {seen[k]} of {n} channels only" for k in lost.tolist()]
+    if len(channels) < n:
+        names = [c for c in modes.channels if c not in set(channels)]
+        more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+        out.append(f"channels not used, where not all modes were seen: {' '.join(names[:8])}{more}")
+    return tuple(out)
 
 
 def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
@@ -76,17 +102,23 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
     least = config.identify.confidence
     ambient_sure = found.ambient.confidence >= least
     low = np.flatnonzero((found.ambient.frequencies < edge) & ambient_sure)
-    rigid = realise_modes(measured_channels(found.ambient.take(low))) if low.size else found.ambient.take([])
+    rigid, gaps = found.ambient.take([]), tuple[str, ...]()
+    if low.size:
+        at, channels = measured_part(found.ambient.take(low))
+        low = low[at]
+        rigid = realise_modes(found.ambient.take(low).rows(channels))
     if found.hammer is not None and found.hammer_uncertainty is not None:
         high = np.flatnonzero(found.hammer.frequencies >= edge)
         elastic, std = realise_modes(found.hammer.take(high)), found.hammer_uncertainty.take(high)
     else:
         high = np.flatnonzero(found.ambient.frequencies >= edge)
-        elastic = realise_modes(measured_channels(found.ambient.take(high)))
-        std = found.ambient_uncertainty.take(high)
+        at, channels = measured_part(found.ambient.take(high))
+        gaps = _gaps(found.ambient.take(high))
+        elastic, std = found.ambient.take(high[at]).rows(channels), found.ambient_uncertainty.take(high[at])
+        elastic = realise_modes(elastic)
     if not len(elastic):
         raise DataError("the test holds no elastic mode: nothing to correlate with")
-    return Reference(elastic, std, rigid, found.ambient_uncertainty.take(low))
+    return Reference(elastic, std, rigid, found.ambient_uncertainty.take(low), gaps)
 
 
 def reference_of_file(path: Path, config: StudyConfig) -> Reference:
@@ -98,8 +130,8 @@ def reference_of_file(path: Path, config: StudyConfig) -> Reference:
         If it holds no elastic mode that was measured at a common set of channels.
     """
     whole, spread = read_modes(path), read_frequency_std(path)
-    modes = measured_channels(whole)
-    at = np.flatnonzero(np.isin(whole.frequencies, modes.frequencies))
+    at, channels = measured_part(whole)
+    modes = whole.take(at).rows(channels)
     std = Uncertainty.independent(spread[at], np.zeros(at.size), np.zeros(modes.shapes.shape))
     edge = elastic_edge(modes.frequencies, config)
     high, low = np.flatnonzero(modes.frequencies >= edge), np.flatnonzero(modes.frequencies < edge)

@@ -84,6 +84,12 @@ class CorrelateStage:
     placed: str = ""  # how the test was laid onto the deck, in words
     history: tuple[RemodelStep, ...] = ()  # the deck as delivered, then each step
     expanded: Expansion | None = None  # the elastic test shapes on the remodelled deck, where the study asks for them
+    gaps: tuple[str, ...] = ()  # modes and channels of the test that are not used, in words
+
+    @property
+    def changed(self) -> bool:
+        """Whether the deck was remodelled before the updating."""
+        return bool(self.diff or self.remodelling)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

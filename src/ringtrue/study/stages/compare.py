@@ -9,7 +9,7 @@ from ringtrue.correlate.complete import complete
 from ringtrue.correlate.pairing import correlation_table, pair_modes
 from ringtrue.shapes.mac import auto_mac
 from ringtrue.study.opened import Progress
-from ringtrue.study.reference import elastic_edge, measured_channels, settings
+from ringtrue.study.reference import elastic_edge, measured_part, settings
 from ringtrue.study.results import CompareStage, Evidence, IdentifyStage
 from ringtrue.study.workbench import Workbench
 
@@ -21,7 +21,6 @@ def run(desk: Workbench, progress: Progress) -> CompareStage | None:
         return None
     edge = elastic_edge(found.ambient.frequencies, desk.config)
     ambient, std = _elastic(found, edge)
-    ambient = measured_channels(ambient)
     common = [c for c in ambient.channels if c in set(found.hammer.channels)]
     if not common:
         return None
@@ -36,6 +35,6 @@ def run(desk: Workbench, progress: Progress) -> CompareStage | None:
 
 
 def _elastic(found: IdentifyStage, edge: float) -> tuple[ModeSet, np.ndarray[tuple[int], np.dtype[np.float64]]]:
-    known = np.isfinite(found.ambient.shapes).mean(axis=0) >= 0.5
-    at = np.flatnonzero((found.ambient.frequencies >= edge) & known)
-    return found.ambient.take(at), found.ambient_uncertainty.frequency[at]
+    high = np.flatnonzero(found.ambient.frequencies >= edge)
+    at, channels = measured_part(found.ambient.take(high))
+    return found.ambient.take(high[at]).rows(channels), found.ambient_uncertainty.frequency[high[at]]

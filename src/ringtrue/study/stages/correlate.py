@@ -65,6 +65,7 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         words(desk.placed[0]) if config.correlate.align else "",
         _history(desk, reference, out, initial, tables),
         _expanded(desk, reference, progress),
+        reference.gaps,
     )
 
 

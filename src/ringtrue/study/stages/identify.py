@@ -21,7 +21,6 @@ from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.merge import Contribution, merge_modes
 from ringtrue.identify.peaks import cmif
 from ringtrue.io.choices import read_choice
-from ringtrue.io.record_layout import RecordChannel
 from ringtrue.io.records import read_record, record_info
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
@@ -34,10 +33,11 @@ from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.opened import Progress
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
-from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, supplied_frfs, supplied_modes
+from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, on_sheet, supplied_frfs, supplied_modes
 from ringtrue.study.workbench import Workbench
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
+OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
 SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 
 
@@ -101,11 +101,27 @@ def _check_log(path: Path, records: Sequence[Logged]) -> None:
             raise DataError(f"{path}: test {r.test!r}, record {r.path.name}: {' and '.join(lost)} missing")
 
 
-def _check_sheet(path: Path, channels: Sequence[Channel | RecordChannel], sheet: TestModel) -> None:
+def _check_sheet(path: Path, channels: Sequence[Channel], sheet: TestModel) -> None:
     """Every response in a record must have its place on the sheet; a force channel names its point itself."""
-    known = set(sheet.channels)
-    if lost := [c.id for c in channels if c.id not in known and c.quantity != "force"]:
-        raise DataError(f"{path}: channel {' '.join(lost[:8])} is not on the sensor sheet")
+    on_sheet([c.id for c in channels if c.quantity != "force"], sheet, path)
+
+
+def _history(path: Path, sheet: TestModel, lost: Sequence[str]) -> TimeHistory:
+    """A record without the channels `lost`; the others are checked and must be on the sheet."""
+    keep = None
+    if lost:
+        keep = [c.id for c in read_record(path, check=False).channels if c.id not in set(lost)]
+    history = read_record(path, channels=keep)
+    _check_sheet(path, history.channels, sheet)
+    return history
+
+
+def _full_scale(path: Path) -> dict[str, float]:
+    """Ranges of the channels, V, where the record tells them."""
+    try:
+        return record_info(path).full_scale() if path.suffix.lower() in OWN else {}
+    except DataError:  # HDF5 of another layout
+        return {}
 
 
 def files(desk: Workbench) -> list[Path]:
@@ -209,12 +225,11 @@ def ambient(
     progress: Progress,
 ) -> tuple[list[IdentifiedRecord], list[RecordSummary]]:
     """Modes of each ambient record."""
-    settings = desk.config.identify
+    settings, lost = desk.config.identify, section(desk).leave_out
     found, shown = [], []
     for i, record in enumerate(records):
         progress(i / max(len(records), 1), f"ambient modes: {record.name}")
-        raw = read_record(record.path)
-        _check_sheet(record.path, raw.channels, sheet)
+        raw = _history(record.path, sheet, lost)
         history, low, note = corrected(raw, sensors)
         fmin = max(low, settings.ambient_fmin or 0.0) or None
         with about(record.path):
@@ -226,12 +241,14 @@ def ambient(
     return found, shown
 
 
-def struck(records: Sequence[Logged], progress: Progress) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...]]:
+def struck(
+    records: Sequence[Logged], sheet: TestModel, lost: Sequence[str], progress: Progress
+) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...]]:
     """FRFs of all setups, what is shown of the records, and the hits that do not count."""
-    histories = [replace(read_record(r.path), source=r.name) for r in records]
+    histories = [replace(_history(r.path, sheet, lost), source=r.name) for r in records]
     ranges: dict[str, float] = {}
     for r in records:
-        ranges |= record_info(r.path).full_scale()
+        ranges |= _full_scale(r.path)
     rate, d = histories[0].rate, records[0].details
     block, pre = d["block_samples"] / rate, d["pretrigger_samples"] / rate
     want = HammerSettings(block=block - pre, pretrigger=pre)  # the peak comes a little after the trigger
@@ -269,22 +286,22 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     test = section(desk)
     sheet = read_sensor_sheet(desk.base / test.sheet, desk.base / test.lines if test.lines else None)
     model = sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
+    if unknown := [c for c in test.leave_out if c not in set(model.channels)]:
+        raise ConfigError(f"[test] leave_out {unknown[0]!r}{did_you_mean(unknown[0], model.channels)}")
     if test.modes:
-        return supplied_modes(desk.base / test.modes, model)
+        return supplied_modes(desk.base / test.modes, model, test.leave_out)
     records, sensors = read_log(desk.base / test.log) if test.log else ([], {})
     quiet = [r for r in records if r.kind == "ambient"]
     hits = [r for r in records if r.kind == "hammer"]
     if hits and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
-    for r in hits:
-        _check_sheet(r.path, record_info(r.path).channels, sheet.model)
     choice = _by_hand(desk, records)
     found, shown = ambient(desk, quiet, sensors, sheet.model, choice, lambda f, t: progress(0.5 * f, t))
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
-    frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model), tuple[str, ...]()
+    frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, test.leave_out), tuple[str, ...]()
     if hits:
-        frfs, more, rejected = struck(hits, lambda f, t: progress(0.5 + 0.2 * f, t))
+        frfs, more, rejected = struck(hits, model, test.leave_out, lambda f, t: progress(0.5 + 0.2 * f, t))
         frfs = exchanged(frfs)[0]
         shown += more
     result = _of_frfs(frfs, desk.config.identify, choice, lambda f, t: progress(0.7 + 0.3 * f, t)) if frfs else None

@@ -11,7 +11,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.errors import DataError, did_you_mean
+from ringtrue.errors import DataError
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.modes_json import read_frequency_std, read_modes
 from ringtrue.signal.frf import join_frfs
@@ -22,8 +22,8 @@ NO_MODES = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
 NOT_KNOWN = Uncertainty.independent(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
 
 
-def supplied_frfs(paths: Sequence[Path], sheet: TestModel) -> FrfSet | None:
-    """The FRFs of all files as one set, with the responses at the many points; None without a file.
+def supplied_frfs(paths: Sequence[Path], sheet: TestModel, lost: Sequence[str]) -> FrfSet | None:
+    """The FRFs of all files without the channels `lost` as one set, responses at the many points; None without a file.
 
     Raises
     ------
@@ -32,13 +32,15 @@ def supplied_frfs(paths: Sequence[Path], sheet: TestModel) -> FrfSet | None:
     """
     if not paths:
         return None
-    frfs, _ = exchanged(join_frfs([read_frfs(p) for p in paths]))
-    _on_sheet([c.id for c in frfs.outputs], sheet, paths[0])
+    found = [read_frfs(p) for p in paths]
+    frfs, _ = exchanged(found[0] if len(found) == 1 else join_frfs(found))
+    frfs = frfs.without(lost) if lost else frfs
+    on_sheet([c.id for c in frfs.outputs], sheet, paths[0])
     return frfs
 
 
-def supplied_modes(path: Path, sheet: TestModel) -> IdentifyStage:
-    """The modes of a file as those of a test; shapes as they are, standard deviations where the file has them.
+def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> IdentifyStage:
+    """The modes of a file as those of a test, without the channels `lost`; standard deviations where the file has them.
 
     Raises
     ------
@@ -46,11 +48,12 @@ def supplied_modes(path: Path, sheet: TestModel) -> IdentifyStage:
         If it holds no mode, or a channel is not on the sensor sheet.
     """
     modes, spread = read_modes(path), read_frequency_std(path)
-    _on_sheet(modes.channels, sheet, path)
+    modes = modes.rows([c for c in modes.channels if c not in set(lost)]) if lost else modes
+    on_sheet(modes.channels, sheet, path)
     if not len(modes):
         raise DataError(f"{path}: no mode in the file")
     none = np.full(len(modes), np.nan)
-    std = Uncertainty.independent(np.nan_to_num(spread, nan=0.0), none, np.zeros(modes.shapes.shape))
+    std = Uncertainty.independent(spread, none, np.zeros(modes.shapes.shape))
     no_line, empty = np.zeros((0, 0)), ()
     return IdentifyStage(
         sheet,
@@ -73,9 +76,18 @@ def supplied_modes(path: Path, sheet: TestModel) -> IdentifyStage:
     )
 
 
-def _on_sheet(channels: Sequence[str], sheet: TestModel, path: Path) -> None:
+def on_sheet(channels: Sequence[str], sheet: TestModel, path: Path) -> None:
+    """Refuse channels that have no place on the sensor sheet.
+
+    Raises
+    ------
+    DataError
+    """
     known = set(sheet.channels)
     if lost := [c for c in channels if c not in known]:
         more = f" and {len(lost) - 8} more" if len(lost) > 8 else ""
-        near = did_you_mean(lost[0], sheet.channels)
-        raise DataError(f"{path}: channel {' '.join(lost[:8])}{more} is not on the sensor sheet{near}")
+        there = " ".join(sheet.channels[:8]) + (" ..." if len(sheet.channels) > 8 else "")
+        raise DataError(
+            f"{path}: channel {' '.join(lost[:8])}{more} is not on the sensor sheet. It has {there}; its column "
+            "`channel` names them as the record does"
+        )

@@ -1,0 +1,87 @@
+"""What a run has found, in a few lines for the screen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage, TuneStage, UpdateStage
+
+MEND = "see its row in the sensor sheet (direction, place, unit); [test] leave_out = [...] leaves it out"
+
+NO_CHANGE = (
+    "no change of the candidates pays for its parameters (AICc): the one that explains most by itself was updated all "
+    "the same; first look for what is wrong with the pairs, the sensors or the form of the model"
+)
+
+
+def told(r: Mapping[str, Any]) -> tuple[str, ...]:
+    """Modes found, pairs and deviations before and after, what was changed, and channels that look wrong.
+
+    Parameters
+    ----------
+    r : mapping of str to a stage's result
+        As far as the study was run.
+    """
+    identify, correlate, final = r.get("identify"), r.get("correlate"), r.get("final")
+    out = [_found(identify)] if identify is not None else []
+    if correlate is not None:
+        out += [*correlate.gaps, *_pairs(correlate, final)]
+    out += [_factor(*row) for row in _factors(r)]
+    update, localise = r.get("update"), r.get("localise")
+    alone = update is not None and update.sets[update.chosen].name == "proposal"
+    if alone and localise is not None and not localise.proposal.members:
+        out.append(NO_CHANGE)
+    evidence = final.evidence if final is not None else correlate.evidence if correlate is not None else None
+    if evidence is not None:
+        out += [f"channel {s.channel} looks {s.fault}: {s.message}; {MEND}" for s in evidence.measures.suspects]
+    return tuple(out)
+
+
+def _found(identify: IdentifyStage) -> str:
+    parts = [f"{len(identify.ambient)} ambient modes"] if identify.ambient_records else []
+    if identify.hammer is not None:
+        parts.append(f"{len(identify.hammer)} modes of the {identify.source}")
+    return "; ".join(parts) or "no mode"
+
+
+def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
+    tables = [t for t in (correlate.initial, final.table if final is not None else None) if t is not None]
+    total = correlate.reference.frequencies.size
+    out = [
+        f"pairs: {_arrow([str(len(t)) for t in tables])} of {total} test modes; mean |Δf| "
+        f"{_arrow([f'{t.mean_deviation():.2f}' for t in tables])} %, mean MAC "
+        f"{_arrow([f'{t.mean_mac():.1f}' for t in tables])} %"
+    ]
+    if final is not None and any((~t.used).any() for t in tables):
+        out.append(f"modes that the updating did not see: mean |Δf| {_arrow([_spared(t) for t in tables])} %")
+    return out
+
+
+def _spared(table: CorrelationTable) -> str:
+    value = table.mean_deviation(~table.used)
+    return f"{value:.2f}" if np.isfinite(value) else "none paired,"
+
+
+def _arrow(values: list[str]) -> str:
+    return " -> ".join(values)
+
+
+def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
+    """Name, factor and standard deviation of what was changed."""
+    update: UpdateStage | None = r.get("update")
+    tune: TuneStage | None = r.get("tune")
+    out: list[tuple[str, float, float]] = []
+    if update is not None:
+        best = update.sets[update.chosen]
+        out += zip(best.parameters, best.factor.tolist(), (best.factor * best.std).tolist(), strict=True)
+    if tune is not None:
+        out += [(n, a, tune.std[n] * a) for n, a in tune.factors.items()]
+    return out
+
+
+def _factor(name: str, factor: float, std: float) -> str:
+    return f"{name}: times {factor:.3f} ± {std:.3f}"

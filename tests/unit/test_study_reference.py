@@ -1,0 +1,43 @@
+"""Which modes and channels of a test the model is judged by, where records of other sensors leave gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ringtrue.core.modes import ModeSet
+from ringtrue.study.reference import measured_part
+
+
+def modes(known: npt.NDArray[np.bool_]) -> ModeSet:
+    """Shapes (channel, mode) with gaps where `known` is false."""
+    n, m = known.shape
+    return ModeSet(
+        np.arange(1.0, m + 1), np.full(m, 0.01), np.where(known, 1.0, np.nan), tuple(f"{i}+Z" for i in range(n))
+    )
+
+
+def test_a_mode_of_one_setup_does_not_cost_the_channels_of_the_other() -> None:
+    # 4 common channels and 8 of each of two setups: ten modes in both, one in the first alone, two in the second alone
+    known = np.ones((20, 13), dtype=bool)
+    known[12:, 4] = False
+    known[4:12, [7, 9]] = False
+    at, channels = measured_part(modes(known))
+    assert at.tolist() == [0, 1, 2, 3, 5, 6, 8, 10, 11, 12]
+    assert len(channels) == 20
+
+
+def test_a_channel_that_few_modes_have_goes_rather_than_the_modes() -> None:
+    known = np.ones((20, 6), dtype=bool)
+    known[3, 1:] = False
+    at, channels = measured_part(modes(known))
+    assert at.size == 6
+    assert len(channels) == 19
+    assert "3+Z" not in channels
+
+
+def test_nothing_is_lost_without_gaps_or_modes() -> None:
+    at, channels = measured_part(modes(np.ones((5, 3), dtype=bool)))
+    assert (at.size, len(channels)) == (3, 5)
+    at, channels = measured_part(modes(np.ones((5, 0), dtype=bool)))
+    assert (at.size, len(channels)) == (0, 5)

@@ -1,0 +1,161 @@
+"""Tests that come as FRFs or as modes, on the small frame; points of the test have numbers of their own."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_study
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.cli.main import run
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.identify.hammer import HammerModes, identify_hammer
+from ringtrue.io.frfs import write_frfs
+from ringtrue.io.modes_json import write_modes
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.ports import ModesRequest
+from ringtrue.report.deliver import deliver
+from ringtrue.study.run import run_study
+from ringtrue.study.words import told
+from ringtrue.virtual.logbook import write_sheet
+
+FREQS = np.arange(0.5, 20.0, 0.02)
+TOML = small_study.MODEL + '[test]\nsheet = "sensors.csv"\n{}\n' + "[update]\nleft_out = 2\n"
+Capture = pytest.CaptureFixture[str]
+
+
+def renumbered() -> TestModel:
+    """The test model with points 1 to 9, which are nodes elsewhere in the deck or none."""
+    test = small_study.test_model()
+    new = dict(zip(test.points.tolist(), range(1, 10), strict=True))
+    channels = tuple(f"{new[int(c.split('+')[0])]}+{c[-1]}" for c in test.channels)
+    points, at = (np.array([new[p] for p in x.tolist()]) for x in (test.points, test.at))
+    lines = np.stack([points[:-1], points[1:]], axis=1)
+    return TestModel(points, test.xyz, channels, at, test.axes, lines)
+
+
+def true_modes(folder: Path) -> ModeSet:
+    """Of the frame as it is, at the channels of the test."""
+    (folder / "truth.bdf").write_text(small_study.deck(small_study.TRUTH))
+    with EmbeddedSolver().open(read_deck(folder / "truth.bdf")) as analysis:
+        modes = analysis.modes(ModesRequest(9)).modes
+    here = modes.rows(small_study.test_model().channels)
+    return replace(here, labels=renumbered().channels, damping=np.full(9, 0.01))
+
+
+def frfs(modes: ModeSet, struck: tuple[str, ...]) -> FrfSet:
+    """Accelerance with a little noise, all channels."""
+    at = [modes.channels.index(c) for c in struck]
+    w, w0 = 2 * np.pi * FREQS[:, None], 2 * np.pi * modes.frequencies
+    gain = -(w**2) / (w0**2 - w**2 + 2j * 0.01 * w0 * w)
+    h = np.einsum("om,fm,im->foi", modes.shapes, gain, modes.shapes[at])
+    rng = np.random.default_rng(5)
+    h = h + 1e-3 * np.abs(h).mean() * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape))
+    out = tuple(Channel(c, "acceleration", "m/s^2") for c in modes.channels)
+    into = tuple(Channel(c, "force", "N") for c in struck)
+    return FrfSet(h, FREQS, out, into, np.full(h.shape, np.nan), np.full(len(at), np.nan))
+
+
+def study(folder: Path, source: str, toml: str = TOML) -> Path:
+    (folder / "deck").mkdir()
+    (folder / "deck" / "frame.bdf").write_text(small_study.deck())
+    test = renumbered()
+    write_sheet(folder / "sensors.csv", test, test.channels)
+    (folder / "study.toml").write_text(toml.format(source))
+    return folder / "study.toml"
+
+
+def test_frfs_of_a_file_for_each_reference(tmp_path: Path) -> None:
+    modes = true_modes(tmp_path)
+    for i, c in enumerate(("7+X", "7+Y"), start=1):
+        write_frfs(tmp_path / f"{i}.uff", frfs(modes, (c,)))
+    text = TOML + small_study.candidates(small_study.TRUTH)
+    done = run_study(study(tmp_path, 'frfs = ["1.uff", "2.uff"]\nleave_out = ["5+Y"]', text))
+    deliver(done)
+    found = done.results["correlate"]
+    assert "5+Y" not in found.reference.channels
+    np.testing.assert_allclose(found.reference.frequencies, modes.frequencies, rtol=1e-3)
+    best = done.results["update"].sets[done.results["update"].chosen]
+    for name, factor in zip(best.parameters, best.factor, strict=True):
+        assert factor == pytest.approx(small_study.TRUTH[int(name.split()[-1])], abs=0.02)
+    lines = "\n".join(told(done.results))
+    assert "9 modes of the FRFs" in lines
+    assert "pairs: 9 -> 9 of 9 test modes" in lines
+    assert all(f"{n}: times" in lines for n in best.parameters)
+
+
+def test_modes_of_a_file_and_a_sensor_the_wrong_way_round(tmp_path: Path) -> None:
+    modes = true_modes(tmp_path)
+    turned = np.array(modes.shapes)
+    turned[3] *= -1
+    write_modes(tmp_path / "test.json", replace(modes, shapes=turned))
+    done = run_study(study(tmp_path, 'modes = "test.json"'), until="correlate")
+    deliver(done)
+    assert len(done.results["correlate"].initial) >= 7
+    assert f"channel {modes.channels[3]} looks reversed" in "\n".join(told(done.results))
+    sheet = list(csv.reader((tmp_path / "sensors.csv").read_text().splitlines()))
+    row = next(r for r in sheet if r[5] == modes.channels[3])
+    row[4] = "-" + row[4][1:]  # as it was mounted; its channel keeps its name
+    with (tmp_path / "sensors.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(sheet)
+    again = run_study(tmp_path / "study.toml", until="correlate").results
+    assert again["correlate"].initial.mean_mac() > 98
+    assert "looks" not in "\n".join(told(again))
+
+
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        ("", "a log, frfs or modes"),
+        ('modes = "test.json"\nfrfs = ["1.uff"]', "give one of the two"),
+        ('modes = "test.json"\nleave_out = ["5+Q"]', r"leave_out '5\+Q'"),
+        ('modes = "other.json"', r"channel 99\+X is not on the sensor sheet"),
+    ],
+)
+def test_what_does_not_fit_is_refused(tmp_path: Path, source: str, told: str) -> None:
+    modes = true_modes(tmp_path)
+    write_modes(tmp_path / "test.json", modes)
+    write_modes(tmp_path / "other.json", replace(modes, labels=("99+X", *modes.channels[1:])))
+    with pytest.raises((ConfigError, DataError), match=told):
+        run_study(study(tmp_path, source), until="identify")
+
+
+def test_a_roving_hammer_gives_the_shapes_where_it_struck(tmp_path: Path) -> None:
+    modes = true_modes(tmp_path)
+    fixed = frfs(modes, ("7+X", "7+Y"))
+    roving = replace(
+        fixed, data=fixed.data.swapaxes(1, 2), coherence=fixed.coherence.swapaxes(1, 2), averages=np.full(18, np.nan),
+        outputs=tuple(Channel(c.id, "acceleration", "m/s^2") for c in fixed.inputs),
+        inputs=tuple(Channel(c.id, "force", "N") for c in fixed.outputs),
+    )  # fmt: skip
+    one, two = (identify_hammer(x, HammerModes(fmin=1.0)) for x in (fixed, roving))
+    np.testing.assert_array_equal(one.modes.shapes, two.modes.shapes)
+    assert two.modes.channels == modes.channels
+    assert any("roving hammer: 18 points struck, 2 fixed sensors" in n for n in two.notes)
+    assert not any("roving" in n for n in one.notes)
+
+
+def test_points_with_numbers_of_their_own_are_placed_by_the_sheet(tmp_path: Path, capsys: Capture) -> None:
+    write_modes(tmp_path / "test.json", true_modes(tmp_path))
+    text = small_study.MODEL + '[test]\nsheet = "sensors.csv"\n' + small_study.candidates(small_study.TRUTH)
+    path = str(study(tmp_path, "", text))
+    deck, sheet, test = (str(tmp_path / f) for f in ("deck/frame.bdf", "sensors.csv", "test.json"))
+    assert run(["update", path, test, "--json", "-"]) == 0
+    factors = [p["factor"] for p in json.loads(capsys.readouterr().out)["parameters"]]
+    np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)  # the prior pulls
+    assert run(["correlate", test, deck, "--sensors", sheet, "--json", "-"]) == 0
+    pairs = json.loads(capsys.readouterr().out)["pairs"]
+    assert len(pairs) == 9
+    assert min(p["mac_percent"] for p in pairs) > 95
+    assert run(["correlate", test, test, "--sensors", sheet]) == 2
+    assert "--sensors is for a deck" in capsys.readouterr().err
+    assert run(["correlate", test, deck]) == 2
+    assert "give the sensor sheet" in capsys.readouterr().err
