@@ -21,6 +21,7 @@ from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.records import read_record, write_history
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
 from ringtrue.study.run import run_study
@@ -159,3 +160,16 @@ def test_points_with_numbers_of_their_own_are_placed_by_the_sheet(tmp_path: Path
     assert "--sensors is for a deck" in capsys.readouterr().err
     assert run(["correlate", test, deck]) == 2
     assert "give the sensor sheet" in capsys.readouterr().err
+
+
+def test_blows_recorded_as_text(tmp_path: Path) -> None:
+    small_study.write_study(tmp_path, ambient=False)
+    ours = run_study(tmp_path / "study.toml", until="identify").results["identify"]
+    log = json.loads((tmp_path / "data" / "campaign.json").read_text())
+    for r in log["tests"][0]["records"]:
+        history = read_record(tmp_path / "data" / r["file"])
+        r["file"] = r["file"].replace(".h5", ".csv")
+        write_history(tmp_path / "data" / r["file"], history)
+    (tmp_path / "data" / "campaign.json").write_text(json.dumps(log))
+    text = run_study(tmp_path / "study.toml", until="identify").results["identify"]
+    np.testing.assert_allclose(text.hammer.frequencies, ours.hammer.frequencies, rtol=1e-6)

@@ -162,13 +162,23 @@ def match(
         return pairs, s.merged[pairs[:, 0], pairs[:, 1]], s.groups_b
     every = np.ones(target.frequencies.size, dtype=np.bool_)
     elastic = now.frequencies > 0
-    gates = target.pairing
-    if held is not None and held.any():
-        inside = (s.merged >= gates.mac_gate) & (np.abs(s.error) <= gates.frequency_gate)
-        s = replace(s, merged=np.where(inside | held[:, None], s.merged, -1.0))
-        gates = replace(gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD)
-    rows, cols = assign(s, gates, every, elastic, locks)
+    rows, cols = assign(s, target.pairing, every, elastic, locks)
+    lost = held & ~np.isin(np.arange(every.size), rows) if held is not None else ~every
+    if held is not None and lost.any():
+        keep = held[rows]  # a mode that had no partner gives way
+        more = _held(target, s, lost, elastic & ~np.isin(np.arange(elastic.size), cols[keep]))
+        keep |= ~np.isin(cols, more[1])
+        rows, cols = np.append(rows[keep], more[0]), np.append(cols[keep], more[1])
+        order = np.argsort(rows)
+        rows, cols = rows[order], cols[order]
     return np.stack([rows, cols], axis=1), s.merged[rows, cols], s.groups_b
+
+
+def _held(target: Target, s: Scores, lost: Bool, free: Bool) -> tuple[Int, Int]:
+    """Partners of the test modes `lost` (m,) among the modes `free` (n,) of the model, inside wider gates."""
+    gates = target.pairing
+    wide = replace(gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD)
+    return assign(s, wide, lost, free)
 
 
 def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> Int:
