@@ -11,7 +11,7 @@ from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify.poles import StableDiagram
-from ringtrue.plots.style import FE, FINAL, MUTED, QUALITATIVE, TEST, axis, f32, figure, ticks
+from ringtrue.plots.style import FE, FINAL, MUTED, QUALITATIVE, TEST, axis, f32, figure, hertz, ticks
 
 # What the colours of a stabilisation diagram mean.
 POLE_COLORS = (
@@ -79,7 +79,7 @@ def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
 
 def damping(sets: list[tuple[str, ModeSet, Uncertainty | None]], used: tuple[Float, Float] | None) -> go.Figure:
     """Damping ratios over frequency with one standard deviation; `used` (f, ζ) is what the model carries."""
-    x = axis("Frequency, Hz", type="log", dtick="D2")
+    x = hertz()
     fig = figure(320, xaxis=x, yaxis=axis("Damping ratio, %", rangemode="tozero"))
     for i, (name, modes, std) in enumerate(sets):
         color = (TEST, QUALITATIVE[0])[i % 2]
@@ -111,7 +111,7 @@ def precision(modes: ModeSet, std: Float, expected: Float) -> go.Figure:
 
 def verified(rows: Sequence[Mapping[str, float]]) -> go.Figure:
     """Standard deviations of the ambient modes over frequency: planned as lines, found as marks; `rows` in percent."""
-    x = axis("Frequency, Hz", type="log", dtick="D2")
+    x = hertz()
     fig = figure(430, xaxis=x, yaxis=axis("Standard deviation, %", type="log", dtick=1))
     f = f32(np.array([r["frequency_hz"] for r in rows]))
     for name, color in (("frequency", FE), ("damping", QUALITATIVE[4])):

@@ -33,7 +33,7 @@ def regions(stage: LocaliseStage) -> go.Figure:
     names = [stage.regions[i] for i in order]
     fig = figure(
         max(220, 70 + 19 * len(order)),
-        xaxis=axis("Error in constitutive relation over strain energy, share by share", rangemode="tozero"),
+        xaxis=axis("Share of error over share of strain energy", rangemode="tozero"),
         yaxis=axis("", type="category", showgrid=False, ticks="", tickfont={"size": 11}),
     )
     marker = {"color": [color(float(value[i])) for i in order], "line": {"width": 0.5, "color": MUTED}}
