@@ -196,6 +196,12 @@ def test_the_wireframe_follows_the_mesh_and_not_the_air() -> None:
     assert lines.tolist() == [[0, 1], [1, 2], [2, 3]]
 
 
+def test_a_part_of_the_mesh_that_no_point_sits_on_has_no_lines() -> None:
+    xyz = np.array([[x, 0.0, z] for z in (0.0, 5.0) for x in (0.0, 1.0, 2.0)])
+    edges = np.array([[0, 1], [1, 2], [3, 4], [4, 5]])
+    assert wireframe(xyz, edges, np.array([0, 2])).tolist() == [[0, 1]]
+
+
 def test_the_wireframe_of_a_plate_is_its_grid() -> None:
     xyz, edges = grid(9)
     chosen = np.array([i + 9 * j for j in (0, 4, 8) for i in (0, 4, 8)])

@@ -60,7 +60,8 @@ def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6, bend:
     far, _, owner = csgraph.dijkstra(graph, directed=False, indices=c, return_predecessors=True, min_only=True)
     seat = np.full(n, -1, dtype=np.int64)
     seat[c] = np.arange(c.size)
-    a, b = (np.where(owner[edges[:, k]] >= 0, seat[owner[edges[:, k]]], -1) for k in range(2))
+    home = np.where(owner >= 0, seat[np.maximum(owner, 0)], -1)  # -1 on a part of the mesh without a point
+    a, b = home[edges].T
     touch = (a != b) & (a >= 0) & (b >= 0)
     pair = np.sort(np.stack([a, b], axis=1)[touch], axis=1)
     way = (far[edges[:, 0]] + length + far[edges[:, 1]])[touch]
