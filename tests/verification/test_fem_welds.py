@@ -12,7 +12,8 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, Shape
 from ringtrue.errors import DeckError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.elements.weld import SHEAR, on_patch
+from ringtrue.fem.elements.patch import on_patch
+from ringtrue.fem.elements.weld import SHEAR
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
 

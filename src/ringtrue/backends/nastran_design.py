@@ -36,6 +36,7 @@ _PROPERTIES = {
     "PBUSH": (*(f"{k}{i}" for k in "KB" for i in range(1, 7)), "GE", *(f"GE{i}" for i in range(2, 7))),
     "PBEND": ("A", "I1", "I2", "J", "NSM"),
     "PWELD": ("D",),
+    "PFAST": ("KT1", "KT2", "KT3", "KR1", "KR2", "KR3", "MASS"),
     "PBUSH1D": ("K", "C", "M"),
     "PGAP": ("KA", "KB", "KT"),
     "PBEAM": ("A", "I1", "I2", "I12", "J", "NSM", "AB", "I1B", "I2B", "I12B", "JB", "NSMB", "K1", "K2"),

@@ -23,6 +23,7 @@ from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.model.references import REFERENCES
 
 BOTH_ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "I12": "I12B", "J": "JB", "NSM": "NSMB"}
+FOLLOWERS = ("CFAST", "CWELD")  # they stand on the corners of shells that they do not name
 _PLY = re.compile(r"([A-Z](?:[A-Z0-9]*[A-Z])?)(\d+)")
 Factor = float | complex
 
@@ -230,7 +231,7 @@ def users_of_nodes(model: Model, nodes: Int) -> dict[str, Int]:
     found = {}
     frame = any(f"CORD1{k}" in model and _on(model[f"CORD1{k}"], nodes).any() for k in "RCS")
     for card in affected_cards(model):
-        at = np.flatnonzero(_on(model[card], nodes) | frame)
+        at = np.flatnonzero(_on(model[card], nodes) | frame | (card in FOLLOWERS))
         if at.size:
             found[card] = at
     return sharers(model, with_neighbours(model, found))

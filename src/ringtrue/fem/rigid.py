@@ -9,7 +9,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.fem.algebra import arm, rotation
 from ringtrue.fem.constraints import Equations, names, owners, rigid
-from ringtrue.fem.elements import weld
+from ringtrue.fem.elements import fast, weld
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components, segment
 from ringtrue.model.model import Table
@@ -166,22 +166,32 @@ def _interpolated(m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: Sequen
 
 
 def cweld(m: Mesh) -> Equations:
-    """GA and GB of welds on patches, which follow their patch; they may not be corners of it."""
-    t = m.model["CWELD"]
-    every = np.arange(len(t))
+    """GA and GB of welds on patches, which follow their patch."""
+    on_patch = m.model["CWELD"]["TYPE"] != "ALIGN"
+    return _piercing(m, m.model["CWELD"], weld.ends(m, "CWELD", np.arange(len(on_patch))), on_patch)
+
+
+def cfast(m: Mesh) -> Equations:
+    """GA and GB of fasteners, which follow their surface."""
+    t = m.model["CFAST"]
+    return _piercing(m, t, fast.ends(m, "CFAST", np.arange(len(t))), np.ones(len(t), dtype=bool))
+
+
+def _piercing(m: Mesh, t: Table, ends: Sequence[weld.End], on_patch: Bool) -> Equations:
+    """Nodes GA and GB that are given; one that is itself a corner is left alone."""
     made = []
-    for side, end in zip("AB", weld.ends(m, "CWELD", every), strict=True):
-        at = np.flatnonzero((t[f"G{side}"] > 0) & (t["TYPE"] != "ALIGN"))
+    for side, end in zip("AB", ends, strict=True):
+        at = np.flatnonzero((t[f"G{side}"] > 0) & on_patch)
         node = m.nodes(t[f"G{side}"][at], t, at)
         free = ~(end.nodes[at] == node[:, None]).any(axis=1)
         made.append((node[free], at[free], end.nodes[at[free]], end.follow[at[free]]))
     node, of, corners, follow = (np.concatenate(x) for x in zip(*made, strict=True))
     parts = []
-    for k in range(4):
+    for k in range(corners.shape[1]):
         there = (corners[:, k] >= 0)[:, None, None]
         corner = np.where(corners[:, k] >= 0, corners[:, k], corners[:, 0])
         parts.append((corner, np.where(there, follow[:, :, 6 * k : 6 * k + 6], 0.0)))
-    return _interpolated(m, t, node, np.ones((node.size, 6), dtype=bool), of, tuple(parts))
+    return _interpolated(m, t, node, np.ones((node.size, 6), dtype=bool), of, parts)
 
 
 RIGID: Mapping[str, Callable[[Mesh], Equations]] = {
@@ -192,4 +202,5 @@ RIGID: Mapping[str, Callable[[Mesh], Equations]] = {
     "RTRPLT1": rtrplt1,
     "RSPLINE": rspline,
     "CWELD": cweld,
+    "CFAST": cfast,
 }

@@ -15,7 +15,7 @@ from ringtrue.update.candidates import Candidate, Kind, counted, membership
 
 KIND: dict[str, Kind] = {
     **dict.fromkeys(("MAT1", "MAT2", "MAT8", "MAT9"), "material"),
-    **dict.fromkeys(("PBUSH", "PBUSH1D", "PGAP", "PELAS", "CELAS2", "CELAS4"), "spring"),
+    **dict.fromkeys(("PBUSH", "PBUSH1D", "PFAST", "PGAP", "PELAS", "CELAS2", "CELAS4"), "spring"),
     **dict.fromkeys(("CONM2", "PMASS", "CMASS2", "CMASS4"), "mass"),
 }
 MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"}

@@ -9,105 +9,15 @@ LDMAX diameters (PWELD).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.fem.algebra import arm, congruent, rotation, skew, unit
+from ringtrue.fem.algebra import arm, congruent, rotation
+from ringtrue.fem.elements.patch import SHELLS, End, merged, on_node, on_patch
 from ringtrue.fem.mesh import Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import any_triad, node_dofs
 
 SHEAR = 0.9  # shear area of a round section over its area
-SHELLS = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}
-_STEPS = 12  # Newton steps to the foot of a point on a patch; two suffice on a flat one
-_SLACK = 1e-3  # by which a foot may lie outside of its patch, in natural coordinates
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class End:
-    """One end of the welds.
-
-    Attributes
-    ----------
-    nodes : (e, 4) int64
-        Rows of GRID, -1 for none.
-    place, normal : (e, 3) float64
-    follow : (e, 6, 24) float64
-        Motion of the end by that of the nodes, in basic.
-    """
-
-    nodes: Int
-    place: Float
-    normal: Float
-    follow: Float
-
-
-def _shapes(r: Float, s: Float, triangle: Bool) -> tuple[Float, Float]:
-    """Shape functions (e, 4) and their derivatives (e, 2, 4) of quadrilaterals (-1 to 1) and triangles (0 to 1)."""
-    one, none = np.ones_like(r), np.zeros_like(r)
-    quad = np.stack([(1 - r) * (1 - s), (1 + r) * (1 - s), (1 + r) * (1 + s), (1 - r) * (1 + s)], axis=1) / 4
-    dr, ds = np.stack([s - 1, 1 - s, 1 + s, -1 - s], axis=1) / 4, np.stack([r - 1, -1 - r, 1 + r, 1 - r], axis=1) / 4
-    flat = np.stack([1 - r - s, r, s, none], axis=1)
-    slope = np.stack([np.stack([-one, one, none, none], 1), np.stack([-one, none, one, none], 1)], axis=1)
-    pick = triangle[:, None]
-    return np.where(pick, flat, quad), np.where(pick[:, None], slope, np.stack([dr, ds], axis=1))
-
-
-def _foot(x: Float, point: Float, triangle: Bool) -> tuple[Float, Float, Float, Float]:
-    """Natural coordinates (e,) of the feet of points (e, 3) on patches (e, 4, 3), with shapes and derivatives there."""
-    r = np.where(triangle, 1 / 3, 0.0)
-    s = r.copy()
-    for _ in range(_STEPS):
-        N, dN = _shapes(r, s, triangle)
-        tangent = dN @ x
-        off = point - np.einsum("ei,eij->ej", N, x)
-        metric = tangent @ tangent.swapaxes(1, 2)
-        step = np.linalg.solve(metric, np.einsum("ekj,ej->ek", tangent, off)[..., None])[..., 0]
-        r, s = r + step[:, 0], s + step[:, 1]
-    return r, s, *_shapes(r, s, triangle)
-
-
-def on_patch(m: Mesh, card: str, at: Int, nodes: Int, point: Float) -> End:
-    """Ends on patches of corner nodes (e, 4), the fourth -1 for triangles, at the feet of points (e, 3)."""
-    t = m.model[card]
-    triangle = nodes[:, 3] < 0
-    x = m.xyz[nodes]
-    x[triangle, 3] = 0.0
-    area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    if (flat := (area == 0).all(axis=1)).any():
-        raise error(m.model, t, int(at[flat][0]), "the corners of a patch lie on one line")
-    r, s, N, dN = _foot(x, point, triangle)
-    outside = np.where(triangle, np.minimum(np.minimum(r, s), 1 - r - s), 1 - np.maximum(np.abs(r), np.abs(s)))
-    if (outside < -_SLACK).any():
-        raise error(m.model, t, int(at[outside < -_SLACK][0]), "the foot of its point lies outside of a patch")
-    tangent = dN @ x
-    n = unit(np.cross(tangent[:, 0], tangent[:, 1]))
-    g = np.linalg.solve(tangent @ tangent.swapaxes(1, 2), dN).swapaxes(1, 2) @ tangent
-    turn = np.einsum("eni,ej->enij", np.cross(g, n[:, None]), n)
-    turn += 0.5 * np.einsum("ei,ek,enkj->enij", n, n, skew(g))
-    follow = np.zeros((at.size, 6, 4, 6))
-    follow[:, :3, :, :3] = np.einsum("en,ij->einj", N, np.eye(3))
-    follow[:, 3:, :, :3] = turn.swapaxes(1, 2)
-    return End(nodes, np.einsum("ei,eij->ej", N, x), n, follow.reshape(-1, 6, 24))
-
-
-def on_node(m: Mesh, node: Int) -> End:
-    """Ends that are nodes (e,)."""
-    nodes = np.full((node.size, 4), -1)
-    nodes[:, 0] = node
-    follow = np.zeros((node.size, 6, 24))
-    follow[:, :, :6] = np.eye(6)
-    return End(nodes, m.xyz[node], np.tile([0.0, 0.0, 1.0], (node.size, 1)), follow)
-
-
-def _merged(size: int, parts: list[tuple[Int, End]]) -> End:
-    names = ("nodes", "place", "normal", "follow")
-    out = {n: np.zeros((size, *getattr(parts[0][1], n).shape[1:]), dtype=getattr(parts[0][1], n).dtype) for n in names}
-    for rows, part in parts:
-        for n in names:
-            out[n][rows] = getattr(part, n)
-    return End(**out)
 
 
 def patches(m: Mesh, card: str, at: Int, side: str) -> tuple[Int, Bool]:
@@ -150,7 +60,7 @@ def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
         p = np.flatnonzero(there)
         q = np.flatnonzero(~there)
         parts = [(p, on_patch(m, card, at[p], corners[p], m.xyz[node[p]]))] if p.size else []
-        made.append(_merged(at.size, [*parts, *([(q, on_node(m, node[q]))] if q.size else [])]))
+        made.append(merged(at.size, [*parts, *([(q, on_node(m, node[q]))] if q.size else [])]))
     return made[0], made[1]
 
 
@@ -162,6 +72,20 @@ def springs(L: Float, D: Any_, E: Any_, G: Any_, least: Float, most: Float) -> A
     across = 1 / (length / (SHEAR * G * area) + L**2 * length / (12 * E * second))
     bending = E * second / length
     return np.stack([E * area / length, across, across, 2 * G * second / length, bending, bending], axis=1)
+
+
+def assembled(a: End, b: End, K: Any_, half: Any_, loss: Any_) -> Matrices:
+    """Matrices by stiffness (e, d, d) and half the mass (e,), at each end."""
+    d = K.shape[1]
+    M = np.zeros((len(K), d, d), dtype=half.dtype)
+    first = 0
+    for end in (a, b):
+        shift, size = end.follow[:, :3], end.follow.shape[2]
+        M[:, first : first + size, first : first + size] = half[:, None, None] * (shift.swapaxes(1, 2) @ shift)
+        first += size
+    nodes = np.concatenate([a.nodes, b.nodes], axis=1)
+    dofs = np.where(np.repeat(nodes, 6, axis=1) >= 0, node_dofs(nodes), -1)
+    return Matrices(dofs, K, M, loss, np.empty((0, d, d)))
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
@@ -187,11 +111,5 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     move = [local @ arm(middle - end.place) @ end.follow for end in (a, b)]
     k = springs(L, D, iso.E, iso.G, p["LDMIN"][row], p["LDMAX"][row])
     K = congruent(np.concatenate([-move[0], move[1]], axis=2), k[:, :, None] * np.eye(6))
-    half = (iso.rho * np.pi / 8 * D**2 * L)[:, None, None]
-    M = np.zeros((at.size, 48, 48), dtype=half.dtype)
-    for i, end in enumerate((a, b)):
-        shift = end.follow[:, :3]
-        M[:, 24 * i : 24 * i + 24, 24 * i : 24 * i + 24] = half * (shift.swapaxes(1, 2) @ shift)
-    nodes = np.concatenate([a.nodes, b.nodes], axis=1)
-    dofs = np.where(np.repeat(nodes, 6, axis=1) >= 0, node_dofs(nodes), -1)
-    return Matrices(dofs, K, M, iso.loss, np.empty((0, 48, 48)))
+    half = iso.rho * np.pi / 8 * D**2 * L
+    return assembled(a, b, K, half, iso.loss)

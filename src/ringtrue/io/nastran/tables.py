@@ -20,7 +20,20 @@ _KINDS = {"i": "an integer", "f": "a real"}
 _OWN_PROPERTY = frozenset(  # a blank PID is the element's own number
     (
         *("CROD", "CTUBE", "CBAR", "CBEAM", "CVISC", "CBUSH", "CTRIA3", "CQUAD4", "CTRIAR", "CQUADR", "CTRIA6"),
-        *("CQUAD8", "CELAS1", "CELAS3", "CMASS1", "CMASS3", "CDAMP1", "CDAMP3", "CSHEAR", "CBUSH1D", "CGAP", "CBEND"),
+        *(
+            "CQUAD8",
+            "CELAS1",
+            "CELAS3",
+            "CMASS1",
+            "CMASS3",
+            "CDAMP1",
+            "CDAMP3",
+            "CSHEAR",
+            "CBUSH1D",
+            "CGAP",
+            "CBEND",
+            "CFAST",
+        ),
     )
 )
 

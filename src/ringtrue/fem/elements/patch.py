@@ -1,0 +1,196 @@
+"""Ends of welds and fasteners: at a node, on the patch of one shell, or on a square over several shells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.fem.algebra import skew, unit
+from ringtrue.fem.mesh import Mesh, error
+from ringtrue.fem.place import any_triad
+from ringtrue.model.model import Table
+
+SHELLS = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}
+_STEPS = 12  # Newton steps to the foot of a point on a patch; two suffice on a flat one
+_SLACK = 0.02  # by which a foot may lie outside of its patch, in natural coordinates (SWLDPRM, PROJTOL)
+_FAR = 5.0  # natural coordinates beyond which a foot is not followed
+_NEAREST = 16  # shells that are tried, by the distance of their centres
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class End:
+    """One end of the welds.
+
+    Attributes
+    ----------
+    nodes : (e, k) int64
+        Rows of GRID, -1 for none.
+    place, normal : (e, 3) float64
+    follow : (e, 6, 6k) float64
+        Motion of the end by that of the nodes, in basic.
+    """
+
+    nodes: Int
+    place: Float
+    normal: Float
+    follow: Float
+
+
+def _shapes(r: Float, s: Float, triangle: Bool) -> tuple[Float, Float]:
+    """Shape functions (e, 4) and their derivatives (e, 2, 4) of quadrilaterals (-1 to 1) and triangles (0 to 1)."""
+    one, none = np.ones_like(r), np.zeros_like(r)
+    quad = np.stack([(1 - r) * (1 - s), (1 + r) * (1 - s), (1 + r) * (1 + s), (1 - r) * (1 + s)], axis=1) / 4
+    dr, ds = np.stack([s - 1, 1 - s, 1 + s, -1 - s], axis=1) / 4, np.stack([r - 1, -1 - r, 1 + r, 1 - r], axis=1) / 4
+    flat = np.stack([1 - r - s, r, s, none], axis=1)
+    slope = np.stack([np.stack([-one, one, none, none], 1), np.stack([-one, none, one, none], 1)], axis=1)
+    pick = triangle[:, None]
+    return np.where(pick, flat, quad), np.where(pick[:, None], slope, np.stack([dr, ds], axis=1))
+
+
+def _foot(x: Float, point: Float, triangle: Bool) -> tuple[Float, Float, Float, Float]:
+    """Natural coordinates (e,) of the feet of points (e, 3) on patches (e, 4, 3), with shapes and derivatives there."""
+    r = np.where(triangle, 1 / 3, 0.0)
+    s = r.copy()
+    for _ in range(_STEPS):
+        N, dN = _shapes(r, s, triangle)
+        tangent = dN @ x
+        off = point - np.einsum("ei,eij->ej", N, x)
+        metric = tangent @ tangent.swapaxes(1, 2)
+        metric += 1e-14 * np.trace(metric, axis1=1, axis2=2)[:, None, None] * np.eye(2)  # a collapsed shell near by
+        step = np.linalg.solve(metric, np.einsum("ekj,ej->ek", tangent, off)[..., None])[..., 0]
+        r, s = (np.clip(x_ + step[:, i], -_FAR, _FAR) for i, x_ in enumerate((r, s)))
+    return r, s, *_shapes(r, s, triangle)
+
+
+def _margin(r: Float, s: Float, triangle: Bool) -> Float:
+    """How far inside of its patch a place is, (e,), in natural coordinates; negative outside."""
+    return np.where(triangle, np.minimum(np.minimum(r, s), 1 - r - s), 1 - np.maximum(np.abs(r), np.abs(s)))
+
+
+def on_patch(m: Mesh, card: str, at: Int, nodes: Int, point: Float) -> End:
+    """Ends on patches of corner nodes (e, 4), the fourth -1 for triangles, at the feet of points (e, 3)."""
+    t = m.model[card]
+    triangle = nodes[:, 3] < 0
+    x = m.xyz[nodes]
+    x[triangle, 3] = 0.0
+    area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    if (flat := (area == 0).all(axis=1)).any():
+        raise error(m.model, t, int(at[flat][0]), "the corners of a patch lie on one line")
+    r, s, N, dN = _foot(x, point, triangle)
+    if (outside := _margin(r, s, triangle) < -_SLACK).any():
+        raise error(m.model, t, int(at[outside][0]), "the foot of its point lies outside of a patch")
+    tangent = dN @ x
+    n = unit(np.cross(tangent[:, 0], tangent[:, 1]))
+    g = np.linalg.solve(tangent @ tangent.swapaxes(1, 2), dN).swapaxes(1, 2) @ tangent
+    turn = np.einsum("eni,ej->enij", np.cross(g, n[:, None]), n)
+    turn += 0.5 * np.einsum("ei,ek,enkj->enij", n, n, skew(g))
+    follow = np.zeros((at.size, 6, 4, 6))
+    follow[:, :3, :, :3] = np.einsum("en,ij->einj", N, np.eye(3))
+    follow[:, 3:, :, :3] = turn.swapaxes(1, 2)
+    return End(nodes, np.einsum("ei,eij->ej", N, x), n, follow.reshape(-1, 6, 24))
+
+
+def on_node(m: Mesh, node: Int) -> End:
+    """Ends that are nodes (e,)."""
+    nodes = np.full((node.size, 4), -1)
+    nodes[:, 0] = node
+    follow = np.zeros((node.size, 6, 24))
+    follow[:, :, :6] = np.eye(6)
+    return End(nodes, m.xyz[node], np.tile([0.0, 0.0, 1.0], (node.size, 1)), follow)
+
+
+def merged(size: int, parts: list[tuple[Int, End]]) -> End:
+    """Ends (size,) from those of some rows each."""
+    k = max(part.nodes.shape[1] for _, part in parts)
+    out = End(np.full((size, k), -1), np.zeros((size, 3)), np.zeros((size, 3)), np.zeros((size, 6, 6 * k)))
+    for rows, part in parts:
+        own = part.nodes.shape[1]
+        out.nodes[rows, :own], out.follow[rows, :, : 6 * own] = part.nodes, part.follow
+        out.place[rows], out.normal[rows] = part.place, part.normal
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """All shells of the model: ids, properties (s,), and corner nodes (s, 4), -1 for none."""
+
+    ids: Int
+    pid: Int
+    corners: Int
+
+    @classmethod
+    def of(cls, m: Mesh) -> Skin:
+        ids, pids, corners = (
+            [np.zeros(0, dtype=np.int64)],
+            [np.zeros(0, dtype=np.int64)],
+            [np.zeros((0, 4), dtype=np.int64)],
+        )
+        for card, count in SHELLS.items():
+            if card in m.model:
+                t = m.model[card]
+                rows = np.full((len(t), 4), -1)
+                rows[:, :count] = m.nodes(t.stack(*(f"G{i}" for i in range(1, count + 1))), t, np.arange(len(t)))
+                ids.append(t.ids)
+                pids.append(t["PID"])
+                corners.append(rows)
+        return cls(np.concatenate(ids), np.concatenate(pids), np.concatenate(corners))
+
+    def nearest(self, m: Mesh, pid: Int, point: Float) -> Int:
+        """The shell (e,) of the property `pid` (e,) on which the foot of a point (e, 3) is nearest, -1 for none."""
+        out = np.full(pid.size, -1)
+        for one in np.unique(pid).tolist():
+            mine, rows = np.flatnonzero(self.pid == one), np.flatnonzero(pid == one)
+            if mine.size:
+                out[rows] = self._among(m, mine, point[rows])
+        return out
+
+    def _among(self, m: Mesh, mine: Int, point: Float) -> Int:
+        count = (self.corners[mine] >= 0).sum(axis=1)
+        there = (self.corners[mine] >= 0)[:, :, None]
+        centre = np.where(there, m.xyz[self.corners[mine]], 0.0).sum(axis=1) / count[:, None]
+        k = min(_NEAREST, mine.size)
+        found = mine[cKDTree(centre).query(point, k)[1].reshape(-1, k)]
+        corners, triangle = self.corners[found].reshape(-1, 4), self.corners[found].reshape(-1, 4)[:, 3] < 0
+        x = m.xyz[corners]
+        x[triangle, 3] = 0.0
+        every = np.repeat(point, k, axis=0)
+        r, s, N, _ = _foot(x, every, triangle)
+        away = np.linalg.norm(np.einsum("ei,eij->ej", N, x) - every, axis=1)
+        away = np.where(_margin(r, s, triangle) >= -_SLACK, away, np.inf).reshape(-1, k)
+        best = away.argmin(axis=1)
+        row = np.arange(len(point))
+        return np.asarray(np.where(np.isfinite(away[row, best]), found[row, best], -1))
+
+
+def on_square(m: Mesh, t: Table, at: Int, skin: Skin, pid: Int, point: Float, diameter: Float) -> End:
+    """Ends on shells of a property: the mean motion of the corners of a square as large as the circle (e,).
+
+    The corners follow the shells that they stand on; the end follows them as an RBE3 of equal weights does (MSC Nastran
+    Quick Reference Guide, CWELD PARTPAT and CFAST).
+    """
+    shell = skin.nearest(m, pid, point)
+    if (bad := shell < 0).any():
+        raise error(m.model, t, int(at[bad][0]), f"its point has no foot on the shells of property {pid[bad][0]}")
+    centre = on_patch(m, t.card, at, skin.corners[shell], point)
+    axes = any_triad(centre.normal)[:, 1:]
+    side = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corner = centre.place[:, None] + (np.sqrt(np.pi) / 4 * diameter)[:, None, None] * (side @ axes)
+    flat = corner.reshape(-1, 3)
+    under = skin.nearest(m, np.repeat(pid, 4), flat)
+    if (bad := under < 0).any():
+        why = f"D is too large: its square leaves the shells of property {np.repeat(pid, 4)[bad][0]}"
+        raise error(m.model, t, int(np.repeat(at, 4)[bad][0]), why)
+    feet = on_patch(m, t.card, np.repeat(at, 4), skin.corners[under], flat)
+    S = np.zeros((at.size, 4, 3, 6))
+    S[..., :3] = np.eye(3)
+    S[..., 3:] = -skew(feet.place.reshape(-1, 4, 3) - centre.place[:, None])
+    flatter = S.reshape(-1, 12, 6)
+    size = np.concatenate([np.ones((at.size, 3)), np.repeat(diameter[:, None], 3, axis=1)], axis=1)
+    scaled = flatter / size[:, None]  # turns in units of a diameter
+    mean = np.linalg.solve(scaled.swapaxes(1, 2) @ scaled, scaled.swapaxes(1, 2)) / size[:, :, None]
+    shift = feet.follow[:, :3].reshape(-1, 4, 3, 24)
+    follow = np.einsum("eijk,ejkl->eijl", mean.reshape(-1, 6, 4, 3), shift).reshape(-1, 6, 96)
+    return End(feet.nodes.reshape(-1, 16), centre.place, centre.normal, follow)
