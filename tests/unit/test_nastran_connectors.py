@@ -49,6 +49,18 @@ CWELD,94,95,5,GRIDID,,,QT
 ,1,2,3,4,,,,,
 ,5,6,3
 CWELD,96,95,,ALIGN,5,6
+CWELD,98,95,,PARTPAT
+,101,101
+,.5,.5,0.
+CWELD,99,95,1,ELPAT
+,100,100
+CFAST,120,121,PROP,101,101,,,
+,.5,.5,0.
+CFAST,122,121,ELEM,100,100,1
+PFAST,121,.02,20,1,1.+3,2.+3,3.+3
+,,,.5,.01
+CORD2R,20,,0.,0.,0.,0.,0.,1.
+,1.,0.,0.
 CWELD,97,95,1,ELEMID
 ,100,100
 PWELD,95,1,.02,,,OFF
@@ -89,11 +101,17 @@ def test_reading(tmp_path: Path) -> None:
     ]
     assert m["CBEND"].stack("G0", "X2", "GEOM").tolist() == [[0, 1, 3], [6, 0, 4]]
     w = m["CWELD"]
-    assert w.stack("GA1", "GA4", "GB1", "GB3", "GB4", "GA", "SHIDB").tolist() == [
-        [1, 4, 5, 3, 0, 0, 0],
-        [0, 0, 0, 0, 0, 5, 0],
-        [0, 0, 0, 0, 0, 0, 100],
+    assert w["TYPE"].tolist() == ["GRIDID", "ALIGN", "PARTPAT", "ELPAT", "ELEMID"]
+    assert w.stack("GA1", "GA4", "GB1", "GB3", "GB4", "GA", "SHIDB", "PIDA").tolist() == [
+        [1, 4, 5, 3, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 5, 0, 0],
+        [0, 0, 0, 0, 0, 0, 0, 101],
+        [0, 0, 0, 0, 0, 0, 100, 0],
+        [0, 0, 0, 0, 0, 0, 100, 0],
     ]
+    assert w["YS"][2] == m["CFAST"]["YS"][0] == 0.5
+    assert m["CFAST"]["TYPE"].tolist() == ["PROP", "ELEM"]
+    assert [m["PFAST"][c][0] for c in ("D", "MCID", "MFLAG", "KT3", "MASS", "GE")] == [0.02, 20, 1, 3000, 0.5, 0.01]
     assert [m["PWELD"][c][0] for c in ("D", "MSET", "LDMIN", "LDMAX")] == [0.02, "OFF", 0.1, 5.0]
     t = m["GENEL"]
     assert t["FORM"].tolist() == ["Z", "K"]
@@ -161,6 +179,6 @@ def test_pipes_with_flexibility_factors_stop(tmp_path: Path, pipe: str) -> None:
         read(tmp_path, NODES + pipe + "\n")
 
 
-def test_patches_of_several_shells_stop(tmp_path: Path) -> None:
-    with pytest.raises(UnsupportedCard, match=r"main.bdf:10: CWELD is not supported: type PARTPAT; allowed are GRIDID"):
-        read(tmp_path, NODES + "CWELD,1,2,,PARTPAT\n,3,4\n,5.,5.,0.\n")
+def test_other_welds_stop(tmp_path: Path) -> None:
+    with pytest.raises(UnsupportedCard, match=r"main.bdf:10: CWELD is not supported: type ALL; allowed are GRIDID"):
+        read(tmp_path, NODES + "CWELD,1,2,,ALL\n,3,4\n,5.,5.,0.\n")

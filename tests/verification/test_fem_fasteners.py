@@ -38,7 +38,7 @@ def fast(xyz: Float | None = None, p: dict[str, float] | None = None, **more: ob
     )
     line = cards("CFAST", EID=[90], PID=5, **({"TYPE": "PROP", "IDA": 1, "IDB": 2, "GS": len(sheets()[0])} | more))
     k = {f"KT{i + 1}": v for i, v in enumerate(KT)} | {f"KR{i + 1}": v for i, v in enumerate(KR)}
-    table = cards("PFAST", PID=[5], **(k | {"D": 0.3, "MASS": 2.0, "GE": 0.05} | (p or {})))
+    table = cards("PFAST", PID=[5], **(k | {"D": 0.6, "MASS": 2.0, "GE": 0.05} | (p or {})))
     # the sheets themselves carry nothing: their material is soft
     skin = cards("PSHELL", PID=[1, 2], MID1=9, T=1e-9)
     return model(grid(x), shells, skin, cards("MAT1", MID=[9], E=1e-3, NU=0.3), line, table, AUTOSPC="NO")
@@ -123,3 +123,28 @@ def test_derivatives(p: Parameter) -> None:
 def test_wrong_cards_are_named(p: dict[str, float], more: dict[str, object], message: str) -> None:
     with pytest.raises(DeckError, match=message):
         assemble(fast(p=p, **more))
+
+
+@pytest.mark.parametrize("way", [{"TYPE": "PARTPAT", "PIDA": 1, "PIDB": 2}, {"TYPE": "ELPAT", "SHIDA": 4, "SHIDB": 14}])
+def test_welds_over_several_shells(way: dict[str, object]) -> None:
+    """The same squares with the beam of a weld between, beside one that joins two nodes."""
+    m = fast()
+    line = cards(
+        "CWELD",
+        EID=[90, 91],
+        PID=7,
+        **{k: [v, "ALIGN"] if k == "TYPE" else [v, 0] for k, v in way.items()},
+        GS=[33, 0],
+        GA=[0, 1],
+        GB=[0, 2],
+    )
+    tables = {c: t for c, t in m.tables.items() if c not in ("CFAST", "PFAST", "MAT1")}
+    mats = cards("MAT1", MID=[9, 1], E=[1e-3, 2e11], NU=0.3, RHO=[0, 8000.0])
+    welds = Model({**tables, "CWELD": line, "PWELD": cards("PWELD", PID=[7], MID=1, D=0.6), "MAT1": mats}, m.params)
+    s = assemble(welds)
+    assert abs(s.stiffness @ s.rigid_body()).max() < 1e-8 * abs(s.stiffness).max()
+    lift = np.zeros((len(s.xyz), 6))
+    lift[16:32, 2] = 1.0
+    area = np.pi / 4 * 0.6**2
+    assert lift.ravel() @ s.stiffness @ lift.ravel() == pytest.approx(2e11 * area / (0.2 * 0.6))
+    check_slopes(welds, parameter(("PWELD", 7, "D")))

@@ -27,6 +27,7 @@ CENTRAL = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))  # eighth order
 SPAN = 512  # elements of a chunk, whose matrices stay in the cache
 _NONE = np.empty((0, 0, 0))
 _PLACES = frozenset(["X1", "X2", "X3", "W1A", "W2A", "W3A", "W1B", "W2B", "W3B"])
+_SIZES = frozenset([("PFAST", "D"), ("PWELD", "D")])  # of the square that finds the shells which carry an end
 _SECTION_PLACES = frozenset(["CONM2", "CONM1"])  # X1-X3 there are an arm, generic in dtype
 
 
@@ -71,7 +72,7 @@ def is_place(target: Target) -> bool:
 
 def moves_nodes(target: Target) -> bool:
     """Whether nodes, rigid elements and displacement frames may move with a field."""
-    return target.card == "GRID" or target.card.startswith("CORD")
+    return target.card == "GRID" or target.card.startswith("CORD") or (target.card, target.field) in _SIZES
 
 
 def element_slopes(model: Model, parameters: Sequence[Parameter]) -> Iterator[ElementSlopes]:

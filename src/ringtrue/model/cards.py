@@ -101,8 +101,9 @@ SPECIAL = {
     "RBE1": "EID *GN *CN:s *GM *CM:s",  # independent pairs share the offsets of GN, dependent ones (UM) those of GM
     # FSI 0: A, I1, I2, J, K1, K2, DELTAN; else the pipe of RM and T
     "PBEND": "PID MID FSI A:f I1:f I2:f J:f RM:f T:f P:f RB:f THETAB:f K1:f K2:f NSM:f RC:f ZC:f DELTAN:f=nan",
-    # TYPE GRIDID (corners GA1.., GB1..), ELEMID (SHIDA, SHIDB) or ALIGN (GA, GB)
-    "CWELD": "EID PID GS TYPE:s GA GB SPTYP:s GA1 GA2 GA3 GA4 GB1 GB2 GB3 GB4 SHIDA SHIDB",
+    # TYPE GRIDID (corners GA1.., GB1..), ELEMID or ELPAT (SHIDA, SHIDB), PARTPAT (PIDA, PIDB) or ALIGN (GA, GB)
+    "CWELD": "EID PID GS TYPE:s GA GB SPTYP:s GA1 GA2 GA3 GA4 GB1 GB2 GB3 GB4 SHIDA SHIDB PIDA PIDB "
+    "XS:f=nan YS:f=nan ZS:f=nan",
     "GENEL": "EID FORM:s *UI *CI *UD *CD *KZ:f *S:f",  # FORM K or Z; KZ by columns of the lower triangle, S by rows
     "RSPLINE": "EID DL:f=0.1 *G *C:s",  # one entry a node; without components it is independent
     "RBE3": "EID REFGRID REFC:s *G *C:s *WT:f *GM *CM:s",  # one entry of G an independent node; GM those of UM

@@ -6,11 +6,10 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.fem.algebra import arm, congruent, rotation, unit
-from ringtrue.fem.elements.patch import End, Skin, on_square
+from ringtrue.fem.elements.patch import End, Skin, on_square, place, surface
 from ringtrue.fem.elements.weld import assembled
 from ringtrue.fem.mesh import Matrices, Mesh, error, lookup
 from ringtrue.fem.place import frame
-from ringtrue.model.model import Table
 
 _STIFFNESS = ("KT1", "KT2", "KT3", "KR1", "KR2", "KR3")
 
@@ -23,30 +22,6 @@ def _axes(axis: Float) -> Float:
     b = np.eye(3)[np.round(np.abs(axis), 6).argmin(axis=1)]
     y = unit(b - np.einsum("ei,ei->e", b, axis)[:, None] * axis)
     return np.stack([axis, y, np.cross(axis, y)], axis=1)
-
-
-def place(m: Mesh, t: Table, at: Int, side: str) -> Float:
-    """The point (e, 3) whose foot is end A or B: GA or GB, else GS, else XS, YS, ZS."""
-    own = t[f"G{side}"][at]
-    own = np.where(own > 0, own, t["GS"][at])
-    out = t.stack("XS", "YS", "ZS")[at]
-    if (bare := (own == 0) & np.isnan(out).any(axis=1)).any():
-        raise error(m.model, t, int(at[bare][0]), f"GS, G{side} or XS, YS and ZS must say where it is")
-    used = own > 0
-    out[used] = m.xyz[m.nodes(own[used], t, at[used])]
-    return out
-
-
-def surface(m: Mesh, t: Table, at: Int, skin: Skin, ids: Int, by_shell: bool) -> Int:
-    """Properties (e,) of the shells that hold an end: themselves, or that of one shell."""
-    if not by_shell:
-        return ids
-    order = np.argsort(skin.ids, kind="stable")
-    found = np.searchsorted(skin.ids[order], ids).clip(max=max(skin.ids.size - 1, 0))
-    row = order[found] if skin.ids.size else np.full(ids.shape, -1)
-    if (lost := (row < 0) | (skin.ids[row] != ids) if skin.ids.size else np.ones(ids.shape, dtype=bool)).any():
-        raise error(m.model, t, int(at[lost][0]), f"{ids[lost][0]} is no shell with three or four corners")
-    return np.asarray(skin.pid[row])
 
 
 def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
@@ -62,7 +37,7 @@ def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
         ids = t[f"ID{side}"][at]
         pid = ids.copy()
         shell = kind == "ELEM"
-        pid[shell] = surface(m, t, at[shell], skin, ids[shell], by_shell=True)
+        pid[shell] = surface(m, t, at[shell], skin, ids[shell])
         made.append(on_square(m, t, at, skin, pid, place(m, t, at, side), D))
     return made[0], made[1]
 

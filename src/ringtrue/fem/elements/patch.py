@@ -165,6 +165,28 @@ class Skin:
         return np.asarray(np.where(np.isfinite(away[row, best]), found[row, best], -1))
 
 
+def place(m: Mesh, t: Table, at: Int, side: str) -> Float:
+    """The point (e, 3) whose foot is end A or B: GA or GB, else GS, else XS, YS, ZS."""
+    own = t[f"G{side}"][at]
+    own = np.where(own > 0, own, t["GS"][at])
+    out = t.stack("XS", "YS", "ZS")[at]
+    if (bare := (own == 0) & np.isnan(out).any(axis=1)).any():
+        raise error(m.model, t, int(at[bare][0]), f"GS, G{side} or XS, YS and ZS must say where it is")
+    used = own > 0
+    out[used] = m.xyz[m.nodes(own[used], t, at[used])]
+    return out
+
+
+def surface(m: Mesh, t: Table, at: Int, skin: Skin, ids: Int) -> Int:
+    """Properties (e,) of shells `ids` (e,)."""
+    order = np.argsort(skin.ids, kind="stable")
+    found = np.searchsorted(skin.ids[order], ids).clip(max=max(skin.ids.size - 1, 0))
+    row = order[found] if skin.ids.size else np.full(ids.shape, -1)
+    if (lost := (row < 0) | (skin.ids[row] != ids) if skin.ids.size else np.ones(ids.shape, dtype=bool)).any():
+        raise error(m.model, t, int(at[lost][0]), f"{ids[lost][0]} is no shell with three or four corners")
+    return np.asarray(skin.pid[row])
+
+
 def on_square(m: Mesh, t: Table, at: Int, skin: Skin, pid: Int, point: Float, diameter: Float) -> End:
     """Ends on shells of a property: the mean motion of the corners of a square as large as the circle (e,).
 

@@ -1,4 +1,4 @@
-"""CWELD: a short round beam between two shell patches, between a patch and a node, or between two nodes.
+"""CWELD: a short round beam between two patches or surfaces of shells, a patch and a node, or two nodes.
 
 The end on a patch follows its corners: u = Σ N u_I, and the rotation is that of the surface, θ = Σ (∇N × n)(n·u_I) +
 n (n·(∇N × u_I))/2 (MSC Nastran Linear Static Analysis User's Guide, connector elements: Kirchhoff shell, only the
@@ -13,10 +13,11 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.algebra import arm, congruent, rotation
-from ringtrue.fem.elements.patch import SHELLS, End, merged, on_node, on_patch
+from ringtrue.fem.elements.patch import SHELLS, End, Skin, merged, on_node, on_patch, on_square, place, surface
 from ringtrue.fem.mesh import Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import any_triad, node_dofs
 
+WIDE = ("PARTPAT", "ELPAT")
 SHEAR = 0.9  # shear area of a round section over its area
 
 
@@ -42,9 +43,30 @@ def patches(m: Mesh, card: str, at: Int, side: str) -> tuple[Int, Bool]:
     return out, there
 
 
+def _wide(m: Mesh, card: str, at: Int) -> tuple[End, End]:
+    """Ends on surfaces of several shells, of a property (PARTPAT) or that of a shell (ELPAT)."""
+    t, skin = m.model[card], Skin.of(m)
+    D = m.model["PWELD"]["D"][lookup(m.model, "PWELD", t["PID"][at], t, at)].real
+    by_shell = t["TYPE"][at] == "ELPAT"
+    made = []
+    for side in "AB":
+        pid = t[f"PID{side}"][at].copy()
+        pid[by_shell] = surface(m, t, at[by_shell], skin, t[f"SHID{side}"][at[by_shell]])
+        made.append(on_square(m, t, at, skin, pid, place(m, t, at, side), D))
+    return made[0], made[1]
+
+
 def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
-    """Both ends of the rows `at` (e,): on a patch below GS (or GA, GB), else at GS; by ALIGN at GA and GB."""
+    """Both ends of the rows `at` (e,): on a patch below GS (or GA, GB), else at GS; by ALIGN at GA and GB.
+
+    PARTPAT and ELPAT take squares over several shells.
+    """
     t = m.model[card]
+    wide = np.isin(t["TYPE"][at], WIDE)
+    if wide.any():
+        parts = [(np.flatnonzero(wide), _wide(m, card, at[wide]))]
+        parts += [(np.flatnonzero(~wide), ends(m, card, at[~wide]))] if not wide.all() else []
+        return merged(at.size, [(r, p[0]) for r, p in parts]), merged(at.size, [(r, p[1]) for r, p in parts])
     align = t["TYPE"][at] == "ALIGN"
     made = []
     for side in "AB":
@@ -99,6 +121,8 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     t = m.model[card]
     row = lookup(m.model, "PWELD", t["PID"][at], t, at)
     p = m.model["PWELD"]
+    if (spot := p["TYPE"][row] == "SPOT").any():
+        raise error(m.model, p, int(row[spot][0]), "TYPE = SPOT is not supported; leave it blank and give LDMIN, LDMAX")
     iso, D = isotropic(m.model, p["MID"][row], p, row), p["D"][row]
     if (bad := (np.real(D) <= 0) | (np.real(iso.G) == 0)).any():
         raise error(m.model, p, int(row[bad][0]), "D must be greater than 0, and its MAT1 have a shear modulus")
