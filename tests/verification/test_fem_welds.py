@@ -26,7 +26,7 @@ XYZ = np.vstack([LOW, HIGH, [[0.05, 0.04, 0.012]], [[0.05, 0.04, 0], [0.05, 0.04
 CORNERS = {f"GA{i}": i for i in range(1, 5)} | {f"GB{i}": i + 4 for i in range(1, 4)}
 
 
-def weld(xyz: Float = XYZ, p: dict[str, float] | None = None, **more: object) -> Model:
+def weld(xyz: Float = XYZ, p: dict[str, object] | None = None, **more: object) -> Model:
     line = cards("CWELD", EID=[3], PID=5, **({"GS": 8, "TYPE": "GRIDID", **CORNERS} | more))
     return model(grid(xyz), line, cards("PWELD", PID=[5], MID=1, D=D, **(p or {})), steel(E, NU, GE=0.02), AUTOSPC="NO")
 
@@ -139,3 +139,8 @@ def test_wrong_welds_are_named() -> None:
         assemble(weld(GS=0))
     with pytest.raises(DeckError, match=r"CWELD 3.*neither a patch nor a node"):
         assemble(weld(TYPE="ALIGN", GS=0, **dict.fromkeys(CORNERS, 0)))
+
+
+def test_spot_stops() -> None:
+    with pytest.raises(DeckError, match=r"PWELD 5.*TYPE = SPOT is not supported"):
+        assemble(weld(p={"TYPE": "SPOT"}))

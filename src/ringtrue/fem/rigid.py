@@ -1,4 +1,4 @@
-"""Rigid elements of few nodes: RROD, RBAR1, RJOINT, RTRPLT, RTRPLT1; and RSPLINE, which interpolates between two."""
+"""Rigid elements of few nodes, RSPLINE, and the nodes that pierce the patches of welds and fasteners."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.fem.algebra import arm, rotation
 from ringtrue.fem.constraints import Equations, names, owners, rigid
 from ringtrue.fem.elements import fast, weld
+from ringtrue.fem.elements.patch import End
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components, segment
 from ringtrue.model.model import Table
@@ -177,7 +178,7 @@ def cfast(m: Mesh) -> Equations:
     return _piercing(m, t, fast.ends(m, "CFAST", np.arange(len(t))), np.ones(len(t), dtype=bool))
 
 
-def _piercing(m: Mesh, t: Table, ends: Sequence[weld.End], on_patch: Bool) -> Equations:
+def _piercing(m: Mesh, t: Table, ends: Sequence[End], on_patch: Bool) -> Equations:
     """Nodes GA and GB that are given; one that is itself a corner is left alone."""
     made = []
     for side, end in zip("AB", ends, strict=True):

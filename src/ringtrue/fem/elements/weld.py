@@ -64,9 +64,9 @@ def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
     t = m.model[card]
     wide = np.isin(t["TYPE"][at], WIDE)
     if wide.any():
-        parts = [(np.flatnonzero(wide), _wide(m, card, at[wide]))]
-        parts += [(np.flatnonzero(~wide), ends(m, card, at[~wide]))] if not wide.all() else []
-        return merged(at.size, [(r, p[0]) for r, p in parts]), merged(at.size, [(r, p[1]) for r, p in parts])
+        both = [(np.flatnonzero(wide), _wide(m, card, at[wide]))]
+        both += [(np.flatnonzero(~wide), ends(m, card, at[~wide]))] if not wide.all() else []
+        return merged(at.size, [(r, pair[0]) for r, pair in both]), merged(at.size, [(r, pair[1]) for r, pair in both])
     align = t["TYPE"][at] == "ALIGN"
     made = []
     for side in "AB":
