@@ -19,6 +19,7 @@ from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_reduced
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.expansion import expanded
+from ringtrue.study.measured import flexible
 from ringtrue.study.objective import names_of, problem_of
 from ringtrue.study.opened import Progress, quiet
 from ringtrue.study.parametric import AtChannels
@@ -176,9 +177,12 @@ def _proposal(
 ) -> Proposal:
     asked, apart = desk.config.localise, conflicts(desk.remodelled.model, pool.candidates)
     points = _points(model.parameters, apart, np.random.default_rng([desk.config.study.seed, 5]))
-    search = _small(desk, model, points)
+    search = _small(desk, OWN, model, points)
     names = model.parameters.names
-    also = [_small(desk, o, [x[[names.index(n) for n in o.parameters.names]] for x in points]) for o in others]
+    also = [
+        _small(desk, c.name, o, [x[[names.index(n) for n in o.parameters.names]] for x in points])
+        for c, o in zip(desk.config.configuration, others, strict=False)
+    ]
     return propose(
         search,
         aim,
@@ -192,11 +196,12 @@ def _proposal(
     )
 
 
-def _small(desk: Workbench, model: AtChannels, points: Sequence[Float]) -> AtChannels:
-    """The model on its modes around the points; as it is where more than modes was measured."""
+def _small(desk: Workbench, name: str, model: AtChannels, points: Sequence[Float]) -> AtChannels:
+    """The model on its modes around the points, and on the static responses to what was struck or pulled."""
+    small = condensed(model.model, points, max(SMALL, 2 * model.model.count))
     if desk.config.residual and _shared(desk):
-        return model
-    return replace(model, model=condensed(model.model, points, max(SMALL, 2 * model.model.count)))
+        small = flexible(small, desk.measured(name), model.loaded)
+    return replace(model, model=small)
 
 
 def _points(p: ParameterSet, apart: Bool, rng: np.random.Generator) -> list[Float]:
