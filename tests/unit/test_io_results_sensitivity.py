@@ -39,6 +39,41 @@ def write_f06(path: Path) -> None:
     path.write_text(text)
 
 
+PAGE = """1    A CHECK PROBLEM   D200                     DECEMBER   5, 2011  MSC.NASTRAN  6/17/05   PAGE   120
+      SENSITIVITY RUN                                                                                0
+0
+
+0    MATRIX  DSCM2       CONTINUED
+
+
+"""
+
+
+def write_matrix(path: Path) -> None:
+    """Laid out as MSC Nastran 2005 prints its matrix with PARAM,OPTEXIT,4: a column a response, broken by a page."""
+    rule = f"     {'-' * 100}\n"
+    text = f"{' ' * 50}-----   DESIGN VARIABLES   -----\n\n{rule}            INTERNAL       DESVAR\n{rule}"
+    for internal, v in enumerate((1, 7), 1):
+        text += f"{internal:20d}{v:14d}      X{v:<12d}   1.0000E-01        1.0000E+00        1.0000E+01\n"
+    text += "   -----   IDENTIFICATION OF COLUMNS IN THE DESIGN SENSITIVITY  -----\n"
+    text += "   -----     MATRIX THAT ARE ASSOCIATED WITH DRESP1  ENTRIES    -----\n\n"
+    text += f"            COLUMN         DRESP1         RESPONSE\n{rule}{1:17d}{1:16d}        EIGN    \n\n"
+    text += "             -----  STATICS RESPONSES  -----\n"
+    for column, grid in ((2, 12), (3, 40)):
+        text += f"{column:17d}{9:16d}        DISP{grid:20d}                               3               1\n"
+    text += "   -----     MATRIX THAT ARE ASSOCIATED WITH DRESP2  ENTRIES    -----\n"
+    text += f"{4:17d}{11:16d}               1\n"
+    text += (
+        "0      MATRIX DSCM2    (GINO NAME 101 ) IS A REAL               4 COLUMN X           2 ROW RECTANG  MATRIX.\n"
+    )
+    for column, row in enumerate((*VALUES, [5.0, 6.0]), 1):
+        text += f"0COLUMN      {column}      ROWS      1 THRU      2     {'-' * 50}\n ROW    \n"
+        text += PAGE if column == 3 else ""
+        text += "      1)  " + "".join(f"{x:12.4E}" for x in row) + "\n"
+    text += "0THE NUMBER OF NON-ZERO TERMS IN THE DENSEST COLUMN =       2\n"
+    path.write_text(text)
+
+
 def write_h5(path: Path) -> None:
     with h5py.File(path, "w") as file:
         file["NASTRAN/RESULT/OPTIMIZATION/DSCMCOL"] = COLUMNS
@@ -52,7 +87,7 @@ def write_csv(path: Path) -> None:
 
 
 LABELS = [(1, 0, 0), (9, 12, 3), (9, 40, 3)]
-WRITERS = {"s.op2": write_op2, "s.f06": write_f06, "s.h5": write_h5, "s.csv": write_csv}
+WRITERS = {"s.op2": write_op2, "s.f06": write_f06, "m.f06": write_matrix, "s.h5": write_h5, "s.csv": write_csv}
 
 
 @pytest.mark.parametrize("name", WRITERS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,10 +109,57 @@ _PAIR = re.compile(r"(?<![\w.])(\d+)\s+(?:([A-Z]\w{0,7})\s+)?([-+]?\d\.\d+(?:E[-
 
 
 def _f06(path: Path) -> Sensitivities:
+    """The matrix DSCM2 as it is printed without FORMATTED, else the formatted blocks."""
+    lines = path.read_text(encoding="latin-1").splitlines()
+    return _matrix(lines) if any(_MATRIX.search(line) for line in lines) else _blocks(lines)
+
+
+_MATRIX = re.compile(r"MATRIX\s+DSCM2\s.*?(\d+)\s+COLUMN\s+X\s+(\d+)\s+ROW")
+_DESVAR = re.compile(r"^\s+(\d+)\s+(\d+)\s+[A-Z]\w{0,7}(?:\s+[-+]?\d?\.\d+\S*){3}\s*$")
+_ENTRY = re.compile(r"^\s+(\d+)\s+(\d+)\s+([A-Z]\w*)((?:\s+\d+)*)\s*$")
+_COLUMN = re.compile(r"COLUMN\s+(\d+)\s+ROWS")
+_VALUES = re.compile(r"^\s+(\d+)\)\s+(\S.*)$")
+
+
+def _matrix(lines: Sequence[str]) -> Sensitivities:
+    """Matrix DSCM2 of the last design cycle and the table of its columns; columns of DRESP2 and 3 are left out.
+
+    A column goes on over pages; what is not printed is 0.
+    """
+    variables, columns = dict[int, int](), dict[int, tuple[int, int, int]]()
+    values, column, section, done = np.zeros((0, 0)), 0, "", False
+    for line in lines:
+        if found := _MATRIX.search(line):
+            values, section, done = np.zeros((int(found[1]), int(found[2]))), "DSCM2", False
+        elif "THE NUMBER OF NON-ZERO TERMS" in line and section == "DSCM2":
+            section, done = "", True
+        elif found := re.search(r"ASSOCIATED WITH (DRESP\d)|-----\s+(DESIGN VARIABLES)\s+-----", line):
+            section = found[1] or found[2]
+        elif section == "DSCM2" and (found := _COLUMN.search(line)):
+            column = int(found[1])
+        elif section == "DSCM2" and (found := _VALUES.match(line)):
+            row = [_real(x) for x in found[2].split()]
+            values[column - 1, int(found[1]) - 1 : int(found[1]) - 1 + len(row)] = row
+        elif section == "DRESP1" and (found := _ENTRY.match(line)):
+            place = [int(x) for x in found[4].split()][:2] if found[3] == "DISP" else [0, 0]
+            columns[int(found[1])] = (int(found[2]), place[0], place[1])
+        elif section == "DESIGN VARIABLES" and (found := _DESVAR.match(line)):
+            variables[int(found[1])] = int(found[2])
+    if not done:
+        raise DataError("the print of DSCM2 has no end: the file is cut off?")
+    if not columns:
+        raise DataError("DSCM2 is printed without the table that identifies its columns")
+    at = sorted(columns)
+    labels = np.array([columns[i] for i in at], dtype=np.int64)
+    ids = np.array([variables.get(i + 1, i + 1) for i in range(values.shape[1])], dtype=np.int64)
+    return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], ids, values[np.array(at) - 1])
+
+
+def _blocks(lines: Sequence[str]) -> Sensitivities:
     """Printed blocks: a response, then pairs of design variable and coefficient in columns."""
     rows: list[tuple[int, int, int]] = []
     values: list[dict[int, float]] = []
-    for line in path.read_text(encoding="latin-1").splitlines():
+    for line in lines:
         head = _RESPONSE.search(line)
         if head:
             rows.append((int(head[1]), 0, 0))
