@@ -13,6 +13,7 @@ from ringtrue.model.model import Model, Table
 from ringtrue.model.places import error
 
 _LINE = 1e-12  # sine under which three points lie on one line
+_DEGREE = np.pi / 180
 _NAMED = 10  # frames that an error lists
 
 
@@ -43,11 +44,11 @@ class Frames:
 
     def to_basic(self, row: Int, x: Float) -> Float:
         """Coordinates (k, 3), each in the frame of its row (k,), to basic (k, 3)."""
-        kind, u = self.kind[row], np.array(x, dtype=np.float64)
+        kind, u = self.kind[row], x.copy()
         c, s = np.flatnonzero(kind == "C"), np.flatnonzero(kind == "S")
-        r, t = x[c, 0], np.radians(x[c, 1])
+        r, t = x[c, 0], x[c, 1] * _DEGREE
         u[c, 0], u[c, 1] = r * np.cos(t), r * np.sin(t)
-        r, t, p = x[s, 0], np.radians(x[s, 1]), np.radians(x[s, 2])
+        r, t, p = x[s, 0], x[s, 1] * _DEGREE, x[s, 2] * _DEGREE
         u[s] = np.stack([r * np.sin(t) * np.cos(p), r * np.sin(t) * np.sin(p), r * np.cos(t)], axis=1)
         return np.asarray(self.origin[row] + np.einsum("ki,kij->kj", u, self.axes[row]))
 
