@@ -60,6 +60,31 @@ def test_every_column_meets_the_tolerance(case, monkeypatch, many, columns) -> N
         assert np.abs(norm).max() < 1e-9
 
 
+@pytest.mark.parametrize("coupled", [False, True])
+def test_fields_of_any_mass(coupled) -> None:
+    """Products and forces of motions where every third row has no mass, the mass diagonal or not."""
+    rng = np.random.default_rng(7)
+    n, massive = 3000, np.arange(3000) % 3 > 0
+    mass = sparse.diags_array(massive * rng.uniform(1.0, 2.0, n)).tolil()
+    if coupled:
+        mass[1, 2] = mass[2, 1] = 0.3
+    mass = sparse.csr_array(mass)
+    x, y, c = rng.standard_normal((4, n)), rng.standard_normal((5, n)), rng.standard_normal((4, 5))
+    inertia = fields.Inertia(mass)
+    a, b = inertia.fields(x), inertia.fields(y)
+    np.testing.assert_allclose(a.dot(b), x @ (mass @ y.T), atol=1e-10)
+    b.add(c, a)
+    np.testing.assert_allclose(inertia.forces(b), (mass @ (y + c.T @ x).T).T, atol=1e-12)
+    a.times(c, b)
+    np.testing.assert_allclose(inertia.forces(b), (mass @ (c.T @ x).T).T, atol=1e-12)
+
+
+def test_rows_move_to_their_places() -> None:
+    rows, place = np.outer(np.arange(12.0), np.ones(3)), np.array([1, 2, 3, 6, 7, 8, 10])
+    derivatives._spread(rows, place)
+    assert rows[place, 0].tolist() == [1, 2, 3, 4, 5, 6, 7]
+
+
 def test_sketches_keep_norms(case) -> None:
     """Within a few √(2/TILE) = 0.04; exactly where there are fewer rows with mass than buckets."""
     pencil, modes, _ = case

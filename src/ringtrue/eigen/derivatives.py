@@ -149,10 +149,10 @@ def eigenvector_derivatives(
         loads = [_Load.of(s, phi, lam, m, close) for s in slopes[start : start + per]]
         owner, mode = np.nonzero([load.live for load in loads])
         for first in range(0, owner.size, columns):
-            i, j = owner[first : first + columns], mode[first : first + columns]
-            at = (start + i) * m + j
-            _write(space, loads, i, j, tolerance, rows[at[0] : at[0] + at.size])
-            _spread(rows, at)
+            of, j = owner[first : first + columns], mode[first : first + columns]
+            place = (start + of) * m + j
+            _write(space, loads, of, j, tolerance, rows[place[0] : place[0] + place.size])
+            _spread(rows, place)
         for i, load in enumerate(loads, start):
             still = np.flatnonzero(~load.live)
             out[i, still] = (phi @ load.along[:, still]).T

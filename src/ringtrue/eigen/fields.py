@@ -27,7 +27,7 @@ def tiles(length: int) -> Iterator[slice]:
 def add(x: Float, *terms: tuple[Float, Float]) -> None:
     """Add to x (k, f) products cᵀy of pairs c (l, k), y (l, f); all of whole rows (contiguous)."""
     for c, y in terms:
-        if c.size:
+        if c.size and x.size:
             x[:] = dgemm(1.0, y.T, c, 1.0, x.T, overwrite_c=True).T  # in place: numpy skips the assignment to itself
 
 
