@@ -100,9 +100,11 @@ def _after(struck: Bool) -> Bool:
 def _power(data: Any_) -> Float:
     """(window,) of the second difference, in units of each channel's median, median of some channels."""
     some = np.unique(np.linspace(0, len(data) - 1, CHANNELS).round().astype(np.int64))
-    d = np.diff(data[some].astype(np.float32), 2, axis=1)
-    n = d.shape[1] // WIDTH
-    power = np.square(d[:, : n * WIDTH].reshape(some.size, n, WIDTH)).mean(2, dtype=np.float64)
+    n = max(data.shape[1] - 2, 0) // WIDTH
+    power = np.empty((some.size, n))
+    for own, k in zip(power, some, strict=True):  # channels: one stays in the cache
+        d = np.diff(data[k].astype(np.float32), 2)[: n * WIDTH]
+        own[:] = np.square(d, out=d).reshape(n, WIDTH).mean(1, dtype=np.float64)
     middle = np.median(power, axis=1) if n else np.zeros(0)
     alive = middle > 0
     return np.asarray(np.median(power[alive] / middle[alive, None], axis=0)) if alive.any() else np.empty(0)

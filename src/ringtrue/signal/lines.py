@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.fft import next_fast_len, rfft
-from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.ndimage import maximum_filter1d
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
@@ -46,13 +46,12 @@ def steady_lines(history: TimeHistory, *, low: float = 0.0, high: float = np.inf
     samples = min(history.data.shape[1], LONGEST)
     if samples < 16 * AROUND:
         return ()
-    around = median_filter(power, size=2 * AROUND + 1, mode="nearest")
-    top = (power >= maximum_filter1d(power, 2 * LOBE + 1, mode="nearest")) & (power > ABOVE * around)
-    k = np.flatnonzero(top)
-    k = k[(k > AROUND) & (k < power.size - AROUND)]
+    k = np.flatnonzero(power >= maximum_filter1d(power, 2 * LOBE + 1, mode="nearest"))
+    k = k[(k > AROUND) & (k < power.size - AROUND) & (step * k * samples / history.rate > CYCLES)]
     beyond = np.arange(LOBE + 1, LOBE + 5)
     side = np.median(power[k + np.concatenate([-beyond, beyond])[:, None]], axis=0)
-    k = k[(power[k] > BESIDE * side) & (step * k * samples / history.rate > CYCLES)]
+    k = k[power[k] > BESIDE * side]
+    k = k[power[k] > ABOVE * np.median(power[k + np.arange(-AROUND, AROUND + 1)[:, None]], axis=0)]
     bend = np.log(np.maximum(power[k + np.arange(-1, 2)[:, None]], 1e-300))
     f = step * (k + 0.5 * (bend[0] - bend[2]) / (bend[0] - 2 * bend[1] + bend[2]))
     f = f[(f > low) & (f < high)]
