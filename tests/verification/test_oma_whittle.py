@@ -135,3 +135,15 @@ def test_a_fit_that_knows_less_than_its_start_is_not_believed(monkeypatch):
         assert (stated < 0.2).all()
         accepted += stated.size
     assert accepted
+
+
+def test_modes_that_share_their_force_are_left_to_the_subspace():
+    """Of one force on both, the spectrum of a mode holds the other's response in step with it: no single mode fits."""
+    rng = np.random.default_rng(0)
+    w = 2 * np.pi * F
+    lam = -Z * w + 1j * w * np.sqrt(1 - Z**2)
+    force = rng.standard_normal(int(1600 * RATE))
+    q = np.array([np.real(s**2 / (2j * s.imag) * lfilter([1], [1, -np.exp(s / RATE)], force)) for s in lam])
+    shape = PHI + 0.3 * PHI[:, ::-1]  # what is left of the other mode passes the filter
+    y = PHI @ q + 0.01 * q.std() * rng.standard_normal((6, force.size))
+    assert not refine(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, shape).ok.any()

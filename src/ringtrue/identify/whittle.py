@@ -24,6 +24,10 @@ LEVEL = 1.5  # standard deviation of ln of the levels that noise and other modes
 INDEPENDENT = 0.03  # singular value of unit shapes, over the largest, below which a direction is not theirs
 NULL = 10.0  # weight of other modes over noise in the filter: they move in step with the mode, noise does not
 MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for instance
+WAVES = (
+    2.5  # squared error of bins a half bandwidth wide over its expectation, beyond which the mode does not move alone
+)
+CHANCE = 1.5  # times its expectation that it reaches by chance
 BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is not believed
 ITERATIONS = 80
 HALVINGS = 8
@@ -199,6 +203,14 @@ class _Fit:
         misfit = float((self.count * (self.power / s - 1) ** 2).sum() / max(s.size - theta.size, 1))
         return theta, np.asarray(np.linalg.inv(info), dtype=np.float64), misfit, done
 
+    def waves(self, theta: Float) -> float:
+        """Mean squared error, over its expectation, of bins a half bandwidth wide: forces that modes share bend it."""
+        error = self.count * (self.power / self.spectrum(theta)[0] - 1)
+        k = np.floor((self.nu / np.exp(theta[0]) - self.nu[0]) / np.exp(theta[1])).astype(np.int64)
+        k -= k.min()
+        lines = np.bincount(k, self.count)
+        return float((np.bincount(k, error)[lines > 0] ** 2 / lines[lines > 0]).mean())
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Filter:
@@ -285,7 +297,9 @@ def refine(
             near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002)
             near &= bool(abs(np.log(new_z / damping[i])) < reach[i])
             sharp = c[1, 1] * max(chi, 1.0) < (BLUR * start[i]) ** 2
-            if good and near and sharp and chi < MISFIT:
+            waves = fit.waves(theta)
+            chi = max(chi, waves / CHANCE)
+            if good and near and sharp and chi < MISFIT and waves < WAVES:
                 f[i], z[i], cov[i], misfit[i], ok[i] = new_f, new_z, c[:2, :2] * max(chi, 1.0), chi, True
     return Fitted(f, z, cov, misfit, ok)
 
