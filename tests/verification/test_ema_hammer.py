@@ -119,6 +119,20 @@ def test_without_coherence_or_driving_points() -> None:
     assert result.modes.norm is Norm.UNSCALED
 
 
+def test_frfs_that_disagree_and_short_blocks_are_told() -> None:
+    """Half of the responses with all frequencies 1 % lower, as under the mass of a moved sensor; lines of 0.2 Hz."""
+    frfs, _ = simulate(8, n_out=16, n_in=2, lines=625, decay=0.0, level=0.005)
+    told = identify_hammer(frfs, HammerModes(5.0, 100.0)).notes
+    assert any("half-power bandwidth at 10.4 12.6 " in n for n in told)
+    assert not any("coherence explains" in n for n in told)
+    data = frfs.data.copy()
+    for o in range(8, 16):
+        for i in range(2):
+            data[:, o, i] = np.interp(1.01 * frfs.freqs, frfs.freqs, frfs.data[:, o, i])
+    told = identify_hammer(replace(frfs, data=data), HammerModes(5.0, 100.0)).notes
+    assert any("FRFs that disagree" in n for n in told)
+
+
 def test_modes_of_complex_shapes_are_found() -> None:
     """Phases of 0.5 rad and more, as of rotors and local dampers: clear in the FRFs, they are no misfit of theirs."""
     frfs, phi = simulate(7, n_in=2, decay=0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identify.lsfd import POWER, driving_pairs
@@ -18,6 +19,8 @@ _TURNED = (
 )
 _CURED = 0.3  # of the misfit of the residues may be left when one fault is undone
 _MISFIT = 1e-3  # share of the residues that no single shape explains, and that calls for a reason
+_CUT = 1.5  # lines in a half-power bandwidth: 1 % of the response is left at the end of the block
+_POOR = 0.05  # of an FRF, that a fit of its modes leaves
 _MOST_TRIALS = 400_000
 
 
@@ -77,6 +80,40 @@ def frf_notes(frfs: FrfSet) -> tuple[str, ...]:
     if turned := [frfs.inputs[i].id for o, i, sign in pairs if (o, i, sign) not in sound]:
         rest = "" if sound else ": the modes are not scaled"
         out.append(f"driving point {' '.join(turned)}: sensor or hammer is the other way round; not used{rest}")
+    return tuple(out)
+
+
+def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
+    """What the modes found tell of the FRFs: responses cut off by the block, and errors that are no noise.
+
+    Parameters
+    ----------
+    frfs : FrfSet
+        At the lines of the reported band.
+    modes : ModeSet
+    error : (out, in) float64
+        ‖H − H_fit‖/‖H‖ there.
+    """
+    out = []
+    step = float(frfs.freqs[1] - frfs.freqs[0])
+    width = (2 * modes.damping * modes.frequencies + frfs.window_decay / np.pi) / step
+    if cut := [f"{f:.4g}" for f in modes.frequencies[width < _CUT]]:
+        more = f" and {len(cut) - 6} more" if len(cut) > 6 else ""
+        out.append(
+            f"less than {_CUT:g} lines in the half-power bandwidth at {' '.join(cut[:6])} Hz{more}: the blocks are "
+            "short for these modes, and windows other than the exponential one raise their damping"
+        )
+    if np.isfinite(frfs.coherence).all():
+        n = np.where(np.isfinite(frfs.averages), np.maximum(frfs.averages, 1), 1)
+        g = np.clip(frfs.coherence, 1e-3, 1.0)
+        power = np.abs(frfs.data) ** 2
+        noise = np.sqrt((power * (1 - g) / (n * g)).sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300))
+        typical, due = float(np.median(error)), float(np.median(noise))
+        if typical > max(_POOR, 3 * due):
+            out.append(
+                f"the modes leave {100 * typical:.2g} % of the typical FRF, its coherence explains {100 * due:.2g} %: "
+                "FRFs that disagree (mass of moved sensors, temperature), short blocks or modes outside the band"
+            )
     return tuple(out)
 
 

@@ -18,7 +18,7 @@ from ringtrue.errors import DataError
 from ringtrue.identify.bands_hammer import band_candidates, choose_bands, line_step, merged
 from ringtrue.identify.choice_hammer import hand_poles
 from ringtrue.identify.deflate import missed, support
-from ringtrue.identify.frf_input import frf_notes, odd_channel, refuse_bad_frfs, sound_pairs
+from ringtrue.identify.frf_input import fit_notes, frf_notes, odd_channel, refuse_bad_frfs, sound_pairs
 from ringtrue.identify.judge import Candidates, Verdict, judge
 from ringtrue.identify.lsfd import Lines, lsfd, noise, noise_left, prepare, synthesise_windowed, weighted_rest
 from ringtrue.identify.peaks import cmif
@@ -167,8 +167,10 @@ def identify_hammer(
     rejected += why
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
     odd = odd_channel(used, fit.refined.poles)
-    notes = (*((roving,) if roving else ()), *frf_notes(frfs), *((odd,) if odd else ()), *notes)
-    return replace(_report(used, search.lines, fit, rejected, (low, high), tuple(diagrams), curve), notes=notes)
+    result = _report(used, search.lines, fit, rejected, (low, high), tuple(diagrams), curve)
+    said = fit_notes(_lines(used, low, high), result.modes, result.synthesis_error)
+    told = (roving,) if roving else ()
+    return replace(result, notes=(*told, *frf_notes(frfs), *said, *((odd,) if odd else ()), *notes))
 
 
 def _limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
