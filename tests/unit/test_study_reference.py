@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.study.reference import measured_part
+from ringtrue.study.reference import beyond, measured_part
 
 
 def modes(known: npt.NDArray[np.bool_]) -> ModeSet:
@@ -41,3 +41,12 @@ def test_nothing_is_lost_without_gaps_or_modes() -> None:
     assert (at.size, len(channels)) == (3, 5)
     at, channels = measured_part(modes(np.ones((5, 0), dtype=bool)))
     assert (at.size, len(channels)) == (0, 5)
+
+
+def test_a_deck_whose_modes_end_with_the_test_is_told() -> None:
+    found = modes(np.ones((3, 10), dtype=bool))  # 1 to 10 Hz
+    assert beyond(found, 12.0) == ()
+    (note,) = beyond(found, 10.5)
+    assert "computed to 10.5 Hz" in note
+    assert "fmax to 12 or more" in note
+    assert "3 of them above it" in beyond(found, 7.0)[0]

@@ -18,6 +18,8 @@ from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage
 
+ABOVE = 1.2  # modes of the deck should be known up to here over the highest test mode
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
@@ -139,6 +141,20 @@ def reference_of_file(path: Path, config: StudyConfig) -> Reference:
         raise DataError(f"{path}: no elastic mode was measured at a common set of channels")
     rigid = realise_modes(modes.take(low)) if low.size else modes.take(low)
     return Reference(realise_modes(modes.take(high)), std.take(high), rigid, std.take(low))
+
+
+def beyond(modes: ModeSet, fmax: float) -> tuple[str, ...]:
+    """A note where the modes of the deck end too low for the test: partners above `fmax`, Hz, cannot be found."""
+    top = float(modes.frequencies.max(initial=0.0))
+    if ABOVE * top <= fmax:
+        return ()
+    over = int((modes.frequencies > fmax).sum())
+    more = f", {over} of them above it" if over else ""
+    return (
+        f"the modes of the deck are computed to {fmax:g} Hz, the test modes reach {top:.4g} Hz{more}: a test mode may "
+        f"be paired wrongly for want of its partner. Set [model] fmax to {ABOVE * top:.3g} or more, or end the band of "
+        "the test ([identify] hammer_fmax, ambient_fmax) lower",
+    )
 
 
 def left_out(modes: ModeSet, count: int, least: float) -> Int:

@@ -110,7 +110,7 @@ def initial(data: Stages) -> Section | None:
     if c is None:
         return None
     body: list[Block] = [Text(sentence(c.placed))] if c.placed else []
-    body += [Items(c.gaps, f"Modes and channels of the test that are not used ({len(c.gaps)})")] if c.gaps else []
+    body += [Items(c.gaps, f"Notes on the test ({len(c.gaps)})")] if c.gaps else []
     body += blocks(c.initial, data, "The model as delivered against the test.", updating=True)
     return Section("initial", "Initial correlation", [*body, *evidence.brief(c.evidence_initial, c.initial, FOLDED)])
 

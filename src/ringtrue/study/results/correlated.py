@@ -84,7 +84,7 @@ class CorrelateStage:
     placed: str = ""  # how the test was laid onto the deck, in words
     history: tuple[RemodelStep, ...] = ()  # the deck as delivered, then each step
     expanded: Expansion | None = None  # the elastic test shapes on the remodelled deck, where the study asks for them
-    gaps: tuple[str, ...] = ()  # modes and channels of the test that are not used, in words
+    gaps: tuple[str, ...] = ()  # what of the test is not used, and partners that cannot be found, in words
 
     @property
     def changed(self) -> bool:

@@ -14,7 +14,7 @@ from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.expansion import expanded, on_scene
 from ringtrue.study.opened import Opened, Progress, quiet
 from ringtrue.study.placing import words
-from ringtrue.study.reference import Reference, elastic_table, left_out, reference_modes, rigid_table
+from ringtrue.study.reference import Reference, beyond, elastic_table, left_out, reference_modes, rigid_table
 from ringtrue.study.results import CorrelateStage, Evidence, Expansion, RemodelStep
 from ringtrue.study.workbench import Workbench
 
@@ -65,7 +65,7 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         words(desk.placed[0]) if config.correlate.align else "",
         _history(desk, reference, out, initial, tables),
         _expanded(desk, reference, progress),
-        reference.gaps,
+        (*reference.gaps, *beyond(reference.elastic, desk.deck.fmax)),
     )
 
 
