@@ -159,7 +159,7 @@ def test_points_with_numbers_of_their_own_are_placed_by_the_sheet(tmp_path: Path
     assert run(["correlate", test, test, "--sensors", sheet]) == 2
     assert "--sensors is for a deck" in capsys.readouterr().err
     assert run(["correlate", test, deck]) == 2
-    assert "give the sensor sheet" in capsys.readouterr().err
+    assert "give --sensors" in capsys.readouterr().err
 
 
 def test_blows_recorded_as_text(tmp_path: Path) -> None:

@@ -85,7 +85,9 @@ def placed(
         try:
             return at_dofs(tuple(channels), dofs)
         except DataError as e:
-            raise DataError(f"{e}; give the sensor sheet where points have numbers of their own") from e
+            raise DataError(
+                f"{e}; where points have numbers of their own give --sensors, or [test] sheet of a study"
+            ) from e
     test = read_sensor_sheet(sheet).model
     known = set(test.channels)
     if lost := [c for c in channels if c not in known]:
