@@ -62,8 +62,3 @@ def _translations(modes: ModeSet) -> ModeSet:
     labels = modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
     keep = np.flatnonzero((np.abs(labels.direction) >= 1) & (np.abs(labels.direction) <= 3))
     return modes.rows([modes.channels[i] for i in keep.tolist()])
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(convert)

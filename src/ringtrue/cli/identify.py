@@ -252,9 +252,3 @@ def _frfs_without(frfs: FrfSet, path: Path, lost: Sequence[str]) -> FrfSet:
         return frfs
     _kept(path, list({c.id: c for c in (*frfs.outputs, *frfs.inputs)}.values()), lost)
     return frfs.without(lost)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    for command in (oma, ema):
-        app.command()(command)

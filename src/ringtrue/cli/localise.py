@@ -131,8 +131,3 @@ def _print(deck: Path, found: Proposal, every: int, lost: int) -> None:
     heads = ("#", "parameter", "factor", "± [%]", "worth (AICc)", "not told from it")
     rows(f"{deck}: {every} candidates, {lost} of them change no mode", heads, body)
     out.print(found.text(), markup=False, highlight=False, soft_wrap=True)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(localise)

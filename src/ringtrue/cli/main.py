@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from importlib import import_module
 from typing import NoReturn
 
 import typer
@@ -10,17 +12,25 @@ from typer.exceptions import TyperException
 from typer.main import get_command
 
 from ringtrue import __version__
-from ringtrue.cli import convert, identify, localise, measure, model, plan, predict, study, track, update
 from ringtrue.cli.show import err
 from ringtrue.errors import InputError, RingtrueError, UnsupportedError
 
-app = typer.Typer(
-    help="Finite element model validation: from a deck and vibration signals to a model that rings true.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+COMMANDS = {  # where each stands; in the order of the help
+    "demo": ("study", "demo"),
+    "run": ("study", "run"),
+    "report": ("study", "report"),
+    "modes": ("model", "modes"),
+    "check": ("model", "check"),
+    "plan": ("plan", "plan"),
+    "oma": ("identify", "oma"),
+    "ema": ("identify", "ema"),
+    "track": ("track", "track"),
+    "correlate": ("measure", "correlate"),
+    "predict": ("predict", "run"),
+    "convert": ("convert", "convert"),
+    "update": ("update", "update"),
+    "localise": ("localise", "localise"),
+}
 
 
 def _version(show: bool) -> None:
@@ -29,21 +39,33 @@ def _version(show: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _root(
     version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
 ) -> None:
     """Finite element model validation."""
 
 
-for module in (study, model, plan, identify, track, measure, predict, convert, update, localise):
-    module.register(app)
+def application(arguments: Sequence[str]) -> typer.Typer:
+    """With the command that is asked for: the others take seconds to import. With all for help and a wrong name."""
+    app = typer.Typer(
+        help="Finite element model validation: from a deck and vibration signals to a model that rings true.",
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode="rich",
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_root)
+    for name in [a for a in arguments[:1] if a in COMMANDS] or COMMANDS:
+        module, function = COMMANDS[name]
+        app.command(name)(getattr(import_module(f"ringtrue.cli.{module}"), function))
+    return app
 
 
 def run(arguments: list[str] | None = None) -> int:
     """Run a command line; returns the exit status."""
     try:
-        status = get_command(app).main(args=arguments, standalone_mode=False, prog_name="ringtrue")
+        given = sys.argv[1:] if arguments is None else arguments
+        status = get_command(application(given)).main(args=given, standalone_mode=False, prog_name="ringtrue")
         return int(status or 0)
     except typer.Exit as e:
         return int(e.exit_code)

@@ -169,8 +169,3 @@ def correlate(
         if full is not None:
             _show_complete(full)
     return 0 if value["pairs"] else 1
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(correlate)

@@ -141,9 +141,3 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
         out.print(f"{f['severity']}: {place}{f['text']}", markup=False, highlight=False, soft_wrap=True)
     if not summary["findings"] and not summary["unsupported"]:
         out.print("no findings", highlight=False)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(modes)
-    app.command()(check)

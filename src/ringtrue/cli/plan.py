@@ -290,8 +290,3 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     lines.append("test sheet: " + " ".join(told["files"]))
     for line in lines:
         out.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(plan)

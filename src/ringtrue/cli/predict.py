@@ -169,8 +169,3 @@ def _write(r: RunUp, path: Path) -> None:
         values = parts.reshape(-1, r.freqs.size).T
         for f, ok, line in zip(r.freqs.tolist(), r.checked.tolist(), values.tolist(), strict=True):
             sheet.writerow([f"{f:.6g}", int(ok), *(f"{v:.6g}" for v in line)])
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("predict")(run)

@@ -127,9 +127,3 @@ def report(
     if json != "-":
         out.print(f"report: {path}", markup=False, soft_wrap=True)
     return 0
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    for command in (demo, run, report):
-        app.command()(command)

@@ -359,8 +359,3 @@ def _words(t: ModeTrack, tracked: Tracked, fit: EnvironmentFit | None) -> str:
     told += [f"change at {times[c.at]:.4g} h: {c.shift:+.3g} ± {c.std:.1g} Hz (p {c.p_value:.1g})" for c in fit.changes]
     told += [f"first seen at {times[0]:.4g} h"] if t.at[0] > 0 else []
     return "; ".join(told)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(track)

@@ -390,8 +390,3 @@ def _cell(value: float | None) -> str:
 
 def _short(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(update)
