@@ -1,4 +1,4 @@
-"""Rigid elements of few nodes, RSPLINE, and the nodes that pierce the patches of welds and fasteners."""
+"""Rigid elements, RSPLINE, and the nodes that pierce the patches of welds and fasteners."""
 
 from __future__ import annotations
 
@@ -8,14 +8,49 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.fem.algebra import arm, rotation
-from ringtrue.fem.constraints import Equations, names, owners, rigid
+from ringtrue.fem.average import rbe3
 from ringtrue.fem.elements import fast, weld
 from ringtrue.fem.elements.patch import End
+from ringtrue.fem.equations import Equations, names, owners, rigid
 from ringtrue.fem.mesh import Mesh, error
-from ringtrue.fem.place import components, segment
+from ringtrue.fem.place import components, node_dofs, segment
 from ringtrue.model.model import Table
 
 ALONG = 1e-3  # least part of the dependent component along a rod
+
+
+def rbe2(m: Mesh) -> Equations:
+    t = m.model["RBE2"]
+    of = owners(t.ragged("GM"))
+    gn, gm = m.nodes(t["GN"][of], t, of), m.nodes(t.ragged("GM").values, t, of)
+    same = gn == gm
+    if same.any():
+        raise error(m.model, t, int(of[same][0]), f"GRID {t['GN'][of[same][0]]} is its own dependent node")
+    A = rotation(m.cd[gm], 1) @ arm(m.xyz[gm] - m.xyz[gn]) @ rotation(m.cd[gn], 1).swapaxes(1, 2)
+    pair, c = np.nonzero(components(t["CM"][of]))
+    row = np.repeat(np.arange(pair.size), 6)
+    column = node_dofs(gn[pair][:, None]).reshape(-1)
+    return Equations(6 * gm[pair] + c, row, column, A[pair, c].reshape(-1), names(t, of[pair]))
+
+
+def rbar(m: Mesh) -> Equations:
+    """A rigid bar; without components GA is independent and GB dependent."""
+    t = m.model["RBAR"]
+    of = np.repeat(np.arange(len(t)), 2)
+    ids = t.stack("GA", "GB").reshape(-1)
+    independent = np.stack([components(t["CNA"]), components(t["CNB"])], axis=1)
+    independent[~independent.any(axis=(1, 2)), 0] = True
+    dependent = np.stack([components(t["CMA"]), components(t["CMB"])], axis=1)
+    blank = ~dependent.any(axis=(1, 2))
+    dependent[blank] = ~independent[blank]
+    return rigid(m, t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6)))
+
+
+def rbe1(m: Mesh) -> Equations:
+    t = m.model["RBE1"]
+    n, k = t.ragged("GN"), t.ragged("GM")
+    independent = owners(n), n.values, components(t.ragged("CN").values)
+    return rigid(m, t, independent, (owners(k), k.values, components(t.ragged("CM").values)))
 
 
 def rrod(m: Mesh) -> Equations:
@@ -196,6 +231,10 @@ def _piercing(m: Mesh, t: Table, ends: Sequence[End], on_patch: Bool) -> Equatio
 
 
 RIGID: Mapping[str, Callable[[Mesh], Equations]] = {
+    "RBAR": rbar,
+    "RBE1": rbe1,
+    "RBE2": rbe2,
+    "RBE3": rbe3,
     "RROD": rrod,
     "RBAR1": rbar1,
     "RJOINT": rjoint,

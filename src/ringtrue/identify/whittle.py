@@ -24,10 +24,8 @@ LEVEL = 1.5  # standard deviation of ln of the levels that noise and other modes
 INDEPENDENT = 0.03  # singular value of unit shapes, over the largest, below which a direction is not theirs
 NULL = 10.0  # weight of other modes over noise in the filter: they move in step with the mode, noise does not
 MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for instance
-WAVES = (
-    2.5  # squared error of bins a half bandwidth wide over its expectation, beyond which the mode does not move alone
-)
-CHANCE = 1.5  # times its expectation that it reaches by chance
+WAVES = 2.5  # squared error of bins a half bandwidth wide, over its expectation: beyond, the mode does not move alone
+CHANCE = 1.5  # of that, reached by chance
 BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is not believed
 ITERATIONS = 80
 HALVINGS = 8

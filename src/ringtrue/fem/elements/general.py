@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.constraints import rigid_motion
 from ringtrue.fem.elements.spring import spread
+from ringtrue.fem.equations import rigid_motion
 from ringtrue.fem.mesh import Matrices, Mesh, error
 from ringtrue.model.model import Model, Table
 
