@@ -25,7 +25,7 @@ from ringtrue.errors import NotConverged
 RUNS = 8
 EACH, SPARE = 2, 60  # directions of a run for each column and beyond, before the columns that are left start anew
 DROP = 0.9  # share of the residual allowed to a column that a block may leave out of it
-INERTIA = 1e-5  # residual allowed at most, in inertia forces of the solution without iteration
+INERTIA = 1e-4  # residual allowed at most, in inertia forces of the solution without iteration
 LOWEST = 1e-4  # of the residual allowed, to which that lowers it: below is rounding
 MARGIN = 0.93  # of the residual allowed, for one that is estimated
 SURE = 1 / (1 + 8 * (2 / TILE) ** 0.5)  # of the square allowed: an estimate below it is 8 standard deviations away
