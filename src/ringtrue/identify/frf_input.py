@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.linalg import lstsq
 
 from ringtrue.core.arrays import Bool, Complex, Float
 from ringtrue.core.modes import ModeSet
@@ -14,13 +17,12 @@ from ringtrue.signal.frf_checks import passive
 _SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite
 _ODD = 100.0  # times the level of the typical response
 _COHERENT = 0.5
-_TURNED = (
-    0.3  # share of the power at a driving point that has the wrong sign; what rings on between hits takes the rest
-)
+_TURNED = 0.3  # share of the power at a driving point of the wrong sign; what rings on between hits takes the rest
 _CURED = 0.3  # of the misfit of the residues may be left when one fault is undone
 _MISFIT = 1e-3  # share of the residues that no single shape explains, and that calls for a reason
 _CUT = 1.5  # lines in a half-power bandwidth: 1 % of the response is left at the end of the block
 _POOR = 0.05  # of an FRF, that a fit of its modes leaves
+_LOOKS = 500  # lines that tell the typical coherence
 _MOST_TRIALS = 400_000
 
 
@@ -60,8 +62,8 @@ def _refuse_gaps(zero: Bool, freqs: Float, where: str) -> None:
         )
 
 
-def frf_notes(frfs: FrfSet) -> tuple[str, ...]:
-    """What looks wrong before identification: odd levels, low coherence, turned driving points."""
+def frf_notes(frfs: FrfSet, sound: Sequence[tuple[int, int, float]]) -> tuple[str, ...]:
+    """What looks wrong before identification: odd levels, low coherence, driving points that are not `sound_pairs`."""
     out = []
     level = np.sqrt((np.abs(frfs.data) ** 2).mean(axis=(0, 2)))
     kinds = np.array([c.quantity for c in frfs.outputs])
@@ -71,13 +73,12 @@ def frf_notes(frfs: FrfSet) -> tuple[str, ...]:
         if same.size > 2 and not 1 / _ODD < ratio < _ODD:
             out.append(f"response {c.id}: {ratio:.1e} of the typical level: unit or sensitivity?")
     if np.isfinite(frfs.coherence).any():
-        typical = float(np.nanmedian(frfs.coherence))
+        typical = float(np.nanmedian(frfs.coherence[:: max(1, frfs.freqs.size // _LOOKS)]))
         if typical < _COHERENT:
             out.append(f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise")
     if len(frfs.inputs) == 1:
         out.append("one reference: two modes of one and the same frequency show as one")
-    pairs, sound = driving_pairs(frfs), sound_pairs(frfs)
-    if turned := [frfs.inputs[i].id for o, i, sign in pairs if (o, i, sign) not in sound]:
+    if turned := [frfs.inputs[i].id for o, i, sign in driving_pairs(frfs) if (o, i, sign) not in sound]:
         rest = "" if sound else ": the modes are not scaled"
         out.append(f"driving point {' '.join(turned)}: sensor or hammer is the other way round; not used{rest}")
     return tuple(out)
@@ -140,7 +141,8 @@ def residues(frfs: FrfSet, poles: Complex) -> Complex:
     a = np.concatenate([one + two, 1j * (one - two), rest], axis=1)
     scale = np.linalg.norm(a, axis=0)
     rhs = h.reshape(s.size, -1)
-    x = np.linalg.lstsq(np.concatenate([a.real, a.imag]) / scale, np.concatenate([rhs.real, rhs.imag]), rcond=1e-10)[0]
+    a = np.concatenate([a.real, a.imag]).T / scale[:, None]
+    x = lstsq(a @ a.T, a @ np.concatenate([rhs.real, rhs.imag]), cond=1e-13)[0]
     x /= scale[:, None]
     m = poles.size
     return np.asarray((x[:m] + 1j * x[m : 2 * m]).reshape(m, *h.shape[1:]))

@@ -167,10 +167,10 @@ def identify_hammer(
     rejected += why
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
     odd = odd_channel(used, fit.refined.poles)
-    result = _report(used, search.lines, fit, rejected, (low, high), tuple(diagrams), curve)
+    result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
     said = fit_notes(_lines(used, low, high), result.modes, result.synthesis_error)
     told = (roving,) if roving else ()
-    return replace(result, notes=(*told, *frf_notes(frfs), *said, *((odd,) if odd else ()), *notes))
+    return replace(result, notes=(*told, *frf_notes(frfs, search.pairs), *said, *((odd,) if odd else ()), *notes))
 
 
 def _limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
@@ -212,10 +212,11 @@ class _Search:
     sets: Sequence[PoleSet]
     decay: float
     source: str
+    last: bool = False  # deviations are those that will be stated
 
     def refined(self, c: Candidates) -> _Fit:
         """The candidates refined; the verdict is still open."""
-        fit = united(self.lines, refine(self.lines, c.pole, c.participation), self.pairs)
+        fit = united(self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.pairs)
         return _Fit(fit, c, Verdict(np.abs(c.pole), np.ones(c.pole.size), ()))
 
     def judged(self, fit: _Fit, *, strict: bool) -> _Fit:
@@ -268,7 +269,7 @@ def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit,
     """The modes refined once more, every line weighed by what the first fit left there: deviations rest on that."""
     r = fit.refined
     left = noise_left(search.lines, weighted_rest(search.lines, r.poles, r.participation, r.shapes))
-    search = replace(search, lines=prepare(frfs, left))
+    search = replace(search, lines=prepare(frfs, left), last=True)
     start = replace(fit.candidates, pole=r.poles, participation=r.participation)
     new, why = search.settle(search.refined(start), r.poles.size + 1, strict=True)
     return search, new, why
@@ -310,7 +311,7 @@ def mode_scale(model: ModalModel) -> Complex:
 
 def _report(
     frfs: FrfSet,
-    lines: Lines,
+    search: _Search,
     found: _Fit,
     rejected: Sequence[str],
     band: tuple[float, float],
@@ -318,7 +319,7 @@ def _report(
     curve: Float,
 ) -> HammerResult:
     fit, verdict = found.refined, found.verdict
-    pairs = sound_pairs(frfs)
+    lines, pairs = search.lines, search.pairs
     model = lsfd(frfs, fit.poles, fit.participation, lines, pairs)
     f = model.frequencies
     order = np.argsort(f, kind="stable")

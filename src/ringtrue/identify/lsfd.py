@@ -50,13 +50,12 @@ def noise(frfs: FrfSet) -> Noise:
     Where the coherence is unknown an error of 2 % of the local level is added, as systematic errors then dominate.
     """
     h2 = np.abs(frfs.data) ** 2
-    floor = _roughness(frfs.data)
     if np.isfinite(frfs.coherence).all():
         g = np.clip(frfs.coherence, 1e-3, 1 - 1e-9)
         n = np.where(np.isfinite(frfs.averages), np.maximum(frfs.averages, 1), 1)
         var = h2 * (1 - g) / (2 * n * g) + 1e-8 * h2
     else:
-        var = floor + (0.02**2) * h2
+        var = _roughness(frfs.data) + (0.02**2) * h2
     var = np.maximum(var, 1e-12 * h2.mean(axis=0) + np.finfo(float).tiny)
     log = np.log(var)
     mean = log.mean()
@@ -87,6 +86,8 @@ class Lines:
         s^p that turns receptance into the kind of the data.
     y : (in, freq, out) complex128
         Weighted data, without its part in the span of the residual terms.
+    power : (out,) float64
+        Sum of the squares of `y`.
     weight : (freq,) float64
     terms : (freq, t) complex128
         Orthonormal basis of the weighted residual terms.
@@ -99,6 +100,7 @@ class Lines:
     s: Complex
     kind: Complex
     y: Complex
+    power: Float
     weight: Float
     terms: Complex
     response: Float
@@ -118,8 +120,9 @@ def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
     weight, given = 1 / sigma.line, 1 / sigma.input
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
     terms = np.asarray(np.linalg.qr(weight[:, None] * t)[0], dtype=np.complex128)
-    y: Complex = weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1)
-    return Lines(s, kind, without_terms(terms, y), weight, terms, 1 / sigma.response, given)
+    y = without_terms(terms, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1))
+    power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
+    return Lines(s, kind, y, power, weight, terms, 1 / sigma.response, given)
 
 
 def without_terms(terms: Complex, y: Complex) -> Complex:
@@ -212,8 +215,9 @@ def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Com
 
 def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: Complex) -> Complex:
     """(in, freq, out) what modes and residual terms leave of the data, in units of the noise."""
-    model = modal_part(lines, poles, shapes, participation * lines.input).transpose(2, 0, 1) * lines.weight[:, None]
-    return np.asarray((lines.y - without_terms(lines.terms, model)) * lines.response)
+    part = augment(participation * lines.input).T[:, :, None]
+    model = functions(lines, poles) @ (part * augment(shapes.T * lines.response))
+    return np.asarray(lines.y * lines.response - model)
 
 
 def noise_left(lines: Lines, rest: Complex) -> Noise:

@@ -40,6 +40,8 @@ class Refined:
     cost : float
         Weighted sum of squares.
     outcome : Outcome
+    known : Known
+        What the deviations of the shapes rest on.
     """
 
     poles: Complex
@@ -51,10 +53,31 @@ class Refined:
     error: float
     cost: float
     outcome: Outcome
+    known: Known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _State:
+class Known:
+    """The fit at its end, in augmented coordinates.
+
+    Attributes
+    ----------
+    state : State
+    covariance : (2 m (1 + in), 2 m (1 + in)) complex128
+        Zero for the parameters that fix the scales.
+    own : (out, m) float64
+        Squared weighted errors that the residues see.
+    """
+
+    state: State
+    covariance: Complex
+    own: Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Poles and participations, and what `_evaluate` finds there."""
+
     poles: Complex
     part: Complex
     shapes: Complex
@@ -66,7 +89,9 @@ class _State:
     free: Int
 
 
-def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: int = ITERATIONS) -> Refined:
+def refine(
+    lines: Lines, poles: Complex, participation: Complex, *, iterations: int = ITERATIONS, local: bool = True
+) -> Refined:
     """Refine all modes at once.
 
     No pole goes further than a few half bandwidths from its start: measured FRFs that disagree among themselves
@@ -78,6 +103,8 @@ def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: 
     poles : (m,) complex128, rad/s, start
     participation : (m, in) complex128, start
     iterations : int
+    local : bool
+        Deviations rest on the error where each mode is seen; else on that of all lines, which takes less time.
 
     Returns
     -------
@@ -101,10 +128,10 @@ def refine(lines: Lines, poles: Complex, participation: Complex, *, iterations: 
         if fall < TOLERANCE:
             outcome = Outcome.CONVERGED
             break
-    return _result(lines, state, outcome)
+    return _result(lines, state, outcome, local)
 
 
-def _try(lines: Lines, state: _State, damping: float, start: Complex, reach: Float) -> _State | None:
+def _try(lines: Lines, state: State, damping: float, start: Complex, reach: Float) -> State | None:
     """One Levenberg-Marquardt step with every pole held within reach of its start; None if nothing is gained."""
     free = state.free
     h = state.hessian[np.ix_(free, free)]
@@ -131,7 +158,7 @@ def _free(part: Complex, moving: Bool) -> Int:
     return np.flatnonzero(mask.ravel())
 
 
-def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
+def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input; value, conj)."""
     m, n_in = part.shape
     q, dq = functions(lines, poles), functions(lines, poles, 2)
@@ -155,11 +182,10 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> _State:
     tile = np.tile(psi, (1 + n_in, 1))
     hessian = core * ((tile.conj() * w2) @ tile.T)
     gradient = ((tile.conj() * w2) * (gy - xg.conj().T @ psi)).sum(axis=1)
-    power = (np.abs(lines.y) ** 2).sum(axis=(0, 1))
-    cost = float((w2 * np.maximum(power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
+    cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
     var = 2 * np.diag(inverse).real[:m]
     shape_var = np.maximum(var, 0) / w2[:, None]
-    return _State(poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void))
+    return State(poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void))
 
 
 def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
@@ -174,9 +200,9 @@ def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
     return gg.reshape((1 + n_in) * n, -1)
 
 
-def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
+def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refined:
     m = state.poles.size
-    cov, _, error2 = _covariance(lines, state)
+    cov, own, error2 = _covariance(lines, state, local)
     slope = _slopes(state.poles)
     real = slope @ _real(cov[: 2 * m, : 2 * m], m) @ slope.T
     values, vectors = np.linalg.eigh((real + real.T) / 2)
@@ -192,10 +218,11 @@ def _result(lines: Lines, state: _State, outcome: Outcome) -> Refined:
         float(np.sqrt(error2)),
         state.cost,
         outcome,
+        Known(state, cov, own),
     )
 
 
-def _covariance(lines: Lines, state: _State) -> tuple[Complex, Float, float]:
+def _covariance(lines: Lines, state: State, local: bool) -> tuple[Complex, Float, float]:
     """Covariance of all augmented parameters, zero for those that fix the scales, and the squared weighted errors.
 
     The errors are those (out, m) that the residues see, and that of all data.
@@ -208,12 +235,13 @@ def _covariance(lines: Lines, state: _State) -> tuple[Complex, Float, float]:
     cov = np.zeros_like(state.hessian)
     inner = np.linalg.pinv(scale[:, None] * h * scale, rcond=FLAT, hermitian=True)
     cov[np.ix_(free, free)] = 2 * scale[:, None] * inner * scale
-    own, shared = _local_error(lines, state)
+    everywhere = np.full(state.shapes.shape, error2), np.full(state.poles.size, error2)
+    own, shared = _local_error(lines, state) if local else everywhere
     each = np.tile(np.sqrt(shared), state.hessian.shape[0] // shared.size)
     return cov * each[:, None] * each, own, error2
 
 
-def _local_error(lines: Lines, state: _State) -> tuple[Float, Float]:
+def _local_error(lines: Lines, state: State) -> tuple[Float, Float]:
     """Squared weighted errors where each mode is seen: (out, m) of its residues, (m,) of its pole and participation.
 
     The errors of measured FRFs grow with the response, in the channels that see a mode most of all: so each error
@@ -260,14 +288,14 @@ def shape_deviations(lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int,
     Parameters
     ----------
     lines : Lines
+        Those of the fit.
     fit : Refined
     pairs : sequence of (output, input, sign), optional
         Driving points; None leaves the scale to the largest participation, held fixed.
     """
-    state = _evaluate(lines, fit.poles, fit.participation * lines.input)
-    cov, error, _ = _covariance(lines, state)
+    state, cov = fit.known.state, fit.known.covariance
     tile = np.tile(augment(state.shapes.T), (1 + fit.participation.shape[1], 1)).T  # (out, parameter)
-    own = state.shape_var * error
+    own = state.shape_var * fit.known.own
     psi = np.where(state.shapes == 0, np.finfo(float).tiny, state.shapes)
     out = np.empty(psi.shape)
     for k in range(fit.poles.size):  # (out, parameter) arrays of all modes at once would not fit
