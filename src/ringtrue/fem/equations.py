@@ -57,9 +57,7 @@ def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
         raise error(m.model, t, i, f"it has {count[i]} independent components; allowed are 6 that hold a rigid body")
     order = np.argsort(of, kind="stable")
     g, c = g[order].reshape(-1, 6), c[order].reshape(-1, 6)
-    origin = m.xyz[g].mean(axis=1)
-    size = np.abs(m.xyz[g] - origin[:, None]).max(axis=(1, 2))
-    size = np.where(size > 1e-9 * np.abs(m.xyz).max(), size, 1.0)  # six at one node
+    origin, size = _extent(m, g)
     own = np.arange(len(t))[:, None]
     phi_n = _motion(m, g, c, origin[own], size[own])
     values = np.linalg.svd(phi_n, compute_uv=False)
@@ -100,7 +98,12 @@ def _motion(m: Mesh, node: Int, component: Int, origin: Float, size: Float) -> F
 
 def rigid_motion(m: Mesh, node: Int, component: Int) -> Float:
     """Motion of components (e, k) of nodes (rows, e, k) by that of a rigid body about their centre, (e, k, 6)."""
-    origin = m.xyz[node].mean(axis=1, keepdims=True)
-    size = np.abs(m.xyz[node] - origin).max(axis=(1, 2))
-    size = np.where(size > 1e-9 * np.abs(m.xyz).max(), size, 1.0)
-    return _motion(m, node, component, origin, size[:, None])
+    origin, size = _extent(m, node)
+    return _motion(m, node, component, origin[:, None], size[:, None])
+
+
+def _extent(m: Mesh, node: Int) -> tuple[Float, Float]:
+    """Centre (e, 3) of nodes (rows, e, k), and their largest distance from it along an axis (e,), 1 for one place."""
+    origin = m.xyz[node].mean(axis=1)
+    size = np.abs(m.xyz[node] - origin[:, None]).max(axis=(1, 2))
+    return origin, np.where(size > 1e-9 * np.abs(m.xyz).max(), size, 1.0)

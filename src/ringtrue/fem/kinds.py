@@ -32,6 +32,7 @@ from ringtrue.fem.elements import (
 from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.fem.elements.solid import alike
 from ringtrue.fem.mesh import Matrices, Mesh
+from ringtrue.fem.rigid import RIGID
 from ringtrue.model.cards import columns, is_unsupported
 from ringtrue.model.model import Model, Table
 
@@ -78,9 +79,6 @@ ELEMENTS: Mapping[str, Build] = {
     "CONM2": mass.build,
 }
 SOLIDS = {s.card: s for s in (hexa.HEXA, penta.PENTA, pyramid.PYRAMID, tetra.TETRA)}
-RIGID = frozenset(
-    ("RBAR", "RBAR1", "RBE1", "RBE2", "RBE3", "RJOINT", "RROD", "RSPLINE", "RTRPLT", "RTRPLT1")
-)  # eliminated, see `fem.constraints`
 SHELLS = ("CQUAD4", "CQUADR", "CTRIA3", "CTRIAR", "CQUAD8", "CTRIA6")
 PROPERTY = {
     "CROD": "PROD",
@@ -140,13 +138,12 @@ def batches(model: Model, rows: Mapping[str, Int] | None = None) -> Iterable[tup
         if card not in model:
             continue
         at = np.arange(len(model[card])) if rows is None else rows.get(card, np.empty(0, dtype=np.int64))
+        groups: Iterable[Int] = [at] if at.size else []
         if card in SOLIDS:
-            yield from ((card, build, group) for group in alike(SOLIDS[card], model, at))
-            continue
-        if card == "GENEL":
-            yield from ((card, build, group) for group in general.alike(model, at))
-        elif at.size:
-            yield card, build, at
+            groups = alike(SOLIDS[card], model, at)
+        elif card == "GENEL":
+            groups = general.alike(model, at)
+        yield from ((card, build, group) for group in groups)
 
 
 def affected(model: Model, ids: Mapping[str, Int]) -> dict[str, Int]:

@@ -11,7 +11,7 @@ from ringtrue.fem.algebra import arm, rotation
 from ringtrue.fem.average import rbe3
 from ringtrue.fem.elements import fast, weld
 from ringtrue.fem.elements.patch import End
-from ringtrue.fem.equations import Equations, names, owners, rigid
+from ringtrue.fem.equations import ROUNDING, Equations, names, owners, rigid
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components, node_dofs, segment
 from ringtrue.model.model import Table
@@ -31,19 +31,6 @@ def rbe2(m: Mesh) -> Equations:
     row = np.repeat(np.arange(pair.size), 6)
     column = node_dofs(gn[pair][:, None]).reshape(-1)
     return Equations(6 * gm[pair] + c, row, column, A[pair, c].reshape(-1), names(t, of[pair]))
-
-
-def rbar(m: Mesh) -> Equations:
-    """A rigid bar; without components GA is independent and GB dependent."""
-    t = m.model["RBAR"]
-    of = np.repeat(np.arange(len(t)), 2)
-    ids = t.stack("GA", "GB").reshape(-1)
-    independent = np.stack([components(t["CNA"]), components(t["CNB"])], axis=1)
-    independent[~independent.any(axis=(1, 2)), 0] = True
-    dependent = np.stack([components(t["CMA"]), components(t["CMB"])], axis=1)
-    blank = ~dependent.any(axis=(1, 2))
-    dependent[blank] = ~independent[blank]
-    return rigid(m, t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6)))
 
 
 def rbe1(m: Mesh) -> Equations:
@@ -103,6 +90,11 @@ def _nodes(m: Mesh, card: str, ends: tuple[str, ...], free: tuple[str, ...], bou
     else:  # each blank field stands for all six
         dependent[:, 1:][~dependent[:, 1:].any(axis=2)] = True
     return rigid(m, t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6)))
+
+
+def rbar(m: Mesh) -> Equations:
+    """A rigid bar; without components GA is independent and GB dependent."""
+    return _nodes(m, "RBAR", ("GA", "GB"), ("CNA", "CNB"), ("CMA", "CMB"))
 
 
 def rbar1(m: Mesh) -> Equations:
@@ -196,31 +188,35 @@ def _interpolated(m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: Sequen
         values.append(local[entry, c])
     column, value = np.concatenate(columns, axis=1), np.concatenate(values, axis=1)
     row = np.repeat(np.arange(entry.size), column.shape[1])
-    keep = np.abs(value.reshape(-1)) > 1e-14 * np.abs(value).max(initial=0.0)
+    keep = np.abs(value.reshape(-1)) > ROUNDING * np.abs(value).max(initial=0.0)
     dependent = 6 * node[entry] + c
     return Equations(dependent, row[keep], column.reshape(-1)[keep], value.reshape(-1)[keep], names(t, of[entry]))
 
 
 def cweld(m: Mesh) -> Equations:
     """GA and GB of welds on patches, which follow their patch."""
-    on_patch = m.model["CWELD"]["TYPE"] != "ALIGN"
-    return _piercing(m, m.model["CWELD"], weld.ends(m, "CWELD", np.arange(len(on_patch))), on_patch)
+    return _piercing(m, "CWELD", weld.ends, m.model["CWELD"]["TYPE"] != "ALIGN")
 
 
 def cfast(m: Mesh) -> Equations:
     """GA and GB of fasteners, which follow their surface."""
-    t = m.model["CFAST"]
-    return _piercing(m, t, fast.ends(m, "CFAST", np.arange(len(t))), np.ones(len(t), dtype=bool))
+    return _piercing(m, "CFAST", fast.ends, np.ones(len(m.model["CFAST"]), dtype=bool))
 
 
-def _piercing(m: Mesh, t: Table, ends: Sequence[End], on_patch: Bool) -> Equations:
+def _piercing(m: Mesh, card: str, ends: Callable[[Mesh, str, Int], Sequence[End]], on_patch: Bool) -> Equations:
     """Nodes GA and GB that are given; one that is itself a corner is left alone."""
+    t = m.model[card]
+    rows = np.flatnonzero(on_patch & ((t["GA"] > 0) | (t["GB"] > 0)))
+    if not rows.size:
+        none: Int = np.empty(0, dtype=np.int64)
+        return Equations(none, none, none, np.empty(0), ())
     made = []
-    for side, end in zip("AB", ends, strict=True):
-        at = np.flatnonzero((t[f"G{side}"] > 0) & on_patch)
+    for side, end in zip("AB", ends(m, card, rows), strict=True):
+        given = np.flatnonzero(t[f"G{side}"][rows] > 0)
+        at = rows[given]
         node = m.nodes(t[f"G{side}"][at], t, at)
-        free = ~(end.nodes[at] == node[:, None]).any(axis=1)
-        made.append((node[free], at[free], end.nodes[at[free]], end.follow[at[free]]))
+        free = ~(end.nodes[given] == node[:, None]).any(axis=1)
+        made.append((node[free], at[free], end.nodes[given[free]], end.follow[given[free]]))
     node, of, corners, follow = (np.concatenate(x) for x in zip(*made, strict=True))
     parts = []
     for k in range(corners.shape[1]):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.fem.algebra import arm, congruent, rotation, unit
-from ringtrue.fem.elements.patch import End, Skin, on_square, place, surface
-from ringtrue.fem.elements.weld import assembled
+from ringtrue.fem.algebra import unit
+from ringtrue.fem.elements.patch import End, on_squares
+from ringtrue.fem.elements.weld import between, joined
 from ringtrue.fem.mesh import Matrices, Mesh, error, lookup
 from ringtrue.fem.place import frame
 
@@ -30,16 +30,8 @@ def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
     kind = t["TYPE"][at]
     if (bad := ~np.isin(kind, ("PROP", "ELEM"))).any():
         raise error(m.model, t, int(at[bad][0]), f"type {kind[bad][0]!r}: allowed are PROP, ELEM")
-    skin = Skin.of(m)
     D = m.model["PFAST"]["D"][lookup(m.model, "PFAST", t["PID"][at], t, at)].real
-    made = []
-    for side in "AB":
-        ids = t[f"ID{side}"][at]
-        pid = ids.copy()
-        shell = kind == "ELEM"
-        pid[shell] = surface(m, t, at[shell], skin, ids[shell])
-        made.append(on_square(m, t, at, skin, pid, place(m, t, at, side), D))
-    return made[0], made[1]
+    return on_squares(m, t, at, D, kind == "ELEM", ("IDA", "IDB"), ("IDA", "IDB"))
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
@@ -55,17 +47,13 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     p = m.model["PFAST"]
     k = p.stack(*_STIFFNESS)[row]
     a, b = ends(m, card, at)
-    d = b.place - a.place
-    L = np.linalg.norm(d, axis=1)
-    axis = np.where((L > 0)[:, None], d / np.where(L > 0, L, 1.0)[:, None], a.normal)
+    axis = between(a, b)[1]
     cid, absolute = p["MCID"][row], p["MFLAG"][row] > 0
     relative = (cid >= 0) & ~absolute & ((k[:, 1] != k[:, 2]) | (k[:, 4] != k[:, 5]))
     if relative.any():
         why = "MFLAG = 0 with a frame and KT2, KT3 or KR2, KR3 that differ; give MFLAG = 1"
         raise error(m.model, p, int(row[relative][0]), why)
     fixed = (cid >= 0) & absolute
-    middle = (a.place + b.place) / 2
-    R = np.where(fixed[:, None, None], frame(m, np.where(fixed, cid, 0), middle), _axes(axis))
-    move = [rotation(R, 1) @ arm(middle - end.place) @ end.follow for end in (a, b)]
-    K = congruent(np.concatenate([-move[0], move[1]], axis=2), k[:, :, None] * np.eye(6))
-    return assembled(a, b, K, p["MASS"][row] / 2, p["GE"][row])
+    own = frame(m, np.where(fixed, cid, 0), (a.place + b.place) / 2)
+    axes = np.where(fixed[:, None, None], own, _axes(axis))
+    return joined(a, b, axes, k, p["MASS"][row] / 2, p["GE"][row])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,11 +124,8 @@ class Skin:
 
     @classmethod
     def of(cls, m: Mesh) -> Skin:
-        ids, pids, corners = (
-            [np.zeros(0, dtype=np.int64)],
-            [np.zeros(0, dtype=np.int64)],
-            [np.zeros((0, 4), dtype=np.int64)],
-        )
+        none: Int = np.zeros(0, dtype=np.int64)
+        ids, pids, corners = [none], [none], [none.reshape(0, 4)]
         for card, count in SHELLS.items():
             if card in m.model:
                 t = m.model[card]
@@ -165,7 +163,7 @@ class Skin:
         return np.asarray(np.where(np.isfinite(away[row, best]), found[row, best], -1))
 
 
-def place(m: Mesh, t: Table, at: Int, side: str) -> Float:
+def _place(m: Mesh, t: Table, at: Int, side: str) -> Float:
     """The point (e, 3) whose foot is end A or B: GA or GB, else GS, else XS, YS, ZS."""
     own = t[f"G{side}"][at]
     own = np.where(own > 0, own, t["GS"][at])
@@ -177,7 +175,7 @@ def place(m: Mesh, t: Table, at: Int, side: str) -> Float:
     return out
 
 
-def surface(m: Mesh, t: Table, at: Int, skin: Skin, ids: Int) -> Int:
+def _surface(m: Mesh, t: Table, at: Int, skin: Skin, ids: Int) -> Int:
     """Properties (e,) of shells `ids` (e,)."""
     order = np.argsort(skin.ids, kind="stable")
     found = np.searchsorted(skin.ids[order], ids).clip(max=max(skin.ids.size - 1, 0))
@@ -187,7 +185,7 @@ def surface(m: Mesh, t: Table, at: Int, skin: Skin, ids: Int) -> Int:
     return np.asarray(skin.pid[row])
 
 
-def on_square(m: Mesh, t: Table, at: Int, skin: Skin, pid: Int, point: Float, diameter: Float) -> End:
+def _on_square(m: Mesh, t: Table, at: Int, skin: Skin, pid: Int, point: Float, diameter: Float) -> End:
     """Ends on shells of a property: the mean motion of the corners of a square as large as the circle (e,).
 
     The corners follow the shells that they stand on; the end follows them as an RBE3 of equal weights does (MSC Nastran
@@ -216,3 +214,15 @@ def on_square(m: Mesh, t: Table, at: Int, skin: Skin, pid: Int, point: Float, di
     shift = feet.follow[:, :3].reshape(-1, 4, 3, 24)
     follow = np.einsum("eijk,ejkl->eijl", mean.reshape(-1, 6, 4, 3), shift).reshape(-1, 6, 96)
     return End(feet.nodes.reshape(-1, 16), centre.place, centre.normal, follow)
+
+
+def on_squares(
+    m: Mesh, t: Table, at: Int, diameter: Float, by_shell: Bool, properties: Sequence[str], shells: Sequence[str]
+) -> tuple[End, End]:
+    """Ends A and B on the shells of the property that the card names, or of the shell that it names (`by_shell`)."""
+    skin, made = Skin.of(m), []
+    for side, own, shell in zip("AB", properties, shells, strict=True):
+        pid = t[own][at].copy()
+        pid[by_shell] = _surface(m, t, at[by_shell], skin, t[shell][at[by_shell]])
+        made.append(_on_square(m, t, at, skin, pid, _place(m, t, at, side), diameter))
+    return made[0], made[1]

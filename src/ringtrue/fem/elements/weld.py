@@ -13,7 +13,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.algebra import arm, congruent, rotation
-from ringtrue.fem.elements.patch import SHELLS, End, Skin, merged, on_node, on_patch, on_square, place, surface
+from ringtrue.fem.elements.patch import SHELLS, End, merged, on_node, on_patch, on_squares
 from ringtrue.fem.mesh import Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import any_triad, node_dofs
 
@@ -45,15 +45,9 @@ def patches(m: Mesh, card: str, at: Int, side: str) -> tuple[Int, Bool]:
 
 def _wide(m: Mesh, card: str, at: Int) -> tuple[End, End]:
     """Ends on surfaces of several shells, of a property (PARTPAT) or that of a shell (ELPAT)."""
-    t, skin = m.model[card], Skin.of(m)
+    t = m.model[card]
     D = m.model["PWELD"]["D"][lookup(m.model, "PWELD", t["PID"][at], t, at)].real
-    by_shell = t["TYPE"][at] == "ELPAT"
-    made = []
-    for side in "AB":
-        pid = t[f"PID{side}"][at].copy()
-        pid[by_shell] = surface(m, t, at[by_shell], skin, t[f"SHID{side}"][at[by_shell]])
-        made.append(on_square(m, t, at, skin, pid, place(m, t, at, side), D))
-    return made[0], made[1]
+    return on_squares(m, t, at, D, t["TYPE"][at] == "ELPAT", ("PIDA", "PIDB"), ("SHIDA", "SHIDB"))
 
 
 def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
@@ -96,8 +90,18 @@ def springs(L: Float, D: Any_, E: Any_, G: Any_, least: Float, most: Float) -> A
     return np.stack([E * area / length, across, across, 2 * G * second / length, bending, bending], axis=1)
 
 
-def assembled(a: End, b: End, K: Any_, half: Any_, loss: Any_) -> Matrices:
-    """Matrices by stiffness (e, d, d) and half the mass (e,), at each end."""
+def between(a: End, b: End) -> tuple[Float, Float]:
+    """Length (e,) and axis (e, 3) from A to B; the normal of A where they are at one place."""
+    d = b.place - a.place
+    L = np.linalg.norm(d, axis=1)
+    return L, np.where((L > 0)[:, None], d / np.where(L > 0, L, 1.0)[:, None], a.normal)
+
+
+def joined(a: End, b: End, axes: Float, springs: Any_, half: Any_, loss: Any_) -> Matrices:
+    """Matrices by springs (e, 6) half way between the ends, along and about `axes` (e, 3, 3); half the mass at each."""
+    middle, local = (a.place + b.place) / 2, rotation(axes, 1)
+    move = [local @ arm(middle - end.place) @ end.follow for end in (a, b)]
+    K = congruent(np.concatenate([-move[0], move[1]], axis=2), springs[:, :, None] * np.eye(6))
     d = K.shape[1]
     M = np.zeros((len(K), d, d), dtype=half.dtype)
     first = 0
@@ -127,13 +131,6 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     if (bad := (np.real(D) <= 0) | (np.real(iso.G) == 0)).any():
         raise error(m.model, p, int(row[bad][0]), "D must be greater than 0, and its MAT1 have a shear modulus")
     a, b = ends(m, card, at)
-    d = b.place - a.place
-    L = np.linalg.norm(d, axis=1)
-    axis = np.where((L > 0)[:, None], d / np.where(L > 0, L, 1.0)[:, None], a.normal)
-    middle = (a.place + b.place) / 2
-    local = rotation(any_triad(axis), 1)
-    move = [local @ arm(middle - end.place) @ end.follow for end in (a, b)]
+    L, axis = between(a, b)
     k = springs(L, D, iso.E, iso.G, p["LDMIN"][row], p["LDMAX"][row])
-    K = congruent(np.concatenate([-move[0], move[1]], axis=2), k[:, :, None] * np.eye(6))
-    half = iso.rho * np.pi / 8 * D**2 * L
-    return assembled(a, b, K, half, iso.loss)
+    return joined(a, b, any_triad(axis), k, iso.rho * np.pi / 8 * D**2 * L, iso.loss)
