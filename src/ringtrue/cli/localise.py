@@ -10,9 +10,8 @@ import typer
 from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
-from ringtrue.cli.show import json_target, out, progress, rows, write_json
+from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
 from ringtrue.core.observation import Observation
-from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
@@ -20,7 +19,6 @@ from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership
-from ringtrue.update.catalogue import UNITS
 from ringtrue.update.effects import Dropped, effective, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import element_errors
@@ -28,7 +26,6 @@ from ringtrue.update.objective import Target, match
 from ringtrue.update.pool import conflicts
 from ringtrue.update.proposal import Proposal, propose
 
-LENGTH = {"SI": 1.0, "mm-t-s": 1e-3, "mm-kg-ms": 1e-3, "in-lbf-s": 0.0254, "ft-lbf-s": 0.3048}  # m
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test
 
 
@@ -50,14 +47,13 @@ def localise(
 
     Example: ringtrue localise wing.bdf test.json --sensors sensors.csv --units mm-t-s
     """
-    if units not in UNITS:
-        raise ConfigError(f"--units {units}{did_you_mean(units, UNITS)}")
+    metres = unit_length(units)
     with progress("localise") as show:
         show(0.0, f"reading {deck}")
         model, seen = read_deck(deck), realise_modes(read_modes(test))
         seen = seen.take(np.flatnonzero(seen.frequencies > 0))
         analysis = EmbeddedSolver().open(model)
-        bridge = placed(model, analysis.dofs, seen.channels, sensors, unit=LENGTH[units], tolerance=tolerance)
+        bridge = placed(model, analysis.dofs, seen.channels, sensors, unit=metres, tolerance=tolerance)
         aim = Target(seen.frequencies, seen.shapes, np.zeros(len(seen)), np.ones(len(seen), dtype=bool))
         count = int(EXTRA * len(seen)) + 4
         modes = analysis.eigen(ModesRequest(count))

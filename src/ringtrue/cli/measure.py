@@ -9,13 +9,12 @@ from typing import Annotated, Any
 import typer
 from scipy import sparse
 
-from ringtrue.cli.localise import LENGTH
-from ringtrue.cli.show import json_target, out, progress, rows, write_json
+from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
 from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
-from ringtrue.errors import ConfigError, DataError, did_you_mean
+from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import read_frequency_std, read_modes
 from ringtrue.io.nastran.reader import read_deck
@@ -42,9 +41,7 @@ def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, Mode
 
 def _of_deck(deck: Path, test: ModeSet, sensors: Path | None, units: str, tolerance: float) -> ModeSet:
     """The modes of a deck at the channels of a test, as far up as a partner may lie."""
-    if units not in LENGTH:
-        raise ConfigError(f"--units {units}{did_you_mean(units, LENGTH)}")
-    unit, top = LENGTH[units], float(test.frequencies.max(initial=0.0))
+    unit, top = unit_length(units), float(test.frequencies.max(initial=0.0))
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
         model = read_deck(deck)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as text_json
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import numpy as np
 import typer
@@ -21,14 +21,13 @@ from ringtrue.plan.exciters import reciprocity_pairs
 from ringtrue.plan.rehearsal import missed_words
 from ringtrue.plan.sheet import reach_of, write_test_sheet
 from ringtrue.report.deliver import deliver
+from ringtrue.study.config_plan import Directions, Method, Strike
 from ringtrue.study.measured import LENGTH
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.virtual.sensors import ICP
 
-METHODS = ("independence", "qr", "auto-mac", "information")
-STRIKES = ("worst", "greedy", "qr", "mif")
-DIRECTIONS = ("triaxial", "uniaxial", "normal")
+METHODS, STRIKES, DIRECTIONS = (get_args(kind) for kind in (Method, Strike, Directions))
 MISSED = 0.1  # of the best driving-point residue
 RIGID = 1e-3  # of the highest frequency
 ABOVE = 1.3  # modes up to here over the band take part in the virtual test

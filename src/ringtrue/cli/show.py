@@ -13,8 +13,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from ringtrue.errors import ConfigError
+from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
+from ringtrue.update.catalogue import LENGTH
 
 out = Console(soft_wrap=False)
 err = Console(stderr=True)
@@ -72,3 +73,10 @@ def write_json(value: Any, target: str) -> None:
         return
     with atomic_write(Path(target)) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def unit_length(units: str) -> float:
+    """Metres a unit of length of the system that `--units` names."""
+    if units not in LENGTH:
+        raise ConfigError(f"--units {units}{did_you_mean(units, LENGTH)}")
+    return LENGTH[units]

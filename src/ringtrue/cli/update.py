@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.backends.observed import FullModel, reduced
-from ringtrue.backends.registry import solver
+from ringtrue.backends.observed import PRINTED, FullModel, reduced
+from ringtrue.backends.registry import EMBEDDED, solver
 from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
@@ -56,7 +56,6 @@ from ringtrue.update.weights import RULES, regularised
 
 ABOVE = 1.5  # modes of the model up to here over the highest test mode
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
-PRINTED = 1e-4  # change of an unknown that ends an updating on what programs print
 STARTED = 30  # iterations of each of several starts
 SIDES = ("measured", "before", "after")
 Progress = Any
@@ -130,13 +129,13 @@ def update(
     Example: ringtrue update study.toml modes.json --leave-out 3,7 --out updated
     """
     config = _settings(read_config(study), residuals, frequency, mac_percent, (frf, static, mass))
-    solver_name = solver_name or (config.model.solver if config.model else "embedded")
+    solver_name = solver_name or (config.model.solver if config.model else EMBEDDED)
     asked = Asked(method, prior, loss, starts, seed, checkpoint, solver_name)
     engine = solver(solver_name)
     _check(asked)
     if config.model is None or not config.candidate:
         raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
-    anew = solver_name != "embedded"
+    anew = solver_name != EMBEDDED
     if anew and config.residual:
         raise ConfigError(
             f"--solver {solver_name} gives modes alone: FRFs, static tests and a weighed mass need the embedded solver"
@@ -376,7 +375,7 @@ def _print(study: Path, summary: dict[str, Any]) -> None:
         rows("beside the modes", ("", "what", "unit", *SIDES), body)
     for line in (summary["why"], *summary["flags"], *(f"deck: {p}" for p in summary["deck"])):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
-    if summary["solver"] == "embedded":
+    if summary["solver"] == EMBEDDED:
         error = summary["basis_error"]
         told = f"{summary['full_solutions']} full solutions; the reduced model is off by {error:.1e} at most"
     else:

@@ -9,6 +9,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from ringtrue.backends.registry import EMBEDDED
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.study.config_errors import explain
@@ -43,7 +44,7 @@ class ModelSection(_Section):
     deck: str
     units: Literal["SI", "mm-t-s"] = "SI"
     fmax: float = Field(default=100.0, gt=0)  # Hz, modes are computed up to here: a fifth or more above the test's
-    solver: str = "embedded"  # of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in
+    solver: str = EMBEDDED  # of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in
     regions: dict[str, list[int]] = {}  # name -> property numbers, for drawing and naming
 
 
@@ -290,7 +291,7 @@ class StudyConfig(_Section):
         there = {c.name for c in self.configuration}
         if lost := sorted({r.configuration for r in self.residual if r.configuration} - there):
             raise ValueError(f"[[residual]]: no configuration {lost[0]!r}")
-        if self.residual and self.model is not None and self.model.solver != "embedded":
+        if self.residual and self.model is not None and self.model.solver != EMBEDDED:
             raise ValueError(
                 f"[[residual]] {self.residual[0].kind}: [model] solver {self.model.solver!r} gives modes alone; what "
                 "was measured beside them needs the embedded solver"

@@ -8,6 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from ringtrue.errors import did_you_mean
 
+Method = Literal["independence", "qr", "auto-mac", "information"]
+Directions = Literal["triaxial", "uniaxial", "normal"]
+Strike = Literal["worst", "greedy", "qr", "mif"]
+
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -31,7 +35,7 @@ class PlanSection(_Section):
     min_distance: float = Field(default=0.8, ge=0)  # m
     damping: float = Field(default=0.01, gt=0)  # expected, for the resolution
     max_auto_mac: float = Field(default=0.25, gt=0, lt=1)
-    method: Literal["independence", "qr", "auto-mac", "information"] = "independence"
+    method: Method = "independence"
     modes: list[int] = []  # target modes by their number in the deck, from 1; empty: all of the band
     effective_mass: float = Field(default=0.0, ge=0, lt=1)  # of the band, modes with such a share of the mass, or
     sensitive: float = Field(default=0.0, ge=0)  # with such a sum of |∂λ/∂a|/λ over the candidates of the updating, or
@@ -47,10 +51,10 @@ class PlanSection(_Section):
     exclude: list[int] = []  # nodes that are no candidates
     fixed: list[int] = []  # nodes that are measured in any case
     redundancy: int = Field(default=0, ge=0)  # points that may fail
-    directions: Literal["triaxial", "uniaxial", "normal"] = "triaxial"  # of a sensor: X Y Z, one of them, off the skin
+    directions: Directions = "triaxial"  # of a sensor: X Y Z, one of them, off the skin
     # driving-point residues by the mean of the logarithms, or by the mode that is excited worst; QR of M·Φ; force
     # appropriation by the mode indicator
-    strike: Literal["greedy", "worst", "qr", "mif"] = "greedy"
+    strike: Strike = "greedy"
     suspension: int = Field(default=0, ge=0)  # points to hang from; 0: not asked for
     sensor_mass: float = Field(default=0.0, ge=0)  # kg a point, for the shift of the frequencies
     lines: Literal["mesh", "nearest"] = "mesh"  # the drawing of the points follows the mesh, or joins neighbours

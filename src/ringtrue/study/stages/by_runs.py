@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from ringtrue.backends.observed import FullModel
+from ringtrue.backends.observed import PRINTED, FullModel
 from ringtrue.core.observation import Observation
 from ringtrue.model.edit import carried
 from ringtrue.model.ports import ModesRequest
@@ -21,7 +21,6 @@ from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.stages.together import method_of, settled, summary
 from ringtrue.study.workbench import Workbench
 
-PRINTED = 1e-4  # change of an unknown that ends an updating on what programs print
 USUAL = 60  # runs of an updating, for the progress that is shown
 
 
