@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.fem.algebra import skew, unit
+from ringtrue.fem.elements.shell_rule import bilinear
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import any_triad
 from ringtrue.model.model import Table
@@ -43,12 +44,11 @@ class End:
 def _shapes(r: Float, s: Float, triangle: Bool) -> tuple[Float, Float]:
     """Shape functions (e, 4) and their derivatives (e, 2, 4) of quadrilaterals (-1 to 1) and triangles (0 to 1)."""
     one, none = np.ones_like(r), np.zeros_like(r)
-    quad = np.stack([(1 - r) * (1 - s), (1 + r) * (1 - s), (1 + r) * (1 + s), (1 - r) * (1 + s)], axis=1) / 4
-    dr, ds = np.stack([s - 1, 1 - s, 1 + s, -1 - s], axis=1) / 4, np.stack([r - 1, -1 - r, 1 + r, 1 - r], axis=1) / 4
+    quad, dquad = bilinear(np.stack([r, s], axis=1))
     flat = np.stack([1 - r - s, r, s, none], axis=1)
     slope = np.stack([np.stack([-one, one, none, none], 1), np.stack([-one, none, one, none], 1)], axis=1)
     pick = triangle[:, None]
-    return np.where(pick, flat, quad), np.where(pick[:, None], slope, np.stack([dr, ds], axis=1))
+    return np.where(pick, flat, quad), np.where(pick[:, None], slope, dquad.swapaxes(1, 2))
 
 
 def _foot(x: Float, point: Float, triangle: Bool) -> tuple[Float, Float, Float, Float]:

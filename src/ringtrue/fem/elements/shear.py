@@ -14,6 +14,7 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import unit
 from ringtrue.fem.elements import rod
+from ringtrue.fem.elements.shell_rule import bilinear
 from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import node_dofs
 
@@ -84,9 +85,8 @@ def flexibility(x: Float) -> tuple[Float, Float]:
     P, Q = np.cross(sides[:, 0], sides[:, 2]), np.cross(sides[:, 1], sides[:, 3])
     line = np.cross(P, Q)
     r, s = (g.ravel() for g in np.meshgrid(_POINTS, _POINTS))
-    N = np.stack([(1 - r) * (1 - s), (1 + r) * (1 - s), (1 + r) * (1 + s), (1 - r) * (1 + s)], axis=1) / 4
-    dr, ds = np.stack([s - 1, 1 - s, 1 + s, -1 - s], axis=1) / 4, np.stack([r - 1, -1 - r, 1 + r, 1 - r], axis=1) / 4
-    at, jacobian = N @ xy, _turned(dr @ xy, ds @ xy)
+    N, dN = bilinear(np.stack([r, s], axis=1))
+    at, jacobian = N @ xy, _turned(dN[..., 0] @ xy, dN[..., 1] @ xy)
     a, b = _from(P, at), _from(Q, at)
     p = np.einsum("enj,ej->en", at, line[:, :2]) + line[:, 2:]
     w = np.outer(_WEIGHTS, _WEIGHTS).ravel() * jacobian * size[:, :, 0] ** 2 / p**6

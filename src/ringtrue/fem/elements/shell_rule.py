@@ -48,20 +48,21 @@ class Rule:
 
     def shapes(self, p: Float) -> tuple[Float, Float]:
         """Shape functions (p, k) and natural derivatives (p, k, 2)."""
-        return {4: _bilinear, 6: _triangle, 8: _quad}[len(self.nodes)](p)
+        return {4: bilinear, 6: _triangle, 8: _quad}[len(self.nodes)](p)
 
     def corner_shapes(self, p: Float) -> Float:
         """The linear shapes of the corners (p, corners)."""
         if self.corners == 3:
             return np.stack([1 - p.sum(axis=1), p[:, 0], p[:, 1]], axis=1)
-        return _bilinear(p)[0]
+        return bilinear(p)[0]
 
 
 _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _MIDDLES = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
 
 
-def _bilinear(p: Float) -> tuple[Float, Float]:
+def bilinear(p: Float) -> tuple[Float, Float]:
+    """Shape functions (k, 4) of the four-node quadrilateral at places (k, 2), and natural derivatives (k, 4, 2)."""
     f = 1 + p[:, None, :] * _CORNERS
     return f.prod(axis=2) / 4, np.stack([_CORNERS[:, 0] * f[..., 1], _CORNERS[:, 1] * f[..., 0]], axis=2) / 4
 

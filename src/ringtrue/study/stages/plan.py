@@ -233,9 +233,8 @@ def _exciters(
     if plan.strike == "mif":
         f = desk.get("model").modes.frequencies
         zeta = np.full(f.size, plan.damping)
-        outputs = np.asarray(
-            np.linalg.qr(rows, mode="r")
-        )  # as good as all channels: the indicator reads sums over them alone
+        # as good as all channels: the indicator reads sums over them alone
+        outputs = np.asarray(np.linalg.qr(rows, mode="r"))
         return appropriate_exciters(frf(f[targets], f, zeta, outputs, rows), count)
     return (RESIDUE[plan.strike](rows[:, targets], plan.references), *none)
 
