@@ -186,8 +186,8 @@ def bend_places(fields: Sequence[str]) -> Mapping[str, int]:
 
 def pbend(cards: Sequence[Card], files: Files) -> Table:
     """PBEND of either form; a pipe with flexibility factors other than 1, or as NX has it, is refused."""
-    names = dict.fromkeys((*_PIPE, *_BEND))
-    cols: dict[str, list[float]] = {n: [] for n in ("PID", "MID", *names)}
+    names = tuple(n for n in dict.fromkeys((*_PIPE, *_BEND)) if n != "FSI")
+    cols: dict[str, list[float]] = {n: [] for n in ("PID", "MID", "FSI", *names)}
     for c in cards:
         r = Reader(c, files)
         at = bend_places(c.fields)
@@ -198,11 +198,10 @@ def pbend(cards: Sequence[Card], files: Files) -> Table:
                 raise UnsupportedCard("PBEND", path=files[c.file], line=c.line, why=why)
         cols["PID"].append(r.whole(0, "PID"))
         cols["MID"].append(r.whole(1, "MID"))
+        cols["FSI"].append(int(at is _PIPE))
         for n in names:
             blank = float("nan") if n == "DELTAN" else 0.0
-            cols[n].append(
-                r.real(at[n], n, blank) if n in at and n != "FSI" else float(at is _PIPE) if n == "FSI" else blank
-            )
+            cols[n].append(r.real(at[n], n, blank) if n in at else blank)
     whole = ("PID", "MID", "FSI")
     return Table(
         "PBEND", {n: np.array(v, np.int64 if n in whole else np.float64) for n, v in cols.items()}, *places(cards)
