@@ -14,7 +14,7 @@ from scipy import linalg, sparse
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError, NumericalError
-from ringtrue.fem.derivatives import PowerTerm
+from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.reduce.affine import AffineSystem
 from ringtrue.reduce.parametric import reduced_model
 from ringtrue.update.dense import DenseModel, matrices_at
@@ -180,10 +180,10 @@ def test_static_deflections_skip_what_was_not_measured() -> None:
 
 def test_reduced_model_gives_the_same_matrices_projected() -> None:
     dense = row()
-    parts = [
-        (PowerTerm(1, sparse.csr_array(k), sparse.csr_array(m)),)
-        for k, m in zip(dense.d_stiffness, dense.d_mass, strict=True)
-    ]
+    parts = tuple(
+        AffineTerm(power(i), sparse.csr_array(k), sparse.csr_array(m))
+        for i, (k, m) in enumerate(zip(dense.d_stiffness, dense.d_mass, strict=True))
+    )
     system = AffineSystem(
         sparse.csr_array(dense.stiffness),
         sparse.csr_array(dense.mass),
@@ -208,7 +208,7 @@ def masses() -> tuple[AffineSystem, np.ndarray]:
     part = [sparse.csr_array(np.diag([2.0] * 3 + [0.0] * 3)), sparse.csr_array(np.diag([0.0] * 3 + [3.0] * 3))]
     names = ParameterSet((Parameter("m1"), Parameter("m2")))
     empty = sparse.csr_array((6, 6))
-    terms = [(PowerTerm(1, empty, m),) for m in part]
+    terms = tuple(AffineTerm(power(i), empty, m) for i, m in enumerate(part))
     return AffineSystem(
         sparse.eye_array(6).tocsr(), part[0] + part[1], names, terms, sparse.eye_array(6).tocsr()
     ), rigid

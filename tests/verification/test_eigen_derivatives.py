@@ -20,7 +20,7 @@ from ringtrue.eigen.derivatives import (
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, NotConverged
-from ringtrue.fem.derivatives import scaled
+from ringtrue.fem.change import scaled
 from ringtrue.model.ports import ModesRequest
 
 N, M = 14, 8

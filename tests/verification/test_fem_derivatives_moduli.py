@@ -9,7 +9,8 @@ from scipy import sparse
 
 from ringtrue.core.parameters import Parameter, Target
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.derivatives import bilinear, matrix_derivatives, scaled, system_derivatives
+from ringtrue.fem.change import scaled
+from ringtrue.fem.derivatives import bilinear, matrix_derivatives, system_derivatives
 from ringtrue.fem.slopes import sole_material
 from ringtrue.model.model import Model
 

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError, NumericalError
-from ringtrue.fem.derivatives import PowerTerm
+from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduce.affine import AffineSystem
 from ringtrue.reduce.parametric import BasisOptions, reduced_model
@@ -100,7 +100,7 @@ def test_verified_updating_ends_on_the_full_model() -> None:
         parts[i * groups // n] += 4e4 * np.outer(v, v)
     names = ParameterSet(tuple(Parameter(f"k{g}", (), 0.2, 5.0, "log", 1e4) for g in range(groups)))
     empty = sparse.csr_array((n, n))
-    terms = [(PowerTerm(1, sparse.csr_array(k), empty),) for k in parts]
+    terms = tuple(AffineTerm(power(i), sparse.csr_array(k), empty) for i, k in enumerate(parts))
     eye = sparse.eye_array(n).tocsr()
     system = AffineSystem(sparse.csr_array(parts.sum(axis=0)), eye, names, terms, eye[::4])
     model = reduced_model(system, 8, options=BasisOptions(size=16))

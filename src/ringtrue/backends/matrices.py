@@ -18,7 +18,7 @@ from ringtrue.eigen.derivatives import Slope
 from ringtrue.eigen.engines import Method
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.fem.assembly import System
-from ringtrue.fem.derivatives import PowerTerm
+from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.reduce.affine import AffineSystem
@@ -150,7 +150,7 @@ class MatrixModel:
     ) -> ReducedModel:
         """An `ObservedModel` on a reduced basis of stiffness and mass."""
         p = self.parameters() if parameters is None else parameters
-        parts = tuple((PowerTerm(1, s.stiffness, s.mass),) for s in self.slopes(p))
+        parts = tuple(AffineTerm(power(i), s.stiffness, s.mass) for i, s in enumerate(self.slopes(p)))
         affine = AffineSystem(self.K, self.M, p, parts, sparse.csr_array(observation.matrix))
         return reduced_model(affine, count, options=options, progress=progress)
 

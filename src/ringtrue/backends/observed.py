@@ -14,7 +14,8 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.derivatives import scaled, terms
+from ringtrue.fem.change import scaled
+from ringtrue.fem.dependence import affine_terms
 from ringtrue.fem.spins import without_spins
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest
@@ -192,7 +193,7 @@ def reduced(
 ) -> ReducedModel:
     """The reduced observed model of a deck: assemble, differentiate, project."""
     system, _ = without_spins(model, assemble(model))
-    parts = [terms(model, p, system) for p in parameters.parameters]
+    parts = affine_terms(model, parameters, system)
     affine: AffineSystem = observed_system(
         system.stiffness, system.mass, system.transform, parameters, parts, observation
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -87,9 +87,9 @@ class FrfSet:
     outputs, inputs : tuple of Channel
         The id of an input is a point and direction like that of an output: equal ids mark a driving point.
     coherence : (freq, out, in) float64
-        NaN where unknown.
+        NaN where unknown, as all is if not given.
     averages : (in,) float64
-        Hits or averages behind each column; NaN where unknown.
+        Hits or averages behind each column; NaN where unknown, as all is if not given.
     kind : str
     window_decay : float, 1/s
         Decay rate σ of an exponential window e^{-σt} on the responses, still in the data; 0 for none.
@@ -99,16 +99,21 @@ class FrfSet:
     freqs: Float
     outputs: tuple[Channel, ...]
     inputs: tuple[Channel, ...]
-    coherence: Float
-    averages: Float
+    coherence: Float = field(default_factory=lambda: np.zeros(0))
+    averages: Float = field(default_factory=lambda: np.zeros(0))
     kind: FrfKind = "accelerance"
     window_decay: float = 0.0
     source: str = ""
 
     def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "outputs", tuple(self.outputs))
+        put(self, "inputs", tuple(self.inputs))
+        if not np.size(self.coherence):
+            put(self, "coherence", np.full(np.shape(self.data), np.nan))
+        if not np.size(self.averages):
+            put(self, "averages", np.full(len(self.inputs), np.nan))
         freeze_fields(self, data=np.complex128, freqs=np.float64, coherence=np.float64, averages=np.float64)
-        object.__setattr__(self, "outputs", tuple(self.outputs))
-        object.__setattr__(self, "inputs", tuple(self.inputs))
         want = (self.freqs.size, len(self.outputs), len(self.inputs))
         if self.data.shape != want or self.coherence.shape != want:
             raise DataError(

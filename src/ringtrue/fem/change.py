@@ -212,6 +212,20 @@ def within(model: Model, rows: dict[str, Int], elements: Sequence[int]) -> dict[
     return {card: at for card, at in picked.items() if at.size}
 
 
+def rows_of_elements(model: Model, name: str, elements: Sequence[int]) -> dict[str, Int]:
+    """Rows of each element card with these ids.
+
+    Raises
+    ------
+    InputError
+        If one is not in the model.
+    """
+    rows = within(model, {c: np.arange(len(model[c])) for c in affected_cards(model)}, elements)
+    if sum(at.size for at in rows.values()) < len(set(elements)):
+        raise InputError(f"parameter {name}: not all of its {len(set(elements))} elements are in the model")
+    return rows
+
+
 def _node_fields() -> dict[str, list[str]]:
     made: dict[str, list[str]] = {}
     for r in REFERENCES:

@@ -1,9 +1,8 @@
-"""How the matrices depend on a parameter: exact polynomial parts, and exact derivatives."""
+"""Exact derivatives of the matrices to parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -11,144 +10,12 @@ from scipy import sparse
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import Parameter, Target
 from ringtrue.eigen.derivatives import Slope
-from ringtrue.errors import DeckError, UnsupportedError
-from ringtrue.fem.assembly import System, full_matrices, reduced, sum_up, turn
-from ringtrue.fem.change import changed, rows_of, scaled, within
+from ringtrue.fem.assembly import System, full_matrices, sum_up, turn
 from ringtrue.fem.constraints import eliminate
 from ringtrue.fem.kinds import batches
 from ringtrue.fem.mesh import Mesh, mesh
-from ringtrue.fem.slopes import CENTRAL, SMALL, ElementSlopes, displaced, element_slopes, is_place, moves_nodes
+from ringtrue.fem.slopes import CENTRAL, SMALL, ElementSlopes, displaced, element_slopes, moves_nodes
 from ringtrue.model.model import Model
-
-__all__ = ["PowerTerm", "bilinear", "matrix_derivatives", "scaled", "system_derivatives", "terms"]
-
-CHECK = 1.37  # a factor at which the polynomial must hold
-EXACT, NOISE = 1e-10, 1e-13  # relative: not polynomial above, no such power below
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PowerTerm:
-    """The part a^power of K(a) and M(a): stiffness and mass (f, f) csr float64."""
-
-    power: int
-    stiffness: sparse.csr_array
-    mass: sparse.csr_array
-
-
-def _sample(m: Mesh, name: str, targets: Sequence[Target], rows: dict[str, Int], a: complex) -> list[sparse.csr_array]:
-    """Full K and M of the rows at the factor a."""
-    there = Mesh(changed(m.model, name, targets, a), m.xyz, m.cd, m.scalar)
-    parts = [build(there, card, at) for card, build, at in batches(there.model, rows)]
-    return list(full_matrices(there, parts))
-
-
-def _size(A: sparse.csr_array) -> float:
-    return float(np.abs(A.data).max(initial=0.0))
-
-
-def _powers(at: dict[complex, sparse.csr_array]) -> list[sparse.csr_array]:
-    """c0..c3 of a cubic from its values at 1, -1, i: perfectly conditioned."""
-    even, odd = (at[1] + at[-1]) / 2, (at[1] - at[-1]) / 2
-    P, Q = at[1j].real, at[1j].imag
-    return [(even + P) / 2, (odd + Q) / 2, (even - P) / 2, (odd - Q) / 2]
-
-
-def terms(model: Model, parameter: Parameter, system: System) -> tuple[PowerTerm, ...]:
-    """The parts of K(a) = K0 + Σ a^power K_power, M likewise, for a common factor a on the parameter's targets.
-
-    The kernels are evaluated at a = 1, -1, i, which gives the coefficients of a cubic without loss of digits, and
-    at one further point, which proves that it is one. Only the affected elements are computed.
-
-    Raises
-    ------
-    UnsupportedError
-        If the dependence is not a polynomial of degree three or less.
-    InputError
-        If a target is not in the model.
-    """
-    _refuse_geometry(parameter)
-    m = mesh(model)
-    sums = [[sparse.csr_array((m.size, m.size)) for _ in range(2)] for _ in range(4)]  # over powers, then K and M
-    for targets, rows in _together(model, parameter):
-        for power, parts in enumerate(_cubic(m, parameter, targets, rows)):
-            sums[power] = [sparse.csr_array(a + b) for a, b in zip(sums[power], parts, strict=True)]
-    if parameter.substructures:
-        only = Parameter(parameter.name, substructures=parameter.substructures)
-        K, M, _, _ = _summed(m, list(element_slopes(model, [only])), 1)[0]
-        sums[1] = [sparse.csr_array(sums[1][0] + K), sparse.csr_array(sums[1][1] + M)]
-    found = []
-    for power in (1, 2, 3):
-        if any(_size(A) for A in sums[power]):
-            K, M = (reduced(system.transform, A) for A in sums[power])
-            found.append(PowerTerm(power, K, M))
-    return tuple(found)
-
-
-def _together(model: Model, parameter: Parameter) -> list[tuple[list[Target], dict[str, Int]]]:
-    """Targets of the same elements, and the rows that they change.
-
-    Raises
-    ------
-    UnsupportedError
-        If groups of targets meant for different elements share an element: their products are not sums.
-    """
-    groups: dict[tuple[int, ...], list[Target]] = {}
-    for t in parameter.targets:
-        groups.setdefault(t.elements, []).append(t)
-    out: list[tuple[list[Target], dict[str, Int]]] = []
-    for elements, targets in groups.items():
-        rows: dict[str, Int] = {}
-        changed(model, parameter.name, targets, 1.0)  # names a target that is not there
-        for t in targets:
-            for card, at in within(model, rows_of(model, t), elements).items():
-                rows[card] = np.union1d(rows[card], at) if card in rows else at
-        if any(np.intersect1d(at, other[c]).size for _, other in out for c, at in rows.items() if c in other):
-            raise UnsupportedError(f"parameter {parameter.name}: its targets share elements, but not all of them")
-        out.append((targets, rows))
-    return out
-
-
-def _cubic(m: Mesh, parameter: Parameter, targets: list[Target], rows: dict[str, Int]) -> list[list[sparse.csr_array]]:
-    """c0..c3 of K and M of the rows, proved at a further point."""
-    with np.errstate(all="ignore"):  # a rational dependence may have its pole at one of the points; it is refused
-        try:
-            samples: dict[complex, list[sparse.csr_array]] = {
-                a: _sample(m, parameter.name, targets, rows, a) for a in (1, -1, 1j, CHECK)
-            }
-        except DeckError as e:  # a section that has a limit, such as the thickness of a laminate
-            raise UnsupportedError(_not_polynomial(parameter)) from e
-    parts = []
-    for which in range(2):
-        at = {a: s[which] for a, s in samples.items()}
-        c = _powers(at)
-        miss = _size(c[0] + CHECK * c[1] + CHECK**2 * c[2] + CHECK**3 * c[3] - at[CHECK])
-        if not miss <= EXACT * _size(at[CHECK]):
-            raise UnsupportedError(_not_polynomial(parameter))
-        noise = NOISE * _size(samples[1][which])
-        parts.append([a if _size(a) > noise else a * 0 for a in c])
-    return [list(pair) for pair in zip(*parts, strict=True)]
-
-
-def _not_polynomial(parameter: Parameter) -> str:
-    fields = ", ".join(sorted({f"{t.card} {t.field}" for t in parameter.targets}))
-    return (
-        f"parameter {parameter.name} ({fields}): the matrices are not a cubic polynomial of it; "
-        "use its derivative (matrix_derivatives) or another field"
-    )
-
-
-def _refuse_geometry(parameter: Parameter) -> None:
-    bad = [f"{t.card} {t.field}" for t in parameter.targets if is_place(t) or _is_arm(t)]
-    bad += [f"shape of {len(s.nodes)} nodes" for s in parameter.shapes]
-    if bad:
-        raise UnsupportedError(
-            f"parameter {parameter.name}: {bad[0]} is a place or direction, not a section or material"
-        )
-
-
-def _is_arm(t: Target) -> bool:
-    arms = "X1 X2 X3 S S1 S2 S3 N1A N2A N1B N2B M1A M2A M1B M2B"
-    return t.field in arms.split()
 
 
 def matrix_derivatives(model: Model, parameter: Parameter, system: System) -> tuple[sparse.csr_array, sparse.csr_array]:
@@ -212,7 +79,7 @@ def _transform_slope(m: Mesh, p: Parameter, system: System) -> sparse.csr_array 
             for sign in (1, -1):
                 T = _transform(displaced(m.model, p, sign * k * h, target=target, shape=shape), system)
                 total = T * (sign * c / h) if total is None else total + T * (sign * c / h)
-    if total is None or _size(total) < 1e-9:
+    if total is None or np.abs(total.data).max(initial=0.0) < 1e-9:
         return None
     return sparse.csr_array(total)
 

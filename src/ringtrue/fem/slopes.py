@@ -15,8 +15,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.parameters import Parameter, Target
-from ringtrue.errors import InputError
-from ringtrue.fem.change import affected_cards, changed, moved, rows_of, users_of_nodes, within
+from ringtrue.fem.change import changed, moved, rows_of, rows_of_elements, users_of_nodes, within
 from ringtrue.fem.kinds import MATERIAL, PROPERTY, batches
 from ringtrue.fem.mesh import Matrices, Mesh, mesh
 from ringtrue.model.model import Model
@@ -355,11 +354,7 @@ def difference_step(m: Mesh, rows: dict[str, Int], size: float) -> float:
 
 def _plain(m: Mesh, i: int, name: str, matrix: str, elements: Sequence[int]) -> Iterator[ElementSlopes]:
     """The element matrices themselves: the derivative to a common factor on them."""
-    every = {c: np.arange(len(m.model[c])) for c in affected_cards(m.model)}
-    rows = within(m.model, every, elements)
-    if sum(at.size for at in rows.values()) < len(set(elements)):
-        raise InputError(f"parameter {name}: not all of its {len(set(elements))} elements are in the model")
-    for _, at, part in _parts(m, rows):
+    for _, at, part in _parts(m, rows_of_elements(m.model, name, elements)):
         s = _slopes(m, np.full(at.size, i), part, _same)
         keep = {"stiffness": ("stiffness", "structural"), "mass": ("mass",), "damping": ("viscous",)}[matrix]
         yield replace(

@@ -1,10 +1,9 @@
-"""A model whose K and M are affine in powers of its parameters' factors, and where it is observed."""
+"""A model whose K and M are fixed matrices times functions of its parameters' factors, and where it is observed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from scipy import sparse
 
@@ -12,17 +11,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
-
-
-class Term(Protocol):
-    """A part of K and M that goes with a power of a parameter's factor."""
-
-    @property
-    def power(self) -> int: ...
-    @property
-    def stiffness(self) -> sparse.csr_array: ...
-    @property
-    def mass(self) -> sparse.csr_array: ...
+from ringtrue.fem.functions import AffineTerm, Function
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,32 +23,47 @@ class AffineSystem:
     stiffness, mass : (f, f) csr_array float64
         At a = 1.
     parameters : ParameterSet
-    terms : tuple (p,) of tuples of Term
-        For each parameter. Terms of different parameters must not share a product (the same field of the same
-        elements scaled by two parameters): that would not be affine.
+    terms : tuple of AffineTerm
+        K(a) = K(1) + Σ g_t(a) K_t, M likewise; see `fem.dependence.affine_terms`.
     observe : (channel, f) csr_array float64
     """
 
     stiffness: sparse.csr_array
     mass: sparse.csr_array
     parameters: ParameterSet
-    terms: tuple[tuple[Term, ...], ...]
+    terms: tuple[AffineTerm, ...]
     observe: sparse.csr_array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "terms", tuple(tuple(t) for t in self.terms))
-        if len(self.terms) != len(self.parameters):
-            raise InputError(f"{len(self.parameters)} parameters, terms for {len(self.terms)}")
+        object.__setattr__(self, "terms", tuple(self.terms))
+        lost = [i for t in self.terms for i in t.function.which if not 0 <= i < len(self.parameters)]
+        if lost:
+            raise InputError(f"terms of parameters {lost}: there are {len(self.parameters)}")
+
+    def alone(self, which: int) -> tuple[AffineTerm, ...]:
+        """The terms of one parameter by itself."""
+        return tuple(t for t in self.terms if t.function.which == (which,))
 
     def at(self, factors: Float) -> tuple[sparse.csr_array, sparse.csr_array]:
         """K and M at the factors a (p,)."""
         k, m = self.stiffness, self.mass
-        for a, terms in zip(factors.tolist(), self.terms, strict=True):  # over parameters and their powers
-            for t in terms:
-                if a != 1.0:
-                    k = k + (a**t.power - 1.0) * t.stiffness
-                    m = m + (a**t.power - 1.0) * t.mass
+        for value, t in zip(values([t.function for t in self.terms], factors), self.terms, strict=True):
+            if value:
+                k, m = k + value * t.stiffness, m + value * t.mass
         return sparse.csr_array(k), sparse.csr_array(m)
+
+
+def values(functions: Sequence[Function], factors: Float) -> Iterator[float]:
+    """Of each function at the factors a (P,) of all parameters; exactly 0 where one of its own is 1."""
+    for f in functions:
+        own = f.own(factors)
+        yield 0.0 if 1.0 in own else f.value(own)
+
+
+def slopes(functions: Sequence[Function], factors: Float, which: int) -> Iterator[float]:
+    """The derivative of each function to the factor of one parameter, by position; 0 where it has no part in it."""
+    for f in functions:
+        yield f.slope(f.own(factors))[f.which.index(which)] if which in f.which else 0.0
 
 
 def observed_system(
@@ -67,11 +71,11 @@ def observed_system(
     mass: sparse.csr_array,
     transform: sparse.csr_array,
     parameters: ParameterSet,
-    terms: Sequence[Sequence[Term]],
+    terms: Sequence[AffineTerm],
     observation: Observation,
 ) -> AffineSystem:
     """The affine system of an assembled model; `transform` (full, f) goes from free to observed DOFs."""
     if observation.matrix.shape[1] != transform.shape[0]:
         raise InputError(f"the observation has {observation.matrix.shape[1]} DOFs, the model {transform.shape[0]}")
     observe = sparse.csr_array(observation.matrix @ transform)
-    return AffineSystem(stiffness, mass, parameters, tuple(tuple(t) for t in terms), observe)
+    return AffineSystem(stiffness, mass, parameters, tuple(terms), observe)

@@ -11,6 +11,7 @@ from scipy import linalg, sparse
 from ringtrue.core.arrays import Float
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
+from ringtrue.fem.functions import Function
 from ringtrue.reduce.affine import AffineSystem
 
 CHUNK = 32  # right-hand sides solved together
@@ -27,15 +28,20 @@ class Projection:
         Orthonormal in the nominal energy K − σM.
     stiffness, mass : (r, r) float64
         At a = 1.
-    terms : tuple (p,) of tuples of (power, stiffness (r, r), mass (r, r))
+    terms : tuple of (function, stiffness (r, r), mass (r, r))
     observe : (channel, r) float64
     """
 
     vectors: Float
     stiffness: Float
     mass: Float
-    terms: tuple[tuple[tuple[int, Float, Float], ...], ...]
+    terms: tuple[tuple[Function, Float, Float], ...]
     observe: Float
+
+    @property
+    def functions(self) -> list[Function]:
+        """The function of each term."""
+        return [f for f, _, _ in self.terms]
 
     @property
     def size(self) -> int:
@@ -58,15 +64,12 @@ def project(system: AffineSystem, vectors: Float, old: Projection | None = None)
         return np.block([[kept, right[:n]], [right[:n].T, corner]])
 
     terms = tuple(
-        tuple(
-            (
-                t.power,
-                block(t.stiffness, None if old is None else old.terms[i][j][1]),
-                block(t.mass, None if old is None else old.terms[i][j][2]),
-            )
-            for j, t in enumerate(group)
+        (
+            t.function,
+            block(t.stiffness, None if old is None else old.terms[i][1]),
+            block(t.mass, None if old is None else old.terms[i][2]),
         )
-        for i, group in enumerate(system.terms)
+        for i, t in enumerate(system.terms)
     )
     return Projection(
         vectors,
@@ -85,13 +88,13 @@ def static_sensitivities(
     count: int,
     progress: Progress | None,
 ) -> Float:
-    """(K − σM)⁻¹ (K_ij − λ_k M_ij) φ_k of the chosen parameters, free of the modes, scaled to the mode's energy."""
+    """(K − σM)⁻¹ (K_t − λ_k M_t) φ_k of the chosen parameters alone, free of the modes, scaled to the mode's energy."""
     factor, phi, lam = pencil.at(modes.shift), modes.vectors, modes.values
     mphi = pencil.mass @ phi
     scale = 1 / np.sqrt(np.maximum(lam[:count] - modes.shift, np.abs(modes.shift)))
     found = []
-    todo = [t for i in at for t in system.terms[i]]
-    for done, t in enumerate(todo):  # over parameters and their powers
+    todo = [t for i in at for t in system.alone(i)]
+    for done, t in enumerate(todo):
         load = (t.stiffness @ phi[:, :count] - (t.mass @ phi[:, :count]) * lam[:count]) * scale
         load -= mphi @ (phi.T @ load)
         parts = [factor.solve(load[:, s : s + CHUNK]) for s in range(0, count, CHUNK)]

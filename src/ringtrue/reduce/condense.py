@@ -44,6 +44,6 @@ def condensed(model: ReducedModel, points: Sequence[Float], size: int) -> Reduce
         parts.append(root @ (y / np.sqrt(lam - model.shift)))
     u, _, _ = linalg.svd(np.hstack(parts), full_matrices=False)
     v = linalg.solve_triangular(root, u[:, :size])
-    terms = tuple(tuple((power, v.T @ k @ v, v.T @ m @ v) for power, k, m in group) for group in b.terms)
+    terms = tuple((f, v.T @ k @ v, v.T @ m @ v) for f, k, m in b.terms)
     basis = Projection(b.vectors @ v, v.T @ b.stiffness @ v, v.T @ b.mass @ v, terms, b.observe @ v)
     return replace(model, basis=basis)

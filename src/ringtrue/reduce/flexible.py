@@ -44,8 +44,8 @@ def with_responses(
     u = _solved(factor, load)
     fresh = [u]
     if sensitivities:
-        for i in model.active:  # over parameters and their powers
-            fresh += [_solved(factor, t.stiffness @ u - shift * (t.mass @ u)) for t in model.system.terms[i]]
+        for i in model.active:
+            fresh += [_solved(factor, t.stiffness @ u - shift * (t.mass @ u)) for t in model.system.alone(i)]
     pencil.close()
     true, found = load.T @ u, _flexibility(model, a, channels, shift)
     error = float(np.abs(found - true).max(initial=0.0) / max(float(np.abs(true).max(initial=0.0)), 1e-300))

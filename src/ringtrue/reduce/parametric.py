@@ -1,8 +1,8 @@
 """A parametric reduced basis: modes, their static sensitivities and snapshots, projected once, solved many times.
 
-K(a) = K + Σ_i Σ_j (a_i^power − 1) K_ij is affine in powers of the factors, so its projection is too; a point of the
-parameter space costs one small dense eigensolution. Sources: Balmès (1996) parametric families of reduced models;
-Noor, Peters (1980) reduced basis with path derivatives.
+K(a) = K + Σ_t g_t(a) K_t is a sum of fixed matrices times functions of the factors, so its projection is too; a point
+of the parameter space costs one small dense eigensolution. Sources: Balmès (1996) parametric families of reduced
+models; Noor, Peters (1980) reduced basis with path derivatives.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ringtrue.eigen.problem import frequencies
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduce.affine import AffineSystem
+from ringtrue.reduce.affine import AffineSystem, slopes, values
 from ringtrue.reduce.basis import (
     Progress,
     Projection,
@@ -123,7 +123,7 @@ class ReducedModel:
         d_lambda = np.empty((m, len(self.active)))
         c = np.empty((len(self.active), lam.size, m))
         for i, which in enumerate(self.active):  # over parameters
-            dk, dm = self._derivative(which, float(a[which]), float(slope[which]))
+            dk, dm = self.derivative(a, which, float(slope[which]))
             dk, dm = y.T @ (dk @ ym), y.T @ (dm @ ym)
             d_lambda[:, i] = np.diag(dk) - np.diag(dm) * lam[:m]
             c[i] = modal_coefficients(dk, dm, lam, low=self.scale)
@@ -150,19 +150,19 @@ class ReducedModel:
     def projected(self, a: Float) -> tuple[Float, Float]:
         """K and M (r, r) in the basis at the factors a of all parameters."""
         k, m = self.basis.stiffness.copy(), self.basis.mass.copy()
-        for factor, terms in zip(a.tolist(), self.basis.terms, strict=True):  # over parameters and powers
-            for power, kj, mj in terms:
-                if factor != 1.0:
-                    k += (factor**power - 1.0) * kj
-                    m += (factor**power - 1.0) * mj
+        for value, (_, kt, mt) in zip(values(self.basis.functions, a), self.basis.terms, strict=True):
+            if value:
+                k += value * kt
+                m += value * mt
         return k, m
 
-    def _derivative(self, which: int, a: float, slope: float) -> tuple[Float, Float]:
+    def derivative(self, a: Float, which: int, slope: float = 1.0) -> tuple[Float, Float]:
+        """∂K/∂a and ∂M/∂a (r, r) of one parameter, by position, times da/dx, at the factors a of all."""
         dk, dm = np.zeros_like(self.basis.stiffness), np.zeros_like(self.basis.mass)
-        for power, kj, mj in self.basis.terms[which]:
-            weight = power * a ** (power - 1) * slope
-            dk += weight * kj
-            dm += weight * mj
+        for own, (_, kt, mt) in zip(slopes(self.basis.functions, a, which), self.basis.terms, strict=True):
+            if own:
+                dk += own * slope * kt
+                dm += own * slope * mt
         return dk, dm
 
     def _solve(self, everything: Float, *, all_modes: bool) -> tuple[Float, Float]:
@@ -195,9 +195,10 @@ class ReducedModel:
         lam, phi = self.vectors(x)
         lam, phi = lam[:modes], phi[:, :modes]
         r = self.system.stiffness @ phi - (self.system.mass @ phi) * lam
-        for a, terms in zip(self.system.parameters.factors(everything).tolist(), self.system.terms, strict=True):
-            for t in terms:
-                r += (a**t.power - 1.0) * (t.stiffness @ phi - (t.mass @ phi) * lam)
+        a, terms = self.system.parameters.factors(everything), self.system.terms
+        for value, t in zip(values([t.function for t in terms], a), terms, strict=True):
+            if value:
+                r += value * (t.stiffness @ phi - (t.mass @ phi) * lam)
         energy = np.einsum("ij,ij->j", r, self.pencil.at(self.shift).solve(r))
         return float(0.5 * np.max(energy / (lam - self.shift)))
 

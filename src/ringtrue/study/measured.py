@@ -16,7 +16,8 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.derivatives import PowerTerm, terms
+from ringtrue.fem.dependence import affine_terms
+from ringtrue.fem.functions import AffineTerm
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.statics import StaticTests, read_statics
 from ringtrue.model.model import Model
@@ -335,6 +336,6 @@ def rigid_mass(model: Model, parameters: ParameterSet) -> RigidMass:
     def seen(mass: sparse.csr_array) -> sparse.csr_array:
         return sparse.csr_array(r.T @ (mass @ r))
 
-    parts = [[PowerTerm(t.power, none, seen(t.mass)) for t in terms(free, p, system)] for p in parameters.parameters]
-    affine = AffineSystem(none, seen(system.mass), parameters, tuple(tuple(p) for p in parts), none)
+    parts = tuple(AffineTerm(t.function, none, seen(t.mass)) for t in affine_terms(free, parameters, system))
+    affine = AffineSystem(none, seen(system.mass), parameters, parts, none)
     return RigidMass(affine, np.eye(6))

@@ -11,7 +11,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import NotConverged
-from ringtrue.fem.derivatives import terms
+from ringtrue.fem.dependence import affine_terms
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduce.affine import observed_system
 from ringtrue.reduce.flexible import with_responses
@@ -86,10 +86,7 @@ def build(
 ) -> ReducedModel:
     """Assemble, differentiate and project: all modes below `fmax` with every parameter."""
     system = opened.analysis.system
-    parts = []
-    for i, p in enumerate(parameters.parameters):
-        progress(0.4 * i / len(parameters), f"derivatives: {p.name}")
-        parts.append(terms(opened.model, p, system))
+    parts = affine_terms(opened.model, parameters, system, progress=lambda f, t: progress(0.4 * f, t))
     affine = observed_system(system.stiffness, system.mass, system.transform, parameters, parts, observation)
     count = len(opened.modes(fmax).modes)
     return reduced_model(affine, count, pencil=opened.analysis.pencil, progress=lambda f, t: progress(0.4 + 0.6 * f, t))

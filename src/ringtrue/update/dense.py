@@ -163,17 +163,10 @@ def matrices_at(model: object, x: Float) -> Matrices:
 
 
 def _reduced(model: ReducedModel, x: Float) -> Matrices:
-    """The projected matrices; terms go with powers of the factors."""
+    """The projected matrices."""
     everything = model.full_vector(x)
     a, slope = model.system.parameters.factors(everything), model.system.parameters.slope(everything)
-    k, m = model.basis.stiffness.copy(), model.basis.mass.copy()
-    dk, dm = np.zeros((2, a.size, *k.shape))
-    for i, terms in enumerate(model.basis.terms):  # over parameters and their powers
-        for power, kj, mj in terms:
-            k += (a[i] ** power - 1.0) * kj
-            m += (a[i] ** power - 1.0) * mj
-            weight = power * a[i] ** (power - 1) * slope[i]
-            dk[i] += weight * kj
-            dm[i] += weight * mj
-    at = list(model.active)
-    return Matrices(k, m, dk[at], dm[at], model.basis.observe)
+    k, m = model.projected(a)
+    both = [model.derivative(a, i, float(slope[i])) for i in model.active]
+    dk, dm = (np.reshape([pair[j] for pair in both], (len(both), *k.shape)) for j in range(2))
+    return Matrices(k, m, dk, dm, model.basis.observe)

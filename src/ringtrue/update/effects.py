@@ -9,9 +9,9 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.observation import Observation
-from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import System
-from ringtrue.fem.derivatives import PowerTerm, bilinear, system_derivatives, terms
+from ringtrue.fem.dependence import affine_terms
+from ringtrue.fem.derivatives import bilinear
 from ringtrue.model.model import Model
 from ringtrue.reduce.affine import observed_system
 from ringtrue.reduce.basis import Progress
@@ -82,31 +82,9 @@ def reduced_candidates(
     options: BasisOptions | None = None,
     progress: Progress | None = None,
 ) -> ReducedModel:
-    """A reduced model over all candidates, as the choice needs it: exact sensitivities at x = 0.
-
-    Away from there two simplifications hold, and an updating with the chosen parameters must follow: a dependence that
-    is no polynomial (the section of a beam with shear) goes on along its tangent, and the effects of two candidates on
-    the same field of an element add up instead of multiplying.
-    """
-    chosen = [c.parameter for c in candidates]
-    slopes = system_derivatives(model, chosen, system)
-    parts: list[tuple[PowerTerm, ...]] = []
-    for i, (c, slope) in enumerate(zip(candidates, slopes, strict=True)):
-        parts.append(_powers(model, c, system) or (PowerTerm(1, slope.stiffness, slope.mass),))
-        if progress is not None:
-            progress(0.5 * (i + 1) / len(chosen), "candidates")
-    affine = observed_system(
-        system.stiffness, system.mass, system.transform, parameters(candidates), parts, observation
-    )
-    told = None if progress is None else lambda f, t: progress(0.5 + 0.5 * f, t)
-    return reduced_model(affine, count, options=options, progress=told)
-
-
-def _powers(model: Model, candidate: Candidate, system: System) -> tuple[PowerTerm, ...]:
-    """The exact parts of a thickness or section; none where it is linear anyway, or no polynomial."""
-    if candidate.kind != "property":
-        return ()
-    try:
-        return terms(model, candidate.parameter, system)
-    except UnsupportedError:
-        return ()
+    """A reduced model over all candidates, as the choice needs it."""
+    chosen = parameters(candidates)
+    halves = [None if progress is None else (lambda f, t, s=s: progress(s + 0.5 * f, t)) for s in (0.0, 0.5)]
+    parts = affine_terms(model, chosen, system, progress=halves[0])
+    affine = observed_system(system.stiffness, system.mass, system.transform, chosen, parts, observation)
+    return reduced_model(affine, count, options=options, progress=halves[1])

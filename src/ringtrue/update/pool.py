@@ -66,7 +66,7 @@ def of_parameter(model: Model, parameter: Parameter) -> Candidate:
 
 
 def conflicts(model: Model, candidates: Sequence[Candidate]) -> Bool:
-    """Pairs (p, p) that a reduced model cannot move together: both scale the same field, or a product.
+    """Pairs (p, p) that modes hardly tell apart: both scale the same field, or a product.
 
     A material and a section of one element make a product where both touch its stiffness, or both its mass.
     """

@@ -102,11 +102,11 @@ class RigidMass:
         everything[at] = x
         a, slope = parameters.factors(everything), parameters.slope(everything)
         m, d_m = r.T @ (self.system.mass @ r), np.zeros((a.size, 6, 6))
-        for i, terms in enumerate(self.system.terms):  # over parameters and their powers
-            for t in terms:
-                part = r.T @ (t.mass @ r)
-                m = m + (a[i] ** t.power - 1.0) * part
-                d_m[i] += t.power * a[i] ** (t.power - 1) * slope[i] * part
+        for t in self.system.terms:
+            part, own = r.T @ (t.mass @ r), t.function.own(a)
+            m = m + t.function.value(own) * part
+            for i, rise in zip(t.function.which, t.function.slope(own), strict=True):
+                d_m[i] += rise * slope[i] * part
         return np.asarray(m), d_m[at]
 
 

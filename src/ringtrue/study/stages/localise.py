@@ -12,7 +12,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import DataError, UnsupportedError
 from ringtrue.fem.assembly import System
 from ringtrue.fem.change import affected_cards
-from ringtrue.fem.derivatives import terms
+from ringtrue.fem.dependence import affine_terms
 from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
@@ -126,12 +126,12 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
 
 
 def _exact(model: Model, candidate: Candidate, system: System) -> bool:
-    """Whether K and M are polynomials of the factor, as an updating on a reduced model needs them."""
+    """Whether K and M are smooth functions of the factor between its bounds, as a reduced model needs them."""
     laminated = candidate.kind == "material" and any(card in model for card in LAMINATES)
     if candidate.kind != "property" and not laminated:
         return True
     try:
-        return bool(terms(model, candidate.parameter, system))
+        return bool(affine_terms(model, parameters([candidate]), system))
     except UnsupportedError:
         return False
 

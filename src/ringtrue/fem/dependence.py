@@ -1,0 +1,244 @@
+"""K and M as functions of all parameters together: fixed matrices times functions of the factors.
+
+They are taken apart at the nominal model (an anchored decomposition; Rabitz and Alış 1999, sec. 3): what each parameter
+does by itself, and, where several act on the same elements, what they do together beyond that, as E and T of a shell.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy import linalg, sparse
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.errors import DeckError, UnsupportedError
+from ringtrue.fem.assembly import System, full_matrices, reduced
+from ringtrue.fem.functions import AffineTerm, Basis, Chebyshev, Function, Powers, power
+from ringtrue.fem.mesh import Mesh, mesh
+from ringtrue.fem.powers import CHECK, Group, Pair, built, common, cubic, groups_of, size
+from ringtrue.model.model import Model
+
+NODES = (6, 12, 24, 48)  # of a function that is no polynomial; more where fewer do not hold
+SAMPLE = 40  # elements of a kind that tell its functions
+RANK, HOLDS, NOISE = 1e-12, 1e-9, 1e-12  # relative: functions kept, error allowed, no such part below
+MARGIN = 1.05  # by which the range of a series exceeds the bounds
+Members = Sequence[tuple[Group, Basis]]
+At = Callable[[tuple[float, ...]], Any]  # factors of the groups -> K and M of elements, as arrays or sparse
+
+
+def affine_terms(
+    model: Model,
+    parameters: ParameterSet,
+    system: System,
+    *,
+    progress: Callable[[float, str], None] | None = None,
+) -> tuple[AffineTerm, ...]:
+    """The parts of K(a) = K(1) + Σ g_t(a) K_t, M likewise, in the free degrees of freedom.
+
+    What is a polynomial of degree three or less in each factor is exact; the rest (the sections of beams with shear,
+    Poisson's ratio) is a Chebyshev series in ln a over the bounds, to 1e-9 of the largest entry. Only the affected
+    elements are computed.
+
+    Raises
+    ------
+    UnsupportedError
+        If a parameter moves nodes, or the matrices are no smooth function of it between its bounds.
+    InputError
+        If a target or element is not in the model.
+    """
+    m, every, out = mesh(model), list[tuple[Group, Basis]](), list[AffineTerm]()
+    for i, p in enumerate(parameters.parameters):
+        if progress is not None:
+            progress(i / len(parameters), f"derivatives: {p.name}")
+        sums: dict[int, list[Pair]] = {}
+        for g in groups_of(model, i, p):
+            try:
+                parts = cubic(m, g)
+                every.append((g, Powers(tuple(parts) or (1,))))
+                for exponent, pair in parts.items():
+                    sums.setdefault(exponent, []).append(pair)
+            except UnsupportedError:
+                every.append((g, _series(g, NODES[0])))
+                out += _terms(m, every[-1:], g.rows, system)
+        out += [_term(power(i, e), _total(sums[e]), system) for e in sorted(sums)]
+    for some, rows in _shared(every):
+        out += _terms(m, some, rows, system)
+    return tuple(out)
+
+
+def _total(pairs: Sequence[Pair]) -> Pair:
+    K, M = pairs[0]
+    for k, mass in pairs[1:]:
+        K, M = sparse.csr_array(K + k), sparse.csr_array(M + mass)
+    return K, M
+
+
+def _term(function: Function, pair: Pair, system: System) -> AffineTerm:
+    return AffineTerm(function, reduced(system.transform, pair[0]), reduced(system.transform, pair[1]))
+
+
+def _series(g: Group, n: int) -> Chebyshev:
+    return Chebyshev(g.parameter.lower / MARGIN, g.parameter.upper * MARGIN, n)
+
+
+def _shared(every: Members) -> Iterator[tuple[Members, dict[str, Int]]]:
+    """Groups of two and more parameters that act on the same elements, and the rows of these."""
+    near = _overlap([g for g, _ in every])
+    sets: list[tuple[tuple[int, ...], dict[str, Int]]] = [((i,), g.rows) for i, (g, _) in enumerate(every)]
+    while sets:
+        larger: list[tuple[tuple[int, ...], dict[str, Int]]] = []
+        for at, rows in sets:
+            taken = {every[i][0].which for i in at}
+            for j in np.flatnonzero(near[list(at)].all(axis=0)).tolist():
+                if j > at[-1] and every[j][0].which not in taken and (both := common(rows, every[j][0].rows)):
+                    larger.append(((*at, j), both))
+                    yield [every[i] for i in (*at, j)], both
+        sets = larger
+
+
+def _overlap(groups: Sequence[Group]) -> Bool:
+    """Which groups have elements in common, (g, g)."""
+    cards = {card: i for i, card in enumerate(sorted({card for g in groups for card in g.rows}))}
+    wide = 1 + max((int(at.max(initial=0)) for g in groups for at in g.rows.values()), default=0)
+    of, at = np.hstack(
+        [np.empty((2, 0), dtype=np.int64)]
+        + [
+            np.stack([np.full(at.size, i), cards[c] * wide + at])
+            for i, g in enumerate(groups)
+            for c, at in g.rows.items()
+        ]
+    )
+    member = sparse.csr_array((np.ones(of.size), (of, at)), shape=(len(groups), len(cards) * wide))
+    return np.asarray((member @ member.T).toarray() > 0.0)
+
+
+def _terms(m: Mesh, some: Members, rows: dict[str, Int], system: System) -> list[AffineTerm]:
+    """What the groups do together, beyond what fewer of them do.
+
+    Raises
+    ------
+    UnsupportedError
+        If no series holds.
+    """
+    groups = [g for g, _ in some]
+    few = {card: at[np.unique(np.linspace(0, at.size - 1, SAMPLE).astype(int))] for card, at in rows.items()}
+
+    @cache
+    def sample(a: tuple[float, ...]) -> tuple[Float, Float]:
+        parts = built(m, groups, few, a)
+        return np.concatenate([p.stiffness.ravel() for p in parts]), np.concatenate([p.mass.ravel() for p in parts])
+
+    def whole(a: tuple[float, ...]) -> Pair:
+        return full_matrices(m, built(m, groups, rows, a))
+
+    noise = [NOISE * size(x) for x in sample((1.0,) * len(groups))]
+    try:
+        beyond = _together(sample, tuple(g.parameter.upper**0.4 for g in groups))
+        if all(size(x) <= limit for x, limit in zip(beyond, noise, strict=True)):
+            return []
+        with np.errstate(all="ignore"):  # a pole between the bounds is found by what does not hold
+            for bases in _tries(some):
+                functions, nodes = _functions(sample, tuple(g.which for g in groups), bases)
+                for at in (sample, whole):
+                    parts = _parts(at, functions, nodes, noise)
+                    if not all(_miss(at, functions, parts, a) < HOLDS for a in _checks(bases)):
+                        break
+                else:
+                    return [_term(f, p, system) for f, p in zip(functions, parts, strict=True)]
+    except (DeckError, np.linalg.LinAlgError, ValueError) as e:
+        raise UnsupportedError(_rough(groups)) from e
+    raise UnsupportedError(_rough(groups))
+
+
+def _tries(some: Members) -> Iterator[tuple[Basis, ...]]:
+    """Bases to try in turn: powers where one parameter has them by itself, finer and finer series, series alone."""
+    own = tuple(b for _, b in some)
+    powers = [isinstance(b, Powers) for b in own]
+    if all(powers):
+        yield own
+    else:
+        for n in NODES:
+            yield tuple(b if p else _series(g, n) for p, (g, b) in zip(powers, some, strict=True))
+    if any(powers):
+        yield tuple(_series(g, NODES[2]) for g, _ in some)
+
+
+def _together(at: At, a: tuple[float, ...]) -> list[Any_]:
+    """Mixed difference of K and M: the sum over each factor at its value and, with the other sign, at 1."""
+    total: list[Any_] = []
+    for on in itertools.product((True, False), repeat=len(a)):
+        sign = (-1.0) ** (len(on) - sum(on))
+        parts = [sign * x for x in at(tuple(x if o else 1.0 for x, o in zip(a, on, strict=True)))]
+        total = [x + y for x, y in zip(total, parts, strict=True)] if total else parts
+    return total
+
+
+def _functions(
+    sample: At, which: tuple[int, ...], bases: tuple[Basis, ...]
+) -> tuple[list[Function], list[tuple[float, ...]]]:
+    """Functions that span what the sample does, and as many points that tell them apart."""
+    grid = [tuple(float(x) for x in at) for at in itertools.product(*(b.nodes for b in bases))]
+    found = [_together(sample, a) for a in grid]
+    both = [np.array([pair[i] for pair in found]) for i in range(2)]
+    data = np.hstack([x / max(size(x), 1e-300) for x in both])
+    tensor, shape = np.ones((1, 1)), list[int]()
+    for b in bases:
+        values = np.array([b(float(x))[0] for x in b.nodes])
+        tensor, shape = np.kron(tensor, values), [*shape, values.shape[1]]
+    if all(isinstance(b, Powers) for b in bases):
+        there = np.abs(linalg.solve(tensor, data)).max(axis=1, initial=0.0) > NOISE
+        weights = np.eye(len(grid))[:, there]
+    else:
+        u, s, _ = linalg.svd(data, full_matrices=False)
+        weights = linalg.lstsq(tensor, u[:, s > RANK * s[0]])[0]
+    seen = tensor @ weights
+    _, _, order = linalg.qr(seen.T, mode="economic", pivoting=True)
+    functions = [Function(which, bases, w.reshape(shape)) for w in weights.T]
+    return functions, [grid[i] for i in order[: len(functions)].tolist()]
+
+
+def _parts(
+    at: At, functions: Sequence[Function], nodes: Sequence[tuple[float, ...]], noise: Sequence[float]
+) -> list[tuple[Any, Any]]:
+    """K and M that go with each function; what is below `noise` is 0."""
+    pairs = [_together(at, a) for a in nodes]
+
+    def sums(i: int, row: Float) -> Any:
+        total = sum(c * pair[i] for c, pair in zip(row.tolist(), pairs, strict=True))
+        return total if size(total) > noise[i] else total * 0
+
+    values = np.array([[f.value(a) for f in functions] for a in nodes])
+    return [(sums(0, row), sums(1, row)) for row in np.linalg.inv(values)]
+
+
+def _checks(bases: tuple[Basis, ...]) -> list[tuple[float, ...]]:
+    """Points off the grid at which the series must hold."""
+
+    def inside(b: Basis, share: float) -> float:
+        return CHECK + share if isinstance(b, Powers) else b.lower * (b.upper / b.lower) ** share
+
+    return [tuple(inside(b, abs(s - 0.07 * i)) for i, b in enumerate(bases)) for s in (0.13, 0.41, 0.87)]
+
+
+def _miss(at: At, functions: Sequence[Function], parts: Sequence[tuple[Any, Any]], a: tuple[float, ...]) -> float:
+    """Error at a point relative to the largest entry of the elements' K or M there."""
+    worst = 0.0
+    for true, there, part in zip(_together(at, a), at(a), zip(*parts, strict=True), strict=True):
+        found = sum(f.value(a) * p for f, p in zip(functions, part, strict=True))
+        worst = max(worst, size(true - found) / max(size(there), 1e-300))
+    return worst
+
+
+def _rough(groups: Sequence[Group]) -> str:
+    names = " and ".join(
+        f"{g.parameter.name} ({g.fields}, {g.parameter.lower:g} to {g.parameter.upper:g})" for g in groups
+    )
+    return (
+        f"parameter {names}: the matrices are no smooth function of it between its bounds; narrow the bounds, or "
+        "update with a solver that is run anew at each point"
+    )
