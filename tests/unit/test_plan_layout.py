@@ -89,3 +89,16 @@ def test_resolution_closed_forms() -> None:
     assert np.exp(-0.01 * 2 * np.pi * 2.0 * r.block) <= 0.01 * (1 + 1e-9)
     assert r.std_damping[0] <= 0.1
     assert r.std_damping[1] < r.std_damping[0]
+
+
+def test_an_addition_is_the_best_of_all() -> None:
+    rng = np.random.default_rng(4)
+    shapes = rng.standard_normal((300, 3, 30))
+    shapes[:, :, 29] = 0.0  # a mode that nothing moves in
+    first = np.arange(11)
+    (added,) = np.setdiff1d(lower_auto_mac(shapes, first, 0.0, 12), first)
+    worst = [
+        worst_off_diagonal(auto_mac(shapes[[*first, k]].reshape(-1, 30)[:, :29])) if k not in first else np.inf
+        for k in range(300)
+    ]
+    assert added == np.argmin(worst)

@@ -13,6 +13,9 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import InputError
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 
+HARD = 64  # pairs of modes that bound the auto-MAC of an addition
+PAIRS = 1_000_000  # pairs of modes of candidates that are looked at together
+
 
 def independence(shapes: Float) -> Float:
     """Effective independence of points, (n,): the share of the modes' information that each carries.
@@ -116,12 +119,44 @@ def lower_auto_mac(shapes: Float, chosen: Int, target: float, most: int) -> Int:
         if worst_off_diagonal(auto_mac(now)) <= target:
             break
         rest = np.setdiff1d(np.arange(n), chosen)
-        cross = now.T @ now + np.einsum("ndi,ndj->nij", shapes[rest], shapes[rest])
-        size = np.einsum("nii->ni", cross)
-        mac = cross**2 / (size[:, :, None] * size[:, None, :])
-        mac[:, np.arange(m), np.arange(m)] = 0.0
-        chosen = np.append(chosen, rest[int(np.argmin(mac.max(axis=(1, 2))))])
+        chosen = np.append(chosen, rest[_best_addition(now.T @ now, shapes[rest])])
     return np.sort(chosen)
+
+
+def _best_addition(gram: Float, shapes: Float) -> int:
+    """The first of the candidates `shapes` (r, d, m) whose addition to `gram` (m, m) leaves the least worst auto-MAC.
+
+    The pairs of modes that are worst now bound that of each candidate from below; only those whose bound stays under
+    the best are looked at in full.
+    """
+    m = len(gram)
+    i, j = np.triu_indices(m, 1)
+    if not i.size:
+        return 0
+    size = np.maximum(np.diag(gram) + (shapes**2).sum(axis=1), 1e-150)  # a mode that nothing moves in
+    now = np.abs(gram[i, j]) / np.sqrt(np.maximum(gram[i, i] * gram[j, j], 1e-300))
+    hard = np.argsort(-now, kind="stable")[:HARD]
+    bound = np.zeros(len(shapes))
+    for a, b in zip(i[hard].tolist(), j[hard].tolist(), strict=True):  # a few
+        cross = gram[a, b] + np.einsum("nd,nd->n", shapes[:, :, a], shapes[:, :, b])
+        bound = np.maximum(bound, cross**2 / (size[:, a] * size[:, b]))
+    best, value = 0, np.inf
+    order = np.argsort(bound, kind="stable")
+    step = max(1, PAIRS // (m * m))
+    for first in range(0, order.size, step):
+        at = order[first : first + step]
+        if bound[at[0]] > value * (1 + 1e-9):
+            break
+        part = shapes[at]
+        mac = (gram + np.swapaxes(part, 1, 2) @ part) ** 2 / (size[at, :, None] * size[at, None, :])
+        mac[:, np.arange(m), np.arange(m)] = 0.0
+        worst = mac.max(axis=(1, 2))
+        least = float(worst.min())
+        if least <= value:
+            here = int(at[worst == least].min())
+            best = min(best, here) if least == value else here
+            value = least
+    return best
 
 
 def select_references(shapes: Float, count: int) -> Int:
