@@ -27,7 +27,9 @@ def names() -> tuple[str, ...]:
     return tuple(sorted({*BUILT_IN, *_plugins()}))
 
 
-def solver(name: str = EMBEDDED, *, ranks: int | None = None) -> ModalSolver:
+def solver(
+    name: str = EMBEDDED, *, ranks: int | None = None, progress: Callable[[float, str], None] | None = None
+) -> ModalSolver:
     """The solver of that name, with its default settings.
 
     Parameters
@@ -35,6 +37,8 @@ def solver(name: str = EMBEDDED, *, ranks: int | None = None) -> ModalSolver:
     name : str
     ranks : int, optional
         Processes; only for a solver that takes them.
+    progress : callable, optional
+        Called with (share done, what) by the embedded solver; the others tell nothing.
 
     Raises
     ------
@@ -45,6 +49,8 @@ def solver(name: str = EMBEDDED, *, ranks: int | None = None) -> ModalSolver:
         if name != "slepc":
             raise ConfigError(f"solver {name!r} runs in one process; ranks are for 'slepc'")
         return SlepcSolver(ranks=ranks)
+    if name == EMBEDDED:
+        return EmbeddedSolver(progress=progress)
     if name in BUILT_IN:
         return BUILT_IN[name]()
     plugins = _plugins()

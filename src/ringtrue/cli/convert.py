@@ -32,7 +32,7 @@ def convert(
     Example: ringtrue convert modes.op2 modes.h5 --deck wing.bdf
     """
     modes = _read(source, deck)
-    write_modes(target, _translations(modes) if target.suffix.lower() in _TRANSLATIONS_ONLY else modes)
+    write_modes(target, writable(modes, target))
     f = modes.frequencies
     span = f"{f.min():.5g} to {f.max():.5g} Hz"
     out.print(
@@ -57,8 +57,10 @@ def _read(source: Path, deck: Path | None) -> ModeSet:
     return modes
 
 
-def _translations(modes: ModeSet) -> ModeSet:
-    """The rows that data set 55 holds here: translations of grid points."""
+def writable(modes: ModeSet, target: Path) -> ModeSet:
+    """The rows that a file of that ending holds: of data set 55, translations of grid points."""
+    if target.suffix.lower() not in _TRANSLATIONS_ONLY:
+        return modes
     labels = modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
     keep = np.flatnonzero((np.abs(labels.direction) >= 1) & (np.abs(labels.direction) <= 3))
     return modes.rows([modes.channels[i] for i in keep.tolist()])

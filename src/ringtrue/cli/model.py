@@ -14,10 +14,11 @@ from ringtrue.checks.edges import free_edges_in_words, shell_edges
 from ringtrue.checks.findings import Finding
 from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
 from ringtrue.checks.mass import mass_properties, unconstrained
-from ringtrue.cli.show import json_target, out, progress, rows, write_json
+from ringtrue.cli.convert import writable
+from ringtrue.cli.show import json_file, json_target, out, progress, rows, write_json
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.modes_json import dump_modes, write_modes
 from ringtrue.io.nastran.reader import Survey, read_deck, survey
 from ringtrue.model.method import asked_modes
 from ringtrue.model.ports import ModesRequest
@@ -38,6 +39,9 @@ def modes(
         str, typer.Option("--solver", help="The engine: embedded, mystran, nastran, slepc or a plug-in.")
     ] = "embedded",
     ranks: Annotated[int | None, typer.Option(help="Processes of the slepc engine.", min=1)] = None,
+    target: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Write the modes: .h5, .json or .uff.")
+    ] = None,
     json: Json = None,
 ) -> int:
     """Natural modes of a deck, with the proof that none is missing.
@@ -46,8 +50,8 @@ def modes(
     """
     if band is not None and not band[0] < band[1]:
         raise ConfigError(f"--band {band[0]} {band[1]}: must be F0 < F1")
-    engine = solver(solver_name, ranks=ranks)
     with progress("modes") as show:
+        engine = solver(solver_name, ranks=ranks, progress=lambda f, t: show(0.2 + 0.8 * f, t))
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
         show(0.2, "solving")
@@ -55,7 +59,10 @@ def modes(
         with engine.open(model) as analysis:
             result = asked.of(analysis) if asked else analysis.modes(ModesRequest(n or 20, band))
     if json:
-        write_json(modes_to_json(result.modes) | {"complete": result.complete, "proof": result.proof}, json)
+        with json_file(json) as file:
+            dump_modes(file, result.modes, more={"complete": result.complete, "proof": result.proof})
+    if target:
+        write_modes(target, writable(result.modes, target))
     if json != "-":
         body = [
             (i + 1, f"{f:.5g}", "-" if np.isnan(r) else f"{r:.1e}")

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -65,14 +65,21 @@ def json_target(value: str | None) -> str | None:
     return value
 
 
+@contextmanager
+def json_file(target: str) -> Iterator[TextIO]:
+    """What `--json` names, written whole or not at all; `-` is standard output."""
+    if target == "-":
+        yield sys.stdout
+        return
+    with atomic_write(Path(target)) as part, part.open("w", encoding="utf-8") as file:
+        yield file
+
+
 def write_json(value: Any, target: str) -> None:
     """JSON to a file, whole or not at all; `-` is standard output."""
     text = json.dumps(value, indent=1, allow_nan=False) + "\n"
-    if target == "-":
-        sys.stdout.write(text)
-        return
-    with atomic_write(Path(target)) as part:
-        part.write_text(text, encoding="utf-8")
+    with json_file(target) as file:
+        file.write(text)
 
 
 def unit_length(units: str) -> float:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import h5py
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, did_you_mean
@@ -28,7 +28,7 @@ _HDF5 = (".h5", ".hdf5")
 def modes_to_json(
     modes: ModeSet, uncertainty: Uncertainty | None = None, reasons: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """A JSON form of the modes; null where a number is unknown.
+    """A JSON form of the modes; null where a number is unknown, no `shape_im` of real shapes.
 
     Parameters
     ----------
@@ -37,27 +37,51 @@ def modes_to_json(
     reasons : sequence of str, optional
         Why each mode is believed; one a mode.
     """
+    return {"modes": list(_rows(modes, uncertainty, reasons))} | _rest(modes)
+
+
+def _rest(modes: ModeSet) -> dict[str, Any]:
+    return {"channels": list(modes.channels), "scaling": str(modes.norm), "source": modes.source}
+
+
+def _rows(modes: ModeSet, uncertainty: Uncertainty | None, reasons: Sequence[str]) -> Iterator[dict[str, Any]]:
     nothing = np.full(len(modes), np.nan)
     std_f = uncertainty.frequency if uncertainty else nothing
     std_z = uncertainty.damping if uncertainty else nothing
-    rows = [
-        {
+    for k in range(len(modes)):
+        yield {
             "frequency_hz": _number(modes.frequencies[k]),
             "damping": _number(modes.damping[k]),
             "std_frequency_hz": _number(std_f[k]),
             "std_damping": _number(std_z[k]),
-            "shape_re": [_number(x) for x in modes.shapes[:, k].real],
-            "shape_im": [_number(x) for x in modes.shapes[:, k].imag],
+            "shape_re": _numbers(modes.shapes[:, k].real),
+            "shape_im": _numbers(modes.shapes[:, k].imag) if np.iscomplexobj(modes.shapes) else [],
             "confidence": _number(modes.confidence[k]),
             "reason": reasons[k] if k < len(reasons) else None,
         }
-        for k in range(len(modes))
-    ]
-    return {"modes": rows, "channels": list(modes.channels), "scaling": str(modes.norm), "source": modes.source}
 
 
 def _number(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
+
+
+def _numbers(x: Float) -> list[float | None]:
+    every = x.tolist()
+    return every if np.isfinite(x).all() else [_number(v) for v in every]
+
+
+def dump_modes(
+    file: TextIO,
+    modes: ModeSet,
+    uncertainty: Uncertainty | None = None,
+    reasons: Sequence[str] = (),
+    more: Mapping[str, Any] | None = None,
+) -> None:
+    """Write `modes_to_json` and what `more` adds to it, one mode after the other: shapes of whole models are large."""
+    file.write('{"modes": [')
+    for k, row in enumerate(_rows(modes, uncertainty, reasons)):
+        file.write((",\n " if k else "\n ") + json.dumps(row, allow_nan=False))
+    file.write("],\n" + json.dumps(_rest(modes) | dict(more or {}), allow_nan=False)[1:] + "\n")
 
 
 def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
@@ -70,7 +94,7 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
     """
     try:
         rows, channels = table["modes"], tuple(str(c) for c in table["channels"])
-        shapes = np.array([[_complex(r) for r in zip(*_parts(row), strict=True)] for row in rows], dtype=np.complex128)
+        shapes = np.array([_shape(row) for row in rows], dtype=np.complex128)
         frequency = np.array([_float(r["frequency_hz"]) for r in rows])
         damping = np.array([_float(r.get("damping")) for r in rows])
         confidence = np.array([_float(r.get("confidence"), 1.0) for r in rows])
@@ -84,13 +108,13 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
     return ModeSet(frequency, damping, values, channels, norm, str(table.get("source") or source), confidence)
 
 
-def _parts(row: Mapping[str, Any]) -> tuple[Sequence[Any], Sequence[Any]]:
-    re = row["shape_re"]
-    return re, row.get("shape_im") or [0.0] * len(re)
-
-
-def _complex(pair: tuple[Any, Any]) -> complex:
-    return complex(_float(pair[0]), _float(pair[1]))
+def _shape(row: Mapping[str, Any]) -> Complex:
+    """(channel,) complex128; null is not a number."""
+    re = np.array(row["shape_re"], dtype=np.float64)
+    im = np.array(row.get("shape_im") or np.zeros(re.size), dtype=np.float64)
+    if re.shape != im.shape:
+        raise ValueError(f"shape_re has {re.size} components, shape_im {im.size}")
+    return np.asarray(re + 1j * im)
 
 
 def _float(x: Any, default: float = float("nan")) -> float:
@@ -104,9 +128,8 @@ def write_modes(
     path = Path(path)
     ext = path.suffix.lower()
     if ext == ".json":
-        text = json.dumps(modes_to_json(modes, uncertainty, reasons), indent=1, allow_nan=False)
-        with atomic_write(path) as part:
-            part.write_text(text + "\n", encoding="utf-8")
+        with atomic_write(path) as part, part.open("w", encoding="utf-8") as file:
+            dump_modes(file, modes, uncertainty, reasons)
     elif ext in _HDF5:
         with atomic_write(path) as part, h5py.File(part, "w") as file:
             codec.save(file.create_group(GROUP), modes)
