@@ -11,22 +11,25 @@ from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.observation import Observation
+from ringtrue.eigen.problem import EigenModes
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
-from ringtrue.model.ports import ModesRequest
-from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.shapes.scale import realise_modes
+from ringtrue.study.config import LocaliseSection
 from ringtrue.study.placing import placed
-from ringtrue.update.candidates import Candidate, CandidateSettings, membership
-from ringtrue.update.effects import Dropped, effective, reduced_candidates
+from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
+from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import element_errors
 from ringtrue.update.objective import Target, match
-from ringtrue.update.pool import conflicts
+from ringtrue.update.pool import conflicts, screened
 from ringtrue.update.proposal import Proposal, propose
 
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test
+POOL: int = LocaliseSection.model_fields["pool"].default
 
 
 def localise(
@@ -38,6 +41,10 @@ def localise(
     units: Annotated[str, typer.Option(help="Unit system of the deck.")] = "SI",
     tolerance: Annotated[float, typer.Option(metavar="M", help="Largest distance of a sensor from a node.")] = 0.05,
     most: Annotated[int, typer.Option(help="Most parameters that are proposed.", min=1)] = 8,
+    pool: Annotated[
+        int,
+        typer.Option(help="Candidates that are looked at closely, by what the test's frequencies tell of each.", min=1),
+    ] = POOL,
     json: Annotated[
         str | None,
         typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
@@ -52,17 +59,21 @@ def localise(
         show(0.0, f"reading {deck}")
         model, seen = read_deck(deck), realise_modes(read_modes(test))
         seen = seen.take(np.flatnonzero(seen.frequencies > 0))
-        analysis = EmbeddedSolver().open(model)
+        analysis = EmbeddedSolver(progress=lambda f, t: show(0.1 + 0.1 * f, t)).open(model)
         bridge = placed(model, analysis.dofs, seen.channels, sensors, unit=metres, tolerance=tolerance)
         aim = Target(seen.frequencies, seen.shapes, np.zeros(len(seen)), np.ones(len(seen), dtype=bool))
         count = int(EXTRA * len(seen)) + 4
         modes = analysis.eigen(ModesRequest(count))
         every = generate(model, CandidateSettings(units=units))
-        keep, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
+        show(0.2, f"energies of {len(every)} candidates")
+        strain, kinetic = effects(model, analysis.system, every, modes.values, modes.vectors)
+        moved, lost = moving(every, strain, kinetic)
+        pairs = _paired(analysis, modes, bridge, aim)
+        keep = _close(every, moved, 0.5 * (strain - kinetic)[pairs[:, 1]] / aim.weights.frequency, pool)
         reduced = reduced_candidates(
-            model, analysis.system, keep, bridge, count, progress=lambda f, t: show(0.1 + 0.3 * f, t)
+            model, analysis.system, keep, bridge, count, progress=lambda f, t: show(0.3 + 0.3 * f, t)
         )
-        errors = _errors(analysis, reduced, bridge, aim, keep)
+        errors = _errors(analysis, modes, bridge, aim, pairs, keep)
         words = [c.what for c in keep]
         found = propose(
             reduced,
@@ -71,29 +82,53 @@ def localise(
             apart=conflicts(model, keep),
             errors=errors,
             words=words,
-            progress=lambda f, t: show(0.4 + 0.6 * f, t),
+            progress=lambda f, t: show(0.6 + 0.4 * f, t),
         )
     if json:
-        write_json(_table(found, keep, lost), json)
+        write_json(_table(found, keep, lost, moved), json)
     if json != "-":
-        _print(deck, found, len(every), len(lost))
+        _print(deck, found, len(every), len(lost), len(moved) - len(keep))
     return 0
 
 
+def _paired(analysis: EmbeddedAnalysis, modes: EigenModes, bridge: Observation, aim: Target) -> Int:
+    """Modes of the test and of the model that belong together, (k, 2)."""
+    shapes = bridge.matrix @ (analysis.system.transform @ modes.vectors)
+    none = np.zeros((len(modes.values), 0)), np.zeros((*shapes.shape, 0))
+    return match(aim, Linearisation(np.zeros(0), modes.frequencies, shapes, *none))[0]
+
+
+def _close(
+    every: tuple[Candidate, ...], moved: tuple[Candidate, ...], slopes: Float, pool: int
+) -> tuple[Candidate, ...]:
+    """Those of the candidates that move a mode which tell most apart; `slopes` (k, all) of ln f by its deviation."""
+    if len(moved) <= pool:
+        return moved
+    names = {c.name for c in moved}
+    at = np.array([i for i, c in enumerate(every) if c.name in names])
+    close = screened((slopes * parameters(every).std())[:, at], pool)
+    return tuple(every[i] for i in np.sort(at[close]).tolist()) or moved[:pool]
+
+
 def _errors(
-    analysis: EmbeddedAnalysis, reduced: ReducedModel, bridge: Observation, aim: Target, keep: tuple[Candidate, ...]
+    analysis: EmbeddedAnalysis,
+    modes: EigenModes,
+    bridge: Observation,
+    aim: Target,
+    pairs: Int,
+    keep: tuple[Candidate, ...],
 ) -> dict[str, Any]:
     """Concentration of the local errors on each candidate."""
-    pairs, _, _ = match(aim, reduced.modes(np.zeros(len(keep))))
     if not len(pairs):
         return {}
     seen = sparse.csr_array(bridge.matrix @ analysis.system.transform)
-    modes = analysis.eigen(ModesRequest(reduced.count)).vectors
-    found = element_errors(analysis.model, analysis.system, seen, aim.frequencies, aim.shapes, modes, pairs)
+    found = element_errors(analysis.model, analysis.system, seen, aim.frequencies, aim.shapes, modes.vectors, pairs)
     return dict(found.concentration(membership(analysis.model, keep)))
 
 
-def _table(found: Proposal, keep: tuple[Candidate, ...], lost: tuple[Dropped, ...]) -> dict[str, Any]:
+def _table(
+    found: Proposal, keep: tuple[Candidate, ...], lost: tuple[Dropped, ...], moved: tuple[Candidate, ...]
+) -> dict[str, Any]:
     what = {c.name: c for c in keep}
     return {
         "proposed": [
@@ -114,16 +149,19 @@ def _table(found: Proposal, keep: tuple[Candidate, ...], lost: tuple[Dropped, ..
         "mean_deviation_percent": [100 * found.before, 100 * found.after],
         "mean_mac_percent": (100 * found.mac).tolist(),
         "insensitive": list(found.insensitive),
+        "looked_at": list(what),
+        "screened_out": [c.name for c in moved if c.name not in what],
         "left_out": [{"name": d.name, "reason": d.reason} for d in lost],
         "other_rules": {k: list(v) for k, v in found.orders.items()},
     }
 
 
-def _print(deck: Path, found: Proposal, every: int, lost: int) -> None:
+def _print(deck: Path, found: Proposal, every: int, lost: int, aside: int) -> None:
     body = [
         (i, m.name, f"{m.factor:.3g}", f"{100 * m.std:.1f}", f"{m.worth:.1f}", len(m.alike) + len(m.rivals))
         for i, m in enumerate(found.members, start=1)
     ]
     heads = ("#", "parameter", "factor", "± [%]", "worth (AICc)", "not told from it")
-    rows(f"{deck}: {every} candidates, {lost} of them change no mode", heads, body)
+    told = f", {aside} tell less than those looked at closely" if aside else ""
+    rows(f"{deck}: {every} candidates, {lost} of them change no mode{told}", heads, body)
     out.print(found.text(), markup=False, highlight=False, soft_wrap=True)

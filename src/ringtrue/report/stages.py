@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.plots.thin import thinned
 from ringtrue.report.parts import Acceptance
 from ringtrue.study.results import (
     CompareStage,
@@ -29,6 +30,9 @@ from ringtrue.study.results import (
     UpdateStage,
 )
 from ringtrue.study.summary import Check
+
+DRAWN = 1_000_000  # nodes of all shapes together, eight bytes each in the page
+FEWEST, MOST = 3000, 12_000  # nodes that are drawn of a model
 
 KINDS: dict[str, type] = {
     "model": ModelStage,
@@ -98,6 +102,9 @@ class Stages:
             if value is not None and not isinstance(value, KINDS[name]):
                 raise ConfigError(f"stage {name}: got {type(value).__name__}, needs {KINDS[name].__name__}")
             known[name] = value
+        if (m := known.get("model")) is not None:
+            most = min(max(DRAWN // max(len(m.modes), 1), FEWEST), MOST)
+            known["model"] = replace(m, scene=thinned(m.scene, most))
         return cls(title, system_text, acceptance, tuple(checks), **known)
 
     @property

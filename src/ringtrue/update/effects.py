@@ -46,8 +46,14 @@ def effective(
     values : (m,) float64, (rad/s)²
     vectors : (f, m) float64, unit modal mass
     """
-    share = sum(np.abs(e) for e in effects(model, system, candidates, values, vectors))
-    most = np.asarray(share).max(axis=0, initial=0.0)
+    return moving(candidates, *effects(model, system, candidates, values, vectors), least)
+
+
+def moving(
+    candidates: Sequence[Candidate], strain: Float, kinetic: Float, least: float = LEAST
+) -> tuple[tuple[Candidate, ...], tuple[Dropped, ...]]:
+    """The same where the effects (m, p) are known."""
+    most = (np.abs(strain) + np.abs(kinetic)).max(axis=0, initial=0.0)
     keep = tuple(c for c, size in zip(candidates, most.tolist(), strict=True) if size > least)
     lost = tuple(
         Dropped(c.name, f"no mode has more than {size:.1e} of its energy in {c.what}")
