@@ -170,7 +170,7 @@
     }
 
     legend(el) {
-      const items = [...(this.data.legend || []), ...(this.data.sensors || [])];
+      const items = [...(this.data.sensors || []), ...(this.data.legend || [])]; // sensors first: hundreds of properties are scrolled
       const swatch = (color, text, note) => el("span", {}, el("i", { style: `background:${color}` }), text, note ? el("b", { textContent: note }) : "");
       const box = el("div", { className: "legend" }, ...items.map((k) => swatch(k.color, k.name + (k.labels ? ` (${k.labels.length})` : ""), k.note)));
       if (this.data.modes) {
