@@ -13,6 +13,7 @@ import pytest
 import small_study
 
 from ringtrue.cli.main import run
+from ringtrue.cli.show import listed
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import NotConverged
 from ringtrue.io.modes_json import write_modes
@@ -473,3 +474,8 @@ def test_the_module_runs_as_the_script_does(monkeypatch: pytest.MonkeyPatch, cap
         runpy.run_module("ringtrue", run_name="__main__")
     assert end.value.code == 0
     assert capsys.readouterr().out.startswith("ringtrue ")
+
+
+def test_numbers_are_listed_in_runs() -> None:
+    assert listed([1, 2, 3, 6, 8, 9]) == "1-3, 6, 8-9"
+    assert listed([]) == ""

@@ -48,6 +48,7 @@ class EmbeddedAnalysis:
     pencil : Pencil
     spins : DofSet or None
         DOFs of the system that are held, see `fem.spins`.
+    progress : callable or None
     """
 
     capabilities = frozenset({"modes", "derivatives", "frf", "static", "complex_modes"})
@@ -61,7 +62,7 @@ class EmbeddedAnalysis:
         method: Method = "auto",
         progress: Progress | None = None,
     ) -> None:
-        self.model, self.system, self.spins, self._progress = model, system, spins, progress
+        self.model, self.system, self.spins, self.progress = model, system, spins, progress
         self.dofs: DofSet = system.dofs
         self.pencil = Pencil(system.stiffness, system.mass, method=method, labels=self._labels)
         self._lowest: EigenModes | None = None
@@ -74,11 +75,11 @@ class EmbeddedAnalysis:
     def eigen(self, request: ModesRequest) -> EigenModes:
         """Modes in the free DOFs: the lowest `count` (and a few above), or the band."""
         if request.band is not None:
-            found = solve_modes(self.pencil, band=request.band, shift=self._shift, progress=self._progress)
+            found = solve_modes(self.pencil, band=request.band, shift=self._shift, progress=self.progress)
         else:
             if self._lowest is None or self._lowest.values.size < request.count:
                 self._lowest = solve_modes(
-                    self.pencil, request.count + BUFFER, shift=self._shift, progress=self._progress
+                    self.pencil, request.count + BUFFER, shift=self._shift, progress=self.progress
                 )
             found = self._lowest
         self._shift = found.shift if found.shift < 0 else self._shift
@@ -296,7 +297,7 @@ class EmbeddedAnalysis:
             If an undamped mode stands at one of the frequencies.
         """
         rows = self._rows(outputs), self._rows(inputs)
-        return direct(self.dynamic, freqs, *rows, kind=kind, progress=self._progress)
+        return direct(self.dynamic, freqs, *rows, kind=kind, progress=self.progress)
 
     def _rows(self, dofs: DofSet) -> sparse.csr_array:
         index, sign = self.dofs.align(dofs)

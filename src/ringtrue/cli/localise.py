@@ -17,11 +17,12 @@ from ringtrue.eigen.problem import EigenModes
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import Linearisation, ModesRequest
+from ringtrue.reduce.parametric import modes_of
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import LocaliseSection
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates
+from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates, smooth
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import element_errors
 from ringtrue.update.objective import Target, match
@@ -63,15 +64,23 @@ def localise(
         bridge = placed(model, analysis.dofs, seen.channels, sensors, unit=metres, tolerance=tolerance)
         aim = Target(seen.frequencies, seen.shapes, np.zeros(len(seen)), np.ones(len(seen), dtype=bool))
         count = int(EXTRA * len(seen)) + 4
-        modes = analysis.eigen(ModesRequest(count))
+        modes = analysis.eigen(ModesRequest(modes_of(count)))
         every = generate(model, CandidateSettings(units=units))
         show(0.2, f"energies of {len(every)} candidates")
         strain, kinetic = effects(model, analysis.system, every, modes.values, modes.vectors)
         moved, lost = moving(every, strain, kinetic)
         pairs = _paired(analysis, modes, bridge, aim)
         keep = _close(every, moved, 0.5 * (strain - kinetic)[pairs[:, 1]] / aim.weights.frequency, pool)
+        keep = tuple(c for c in keep if smooth(model, c, analysis.system))
         reduced = reduced_candidates(
-            model, analysis.system, keep, bridge, count, progress=lambda f, t: show(0.3 + 0.3 * f, t)
+            model,
+            analysis.system,
+            keep,
+            bridge,
+            count,
+            pencil=analysis.pencil,
+            modes=modes,
+            progress=lambda f, t: show(0.3 + 0.3 * f, t),
         )
         errors = _errors(analysis, modes, bridge, aim, pairs, keep)
         words = [c.what for c in keep]

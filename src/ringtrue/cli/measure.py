@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from scipy import sparse
 
-from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
+from ringtrue.cli.show import json_target, listed, out, progress, rows, unit_length, write_json
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
 from ringtrue.correlate.gates import Gate
@@ -47,8 +48,7 @@ def _of_deck(deck: Path, test: ModeSet, sensors: Path | None, units: str, tolera
         model = read_deck(deck)
         opened = Opened(model, unit)
         look = placed(model, opened.analysis.dofs, test.channels, sensors, unit=unit, tolerance=tolerance)
-        show(0.3, "solving")
-        modes = opened.modes(ABOVE * top).modes
+        modes = opened.modes(ABOVE * top, lambda f, t: show(0.3 + 0.7 * f, t)).modes
     return ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
 
 
@@ -70,6 +70,15 @@ def _mass(path: Path, channels: int) -> sparse.csr_array:
     if mass.shape != (channels, channels):
         raise DataError(f"{path}: mass {mass.shape}; there are {channels} common channels, in the order of A")
     return mass
+
+
+def _reasons(unpaired: Sequence[dict[str, Any]]) -> list[str]:
+    """Why modes have no partner: a line each of A, of B (a model may have hundreds) one for all of one reason."""
+    told: dict[tuple[str, str], list[int]] = {}
+    for u in unpaired:
+        reason = u["reason"] if u["set"] == "A" else u["reason"].split(": best")[0]
+        told.setdefault((u["set"], reason), []).append(u["mode"])
+    return [f"{name} {listed(modes)}: {reason}" for (name, reason), modes in told.items()]
 
 
 def _show_complete(c: CompleteCorrelation) -> None:
@@ -161,8 +170,8 @@ def correlate(
             for r in value["pairs"]
         ]
         rows(f"{a} against {b}", ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
-        for u in value["unpaired"]:
-            out.print(f"{u['set']} {u['mode']}: {u['reason']}", markup=False, highlight=False, soft_wrap=True)
+        for line in _reasons(value["unpaired"]):
+            out.print(line, markup=False, highlight=False, soft_wrap=True)
         if full is not None:
             _show_complete(full)
     return 0 if value["pairs"] else 1

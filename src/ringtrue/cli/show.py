@@ -58,6 +58,17 @@ def rows(title: str, heads: Sequence[str], body: Sequence[Sequence[object]]) -> 
     out.print(table)
 
 
+def listed(numbers: Sequence[int]) -> str:
+    """Ascending numbers as `1-6, 9`."""
+    runs: list[list[int]] = []
+    for n in numbers:
+        if runs and n == runs[-1][-1] + 1:
+            runs[-1] = [runs[-1][0], n]
+        else:
+            runs.append([n])
+    return ", ".join("-".join(map(str, r)) for r in runs)
+
+
 def json_target(value: str | None) -> str | None:
     """The target as given, refused before any work is done if its folder is not there."""
     if value not in (None, "-") and not Path(str(value)).parent.is_dir():

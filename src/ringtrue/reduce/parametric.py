@@ -17,7 +17,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.eigen.derivatives import modal_coefficients
 from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import frequencies
+from ringtrue.eigen.problem import EigenModes, frequencies
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
@@ -262,6 +262,11 @@ class ReducedModel:
         return replace(self, basis=basis), truth
 
 
+def modes_of(count: int, options: BasisOptions | None = None) -> int:
+    """How many modes of the nominal model a basis that returns `count` holds."""
+    return int(np.ceil((options or BasisOptions()).extra * count)) + 4
+
+
 def reduced_model(
     system: AffineSystem,
     count: int,
@@ -269,6 +274,7 @@ def reduced_model(
     options: BasisOptions | None = None,
     points: Sequence[Float] = (),
     pencil: Pencil | None = None,
+    modes: EigenModes | None = None,
     progress: Progress | None = None,
 ) -> ReducedModel:
     """Build the basis: modes at x = 0, static sensitivities to every parameter, modes at further points.
@@ -283,10 +289,15 @@ def reduced_model(
         Points x where the modes of the full model are added.
     pencil : Pencil, optional
         Of the nominal K and M, if there is one already.
+    modes : EigenModes, optional
+        The lowest of the nominal model, if they are there already: `modes_of(count, options)` or more.
     """
     options = options or BasisOptions()
     pencil = pencil or Pencil(system.stiffness, system.mass)
-    modes = solve_modes(pencil, int(np.ceil(options.extra * count)) + 4, progress=progress)
+    wanted = modes_of(count, options)
+    if modes is None or modes.values.size < wanted:
+        known = pencil.shift if pencil.shift < 0 else None  # that of a solution before, whose factor may still be there
+        modes = solve_modes(pencil, wanted, shift=known, progress=progress)
     n = min(count, modes.values.size)
     energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
     most, x = options.size - modes.values.size, np.zeros((pencil.size, 0))

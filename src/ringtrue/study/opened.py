@@ -49,11 +49,13 @@ class Opened:
     def _modes(self) -> dict[float, ModesResult]:
         return {}
 
-    def modes(self, fmax: float) -> ModesResult:
+    def modes(self, fmax: float, progress: Progress | None = None) -> ModesResult:
         """All modes below `fmax`, Hz (`ModesResult`), solved once."""
         if fmax not in self._modes:
             request = ModesRequest(band=(-1.0, fmax))
+            self.analysis.progress = progress
             self._modes[fmax] = self.analysis.modes(request) if self.engine is None else self._outside(request)
+            self.analysis.progress = None
         return self._modes[fmax]
 
     def _outside(self, request: ModesRequest) -> ModesResult:

@@ -19,9 +19,9 @@ from ringtrue.study.results import CorrelateStage, Evidence, Expansion, RemodelS
 from ringtrue.study.workbench import Workbench
 
 
-def seen(desk: Workbench, opened: Opened) -> ModeSet:
+def seen(desk: Workbench, opened: Opened, progress: Progress | None = None) -> ModeSet:
     """The modes of a model at all channels of the sheet."""
-    modes = opened.modes(desk.deck.fmax).modes
+    modes = opened.modes(desk.deck.fmax, progress).modes
     there = desk.bridge(opened)
     return ModeSet(modes.frequencies, modes.damping, there(modes.shapes), there.channels, modes.norm, modes.source)
 
@@ -39,9 +39,9 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
     config = desk.config
     reference = reference_modes(desk.get("identify"), config)
     out = left_out(reference.elastic, config.update.left_out, config.identify.confidence)
-    initial = seen(desk, desk.initial)
+    initial = seen(desk, desk.initial, lambda f, t: progress(0.3 * f, t))
     progress(0.3, "remodelled deck")
-    remodelled = seen(desk, desk.remodelled)
+    remodelled = seen(desk, desk.remodelled, lambda f, t: progress(0.3 + 0.3 * f, t))
     tables = [elastic_table(reference, fe, config, out, initial) for fe in (initial, remodelled)]
     progress(0.6, "mass at the channels")
     told = judged(desk, desk.remodelled, reference, remodelled, tables[1])

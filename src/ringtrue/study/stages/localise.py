@@ -9,11 +9,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.errors import DataError, UnsupportedError
-from ringtrue.fem.assembly import System
+from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_reduced
@@ -27,7 +24,7 @@ from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import LEAST, effects
+from ringtrue.update.effects import LEAST, effects, smooth
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import identifiability
 from ringtrue.update.joint import joint_residual
@@ -115,7 +112,7 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     test, fe = table.pairing.a[table.used], table.pairing.b[table.used]
     sigma = np.hypot(aim.weights.frequency, aim.std[test])
     slopes = 0.5 * (strain - kinetic)[fe] / sigma[:, None] * parameters(every).std()
-    first = [i for i in some[screened(slopes[:, some], 2 * asked.pool)].tolist() if _exact(model, every[i], system)]
+    first = [i for i in some[screened(slopes[:, some], 2 * asked.pool)].tolist() if smooth(model, every[i], system)]
     close = np.sort(np.array(first, dtype=np.int64)[screened(slopes[:, first], asked.pool)])
     return _Pool(
         tuple(every[i] for i in close.tolist()),
@@ -123,17 +120,6 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
         tuple(every[i].name for i in np.setdiff1d(np.arange(len(every)), some).tolist()),
         tuple(every[i].name for i in np.setdiff1d(some, close).tolist()),
     )
-
-
-def _exact(model: Model, candidate: Candidate, system: System) -> bool:
-    """Whether K and M are smooth functions of the factor between its bounds, as a reduced model needs them."""
-    laminated = candidate.kind == "material" and any(card in model for card in LAMINATES)
-    if candidate.kind != "property" and not laminated:
-        return True
-    try:
-        return bool(affine_terms(model, parameters([candidate]), system))
-    except UnsupportedError:
-        return False
 
 
 def _model(desk: Workbench, pool: _Pool, progress: Progress) -> AtChannels:
