@@ -148,3 +148,22 @@ def test_welds_over_several_shells(way: dict[str, object]) -> None:
     area = np.pi / 4 * 0.6**2
     assert lift.ravel() @ s.stiffness @ lift.ravel() == pytest.approx(2e11 * area / (0.2 * 0.6))
     check_slopes(welds, parameter(("PWELD", 7, "D")))
+
+
+@pytest.mark.parametrize("card", ["CFAST", "CWELD"])
+def test_two_sheets_of_one_property_are_joined_by_their_shells(card: str) -> None:
+    """Named by shells, sheets of one property are told apart: one that is lifted off the other takes energy."""
+    m = fast(TYPE="ELEM", IDA=5, IDB=14)
+    one = cards("CQUAD4", **{**{c: m["CQUAD4"][c] for c in ("EID", "G1", "G2", "G3", "G4")}, "PID": 1})
+    tables = {**m.tables, "CQUAD4": one}
+    stiff = KT[0]
+    if card == "CWELD":
+        stiff = 2e11 * np.pi / 4 * 0.6**2 / (0.2 * 0.6)
+        mats = cards("MAT1", MID=[9, 1], E=[1e-3, 2e11], NU=0.3)
+        weld = cards("CWELD", EID=[90], PID=7, TYPE="ELPAT", SHIDA=5, SHIDB=14, GS=33)
+        tables |= {"CWELD": weld, "PWELD": cards("PWELD", PID=[7], MID=1, D=0.6), "MAT1": mats}
+        del tables["CFAST"], tables["PFAST"]
+    s = assemble(Model(tables, m.params))
+    lift = np.zeros((len(s.xyz), 6))
+    lift[16:32, 2] = 1.0
+    assert lift.ravel() @ s.stiffness @ lift.ravel() == pytest.approx(stiff)

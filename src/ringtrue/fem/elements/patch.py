@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 from ringtrue.core.arrays import Bool, Float, Int
@@ -136,28 +137,50 @@ class Skin:
                 corners.append(rows)
         return cls(np.concatenate(ids), np.concatenate(pids), np.concatenate(corners))
 
-    def nearest(self, m: Mesh, pid: Int, point: Float) -> Int:
-        """The shell (e,) of the property `pid` (e,) on which the foot of a point (e, 3) is nearest, -1 for none."""
-        out = np.full(pid.size, -1)
+    def of_property(self, m: Mesh, pid: Int, point: Float) -> Int:
+        """The shells (e, k) of the property `pid` (e,) with the centres nearest to a point (e, 3), -1 for none."""
+        out = np.full((pid.size, _NEAREST), -1)
         for one in np.unique(pid).tolist():
             mine, rows = np.flatnonzero(self.pid == one), np.flatnonzero(pid == one)
             if mine.size:
-                out[rows] = self._among(m, mine, point[rows])
+                there = (self.corners[mine] >= 0)[:, :, None]
+                centre = np.where(there, m.xyz[self.corners[mine]], 0.0).sum(axis=1) / there.sum(axis=1)
+                k = min(_NEAREST, mine.size)
+                out[rows, :k] = mine[cKDTree(centre).query(point[rows], k)[1].reshape(-1, k)]
         return out
 
-    def _among(self, m: Mesh, mine: Int, point: Float) -> Int:
-        count = (self.corners[mine] >= 0).sum(axis=1)
-        there = (self.corners[mine] >= 0)[:, :, None]
-        centre = np.where(there, m.xyz[self.corners[mine]], 0.0).sum(axis=1) / count[:, None]
-        k = min(_NEAREST, mine.size)
-        found = mine[cKDTree(centre).query(point, k)[1].reshape(-1, k)]
-        corners, triangle = self.corners[found].reshape(-1, 4), self.corners[found].reshape(-1, 4)[:, 3] < 0
+    def around(self, shell: Int) -> Int:
+        """Each shell (e,) first and behind it those that share a node with it (e, k), -1 for none."""
+        there = self.corners >= 0
+        row, node = np.nonzero(there)[0], self.corners[there]
+        on = sp.csr_array((np.ones(row.size), (row, node)), shape=(self.ids.size, node.max() + 1))
+        touching = sp.coo_array(on[shell] @ on.T)
+        i, j = touching.coords
+        i, j = i[j != shell[i]], j[j != shell[i]]
+        order = np.lexsort((j, i))
+        i, j = i[order], j[order]
+        slot = np.arange(i.size) - np.searchsorted(i, i)
+        out = np.full((shell.size, 2 + slot.max(initial=-1)), -1)
+        out[:, 0] = shell
+        out[i, slot + 1] = j
+        return out
+
+    def foot(self, m: Mesh, found: Int, point: Float, own: Bool) -> Int:
+        """The one of the shells `found` (e, k) on which the foot of a point (e, 3) is nearest, -1 for none.
+
+        The first of them comes before the others where `own` (e,).
+        """
+        k = found.shape[1]
+        corners = self.corners[found].reshape(-1, 4)
+        triangle = corners[:, 3] < 0
         x = m.xyz[corners]
         x[triangle, 3] = 0.0
         every = np.repeat(point, k, axis=0)
         r, s, N, _ = _foot(x, every, triangle)
         away = np.linalg.norm(np.einsum("ei,eij->ej", N, x) - every, axis=1)
-        away = np.where(_margin(r, s, triangle) >= -_SLACK, away, np.inf).reshape(-1, k)
+        on = (_margin(r, s, triangle) >= -_SLACK) & (found.ravel() >= 0)
+        away = np.where(on, away, np.inf).reshape(-1, k)
+        away[own & np.isfinite(away[:, 0]), 0] = -1.0
         best = away.argmin(axis=1)
         row = np.arange(len(point))
         return np.asarray(np.where(np.isfinite(away[row, best]), found[row, best], -1))
@@ -175,35 +198,70 @@ def _place(m: Mesh, t: Table, at: Int, side: str) -> Float:
     return out
 
 
-def _surface(m: Mesh, t: Table, at: Int, skin: Skin, ids: Int) -> Int:
-    """Properties (e,) of shells `ids` (e,)."""
+def _row(m: Mesh, t: Table, at: Int, skin: Skin, ids: Int) -> Int:
+    """Rows (e,) of `skin` of the shells `ids` (e,)."""
     order = np.argsort(skin.ids, kind="stable")
     found = np.searchsorted(skin.ids[order], ids).clip(max=max(skin.ids.size - 1, 0))
     row = order[found] if skin.ids.size else np.full(ids.shape, -1)
     if (lost := (row < 0) | (skin.ids[row] != ids) if skin.ids.size else np.ones(ids.shape, dtype=bool)).any():
         raise error(m.model, t, int(at[lost][0]), f"{ids[lost][0]} is no shell with three or four corners")
-    return np.asarray(skin.pid[row])
+    return np.asarray(row)
 
 
-def _on_square(m: Mesh, t: Table, at: Int, skin: Skin, pid: Int, point: Float, diameter: Float) -> End:
-    """Ends on shells of a property: the mean motion of the corners of a square as large as the circle (e,).
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """The shells on which the ends (e,) may stand: of a property, or of a shell and its neighbours where `shell` >= 0.
+
+    Two sheets of one property are told apart by their shells (MSC Nastran: up to 3 x 3 shells around SHIDA).
+    """
+
+    skin: Skin
+    pid: Int
+    shell: Int
+
+    def foot(self, m: Mesh, point: Float) -> Int:
+        """The shell (e,) on which the foot of a point (e, 3) is, -1 for none."""
+        out = np.full(self.pid.size, -1)
+        named = self.shell >= 0
+        if named.any():
+            found = self.skin.around(self.shell[named])
+            out[named] = self.skin.foot(m, found, point[named], np.ones(len(found), dtype=bool))
+        if not named.all():
+            found = self.skin.of_property(m, self.pid[~named], point[~named])
+            out[~named] = self.skin.foot(m, found, point[~named], np.zeros(len(found), dtype=bool))
+        return out
+
+    def about(self, shell: Int, count: int) -> _Surface:
+        """That of points around the places of the ends on `shell` (e,), `count` for each."""
+        near = np.where(self.shell >= 0, shell, -1)
+        return _Surface(self.skin, np.repeat(self.pid, count), np.repeat(near, count))
+
+    def name(self, i: int) -> str:
+        """What the surface of an end is, for messages."""
+        if self.shell[i] >= 0:
+            return f"shell {self.skin.ids[self.shell[i]]} and those around it"
+        return f"the shells of property {self.pid[i]}"
+
+
+def _on_square(m: Mesh, t: Table, at: Int, on: _Surface, point: Float, diameter: Float) -> End:
+    """Ends on a surface: the mean motion of the corners of a square as large as the circle (e,).
 
     The corners follow the shells that they stand on; the end follows them as an RBE3 of equal weights does (MSC Nastran
     Quick Reference Guide, CWELD PARTPAT and CFAST).
     """
-    shell = skin.nearest(m, pid, point)
-    if (bad := shell < 0).any():
-        raise error(m.model, t, int(at[bad][0]), f"its point has no foot on the shells of property {pid[bad][0]}")
-    centre = on_patch(m, t.card, at, skin.corners[shell], point)
+    shell = on.foot(m, point)
+    if (bad := np.flatnonzero(shell < 0)).size:
+        raise error(m.model, t, int(at[bad[0]]), f"its point has no foot on {on.name(int(bad[0]))}")
+    centre = on_patch(m, t.card, at, on.skin.corners[shell], point)
     axes = any_triad(centre.normal)[:, 1:]
     side = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     corner = centre.place[:, None] + (np.sqrt(np.pi) / 4 * diameter)[:, None, None] * (side @ axes)
     flat = corner.reshape(-1, 3)
-    under = skin.nearest(m, np.repeat(pid, 4), flat)
-    if (bad := under < 0).any():
-        why = f"D is too large: its square leaves the shells of property {np.repeat(pid, 4)[bad][0]}"
-        raise error(m.model, t, int(np.repeat(at, 4)[bad][0]), why)
-    feet = on_patch(m, t.card, np.repeat(at, 4), skin.corners[under], flat)
+    under = on.about(shell, 4).foot(m, flat)
+    if (bad := np.flatnonzero(under < 0)).size:
+        why = f"D is too large: its square leaves {on.name(int(bad[0]) // 4)}"
+        raise error(m.model, t, int(at[bad[0] // 4]), why)
+    feet = on_patch(m, t.card, np.repeat(at, 4), on.skin.corners[under], flat)
     S = np.zeros((at.size, 4, 3, 6))
     S[..., :3] = np.eye(3)
     S[..., 3:] = -skew(feet.place.reshape(-1, 4, 3) - centre.place[:, None])
@@ -219,10 +277,11 @@ def _on_square(m: Mesh, t: Table, at: Int, skin: Skin, pid: Int, point: Float, d
 def on_squares(
     m: Mesh, t: Table, at: Int, diameter: Float, by_shell: Bool, properties: Sequence[str], shells: Sequence[str]
 ) -> tuple[End, End]:
-    """Ends A and B on the shells of the property that the card names, or of the shell that it names (`by_shell`)."""
+    """Ends A and B on the shells of the property that the card names, or on the shell that it names (`by_shell`)."""
     skin, made = Skin.of(m), []
     for side, own, shell in zip("AB", properties, shells, strict=True):
-        pid = t[own][at].copy()
-        pid[by_shell] = _surface(m, t, at[by_shell], skin, t[shell][at[by_shell]])
-        made.append(_on_square(m, t, at, skin, pid, _place(m, t, at, side), diameter))
+        row = np.full(at.size, -1)
+        row[by_shell] = _row(m, t, at[by_shell], skin, t[shell][at[by_shell]])
+        on = _Surface(skin, t[own][at], row)
+        made.append(_on_square(m, t, at, on, _place(m, t, at, side), diameter))
     return made[0], made[1]
