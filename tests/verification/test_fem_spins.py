@@ -147,3 +147,19 @@ def test_statics_and_derivatives() -> None:
         slope, shape = analysis.derivatives(modes, parameters)
         np.testing.assert_allclose(slope[:, 0], (2 * np.pi * modes.frequencies) ** 2, rtol=1e-6)
         assert np.abs(shape).max() < 1e-5 * np.abs(modes.shapes).max()
+
+
+def test_dofs_that_nothing_uses_are_left_out_without_autospc() -> None:
+    """A scalar point and the rotations of a node on springs alone, under AUTOSPC,NO; ASING,-1 makes them an error."""
+    k, mass = 4e4, 2.0
+    spring = cards("CELAS2", EID=[1, 2, 3], K=k, G1=1, C1=[1, 2, 3])
+    parts = (grid([[0.0, 0, 0]]), spring, cards("CONM2", EID=[9], G=1, M=mass), cards("SPOINT", ID=ragged([77])))
+    with EmbeddedSolver().open(model(*parts, AUTOSPC="NO")) as analysis:
+        found = analysis.modes(ModesRequest(9))
+        assert sorted(analysis.system.autospc.labels()) == ["1+RX", "1+RY", "1+RZ", "77"]
+        at = analysis.static(np.eye(len(analysis.dofs))[0])
+    np.testing.assert_allclose(found.modes.frequencies, np.sqrt(k / mass) / 2 / np.pi)
+    assert found.complete
+    assert at[0, 0] == pytest.approx(1 / k)
+    with EmbeddedSolver().open(model(*parts, AUTOSPC="NO", ASING=-1)) as analysis, pytest.raises(SingularModel):
+        analysis.modes(ModesRequest(9))

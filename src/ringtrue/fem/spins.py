@@ -87,20 +87,40 @@ def _shares(R: Float, A: sparse.csr_array, chain: Int, count: int) -> Float:
 
 
 def without_spins(model: Model, system: System) -> tuple[System, DofSet]:
-    """The system with its spins held, and the DOFs that hold them; not so under PARAM,AUTOSPC,NO."""
-    rows = np.empty(0, dtype=np.int64)
-    if str(model.params.get("AUTOSPC", "YES")).upper() != "NO":
-        rows = spins(model, system)
+    """The system with its spins held, and the DOFs that hold them.
+
+    Under PARAM,AUTOSPC,NO only DOFs that nothing uses are held, among those of `system.autospc`; PARAM,ASING,-1 leaves
+    them, too, so that they are an error (MSC Nastran Quick Reference Guide, ASING).
+    """
+    none: Int = np.empty(0, dtype=np.int64)
+    if str(model.params.get("AUTOSPC", "YES")).upper() == "NO":
+        rows = _unused(system) if model.param("ASING", 0.0) != -1 else none
+        node = np.concatenate([system.autospc.node, system.free.node[rows]])
+        direction = np.concatenate([system.autospc.direction, system.free.direction[rows]])
+        return replace(_held(system, rows), autospc=DofSet(node, direction)), DofSet(none, none)
+    rows = spins(model, system)
     held = DofSet(system.free.node[rows], system.free.direction[rows])
+    if rows.size:
+        log.info("held against spinning without stiffness and mass: %s", " ".join(held.labels()))
+    return _held(system, rows), held
+
+
+def _unused(system: System) -> Int:
+    """Rows of the system without stiffness and mass: scalar points, components that no element uses."""
+    rows = np.flatnonzero((system.stiffness.diagonal() == 0) & (system.mass.diagonal() == 0))
+    empty = [np.asarray(abs(A[rows]).sum(axis=1)).ravel() == 0 for A in (system.stiffness, system.mass)]
+    return np.asarray(rows[empty[0] & empty[1]])
+
+
+def _held(system: System, rows: Int) -> System:
+    """The system without the free DOFs `rows` (k,)."""
     if not rows.size:
-        return system, held
-    log.info("held against spinning without stiffness and mass: %s", " ".join(held.labels()))
+        return system
     keep = np.setdiff1d(np.arange(len(system.free)), rows)
-    made = replace(
+    return replace(
         system,
         **{n: getattr(system, n)[keep][:, keep] for n in ("stiffness", "mass", "viscous", "structural")},
         transform=system.transform[:, keep],
         local=system.local[keep],
         free=DofSet(system.free.node[keep], system.free.direction[keep]),
     )
-    return made, held
