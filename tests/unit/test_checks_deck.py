@@ -72,6 +72,8 @@ def test_each_fault_is_found(tmp_path: Path, extra: str, severity: str, line: in
 def test_coincident_nodes_that_are_joined_are_meant(tmp_path: Path) -> None:
     text = SOUND + "GRID,9,,1.,1.,0.\nCBUSH,2,2,3,9,,,,0\nPBUSH,2,K,1.\nCELAS2,3,1.,9,1\n"
     assert not report(tmp_path, text).findings
+    by_way = SOUND + "GRID,9,,1.,1.,0.\nGRID,10,,1.,1.,0.\nRBE2,2,3,123456,10\nCBUSH,3,2,10,9,,,,0\nPBUSH,2,K,1.\n"
+    assert not report(tmp_path, by_way).findings
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -159,8 +160,27 @@ def test_unsupported_cards_stop_the_reader_and_are_listed_by_survey(tmp_path: Pa
     with pytest.raises(UnsupportedCard, match=rf"main\.bdf:5: {name} is not supported"):
         read_deck(path)
     found = survey(path)
-    assert found.unsupported == {name: f"{path}:5"}
+    assert list(found.unsupported) == [name]
+    assert re.fullmatch(rf"{re.escape(str(path))}:5(: .+)?", found.unsupported[name])
     assert found.cards == {"GRID": 4, name: 1}
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("SESET,1,2", "superelements: give the whole structure"),
+        ("BEGIN SUPER=1", "superelements: give the whole structure"),
+        ("AXIC,0", "axisymmetric"),
+        ("CPLSTN4,1,1,1,2,3,4", "axisymmetric, plane strain"),
+        ("EGRID,1,,0.,0.,0.", "MSGMESH"),
+        ("CBEAM3,1,1,1,2,3", "two CBEAM"),
+    ],
+)
+def test_cards_that_are_not_read_say_what_to_do(tmp_path: Path, line: str, why: str) -> None:
+    path = deck(tmp_path, "BEGIN BULK\n" + NODES + line + "\n")
+    with pytest.raises(UnsupportedCard, match=f"is not supported: .*{why}"):
+        read_deck(path)
+    assert [w for w in survey(path).unsupported.values() if why in w]
 
 
 def test_a_repeated_identical_node_is_allowed_and_kept_once(tmp_path: Path) -> None:
@@ -182,6 +202,13 @@ def test_grdset_fills_blanks_only(tmp_path: Path) -> None:
     assert model["GRID"]["CP"].tolist() == [5, 0, 0]
     assert model["GRID"]["CD"].tolist() == [5, 0, 5]
     assert model["GRID"]["PS"].tolist() == ["126", "", "3"]
+
+
+def test_lists_of_rbe3_may_be_ranges(tmp_path: Path) -> None:
+    rbe3 = read(tmp_path, NODES + "RBE3,10,,4,123,1.,123,1,THRU\n,2,.5,12,3\n")["RBE3"]
+    assert rbe3.ragged("G").row(0).tolist() == [1, 2, 3]
+    assert rbe3.ragged("WT").row(0).tolist() == [1.0, 1.0, 0.5]
+    assert rbe3.ragged("C").row(0).tolist() == ["123", "123", "12"]
 
 
 def test_cards_with_a_pattern_of_their_own(tmp_path: Path) -> None:

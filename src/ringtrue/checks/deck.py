@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from ringtrue.checks.edges import edge_findings
@@ -142,18 +144,21 @@ def _coincident(model: Model) -> list[Finding]:
 
 
 def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which pairs of node ids (n, 2) are nodes of one element or constraint, (n,)."""
-    out = np.zeros(len(pairs), dtype=bool)
-    wanted = np.unique(pairs)
+    """Which pairs of node ids (n, 2) are nodes of one element or constraint, also by way of others of them, (n,)."""
+    wanted, at = np.unique(pairs, return_inverse=True)
+    at = at.reshape(-1, 2)
+    joined: set[tuple[int, int]] = set()
     for ids, owner in _groups(model):
         keep = np.isin(ids, wanted)
-        key = {(o, i) for o, i in zip(owner[keep].tolist(), ids[keep].tolist(), strict=True)}
         members: dict[int, set[int]] = {}
-        for o, i in key:
+        for o, i in zip(owner[keep].tolist(), np.searchsorted(wanted, ids[keep]).tolist(), strict=True):
             members.setdefault(i, set()).add(o)
-        for k, (a, b) in enumerate(pairs.tolist()):  # over the few coincident pairs
-            out[k] = out[k] or bool(members.get(a, set()) & members.get(b, set()))
-    return out
+        # over the few coincident pairs
+        joined.update((a, b) for a, b in at.tolist() if members.get(a, set()) & members.get(b, set()))
+    edges = np.array(sorted(joined), dtype=np.int64).reshape(-1, 2)
+    graph = sparse.coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(wanted.size, wanted.size))
+    label = connected_components(graph, directed=False)[1]
+    return np.asarray(label[at[:, 0]] == label[at[:, 1]])
 
 
 def _unchosen(model: Model) -> Iterator[Finding]:

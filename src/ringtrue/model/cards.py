@@ -177,6 +177,18 @@ PSEAM PBUSH2D PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT3 MAT11 MATORT MAT
 DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEBULK SECONCT SEELT SESET SEBNDRY SELOC SEMPLN SETREE
 CSUPER CSUPEXT RELEASE BCONP BCTABLE BLSEG SLBLOAD AXIC PDAMP5
 """
+_REASONS = (  # what cards have in common that are not read, and how their names begin
+    ("superelements: give the whole structure as one deck, or reduced matrices as DMIG with K2GG and M2GG",
+     ("BEGIN SUPER", "SE", "CSUP", "RELEASE", "EXTRN")),
+    ("axisymmetric, plane strain and plane stress: ringtrue solves structures in space",
+     ("AXIC", "CCONEAX", "CSLOT", "CQUADX", "CTRIAX", "CTRAX", "CPLST", "RINGAX", "SPCAX", "MPCAX")),
+    ("MSGMESH: give the cards that it makes (ECHO = PUNCH)", ("EGRID", "CGEN", "GRIDB")),
+    ("contact and glue: ringtrue solves linear structures; join the parts by RBE2, RBE3, CFAST or shared nodes",
+     ("BLSEG", "BC", "BG", "SLBLOAD", "RSSCON", "CSEAM", "PSEAM")),
+    ("hyperelastic: give the moduli about the state of the test as MAT1 or MAT9",
+     ("PLPLANE", "PLSOLID", "MATHP", "PLSHELL", "PSHLN", "PSLDN")),
+    ("beams of three nodes: give two CBEAM", ("CBEAM3", "PBEAM3", "CBAR3")),
+)  # fmt: skip
 TABLES = ("PBUSHT", "PDAMPT", "PELAST")  # kept: tables over frequency or for nonlinear solutions; nominal values count
 NONSTRUCTURAL = ("NSM", "NSM1", "NSML", "NSML1", "NSMADD")
 UNSUPPORTED = frozenset(_CARRYING.split())
@@ -191,3 +203,8 @@ def is_unsupported(card: str) -> bool:
     if card in CARDS or card in SPECIAL:
         return False
     return card in UNSUPPORTED or (card.startswith("C") and not card.startswith(_HARMLESS_C))
+
+
+def reason(card: str) -> str:
+    """What a card that is not read is about and what to do, "" where there is nothing to say."""
+    return next((text for text, names in _REASONS if card.startswith(names)), "")

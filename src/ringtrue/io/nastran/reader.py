@@ -19,7 +19,7 @@ from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written
 from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
-from ringtrue.model.cards import CARDS, NONSTRUCTURAL, is_unsupported
+from ringtrue.model.cards import CARDS, NONSTRUCTURAL, is_unsupported, reason
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Ragged, Table, stacked
 from ringtrue.model.references import Missing, missing, unused
@@ -63,7 +63,8 @@ def read_deck(path: str | Path) -> Model:
     """
     deck = load(path)
     if deck.superelements:
-        raise UnsupportedCard("BEGIN SUPER", path=deck.files[deck.superelements[0]], line=deck.superelements[1])
+        file, line = deck.superelements
+        raise UnsupportedCard("BEGIN SUPER", path=deck.files[file], line=line, why=reason("BEGIN SUPER"))
     found = cards(deck)
     _refuse(found)
     model, skipped = _model(found)
@@ -96,6 +97,7 @@ def survey(path: str | Path) -> Survey:
     for name, at in zip(names.tolist(), first.tolist(), strict=True):
         if _stops(name.decode(), more):
             unsupported[name.decode()] = "{}:{}".format(*found.place(at))
+    unsupported = {card: ": ".join(t for t in (place, reason(card)) if t) for card, place in unsupported.items()}
     model, skipped = _model(found)
     unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
     faults = [_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported))]
@@ -123,7 +125,7 @@ def _refuse(found: Cards) -> None:
     if stopping:
         at, name = stopping[0]
         path, line = found.place(at)
-        raise UnsupportedCard(name, path=path, line=line)
+        raise UnsupportedCard(name, path=path, line=line, why=reason(name))
 
 
 def _foreign_ids(found: Cards, unsupported: Collection[str]) -> dict[str, set[int]]:

@@ -131,6 +131,12 @@ def _rbe3_groups(r: Reader) -> tuple[list[int], list[str], list[float]]:
             break
         if not t:
             i += 1
+        elif t == "THRU" and nodes and not fresh:
+            more = range(nodes[-1] + 1, r.whole(i + 1, "G") + 1)
+            nodes.extend(more)
+            comps.extend([comp] * len(more))
+            weights.extend([weight] * len(more))
+            i += 2
         elif not t.lstrip("+-").isdigit():
             weight, comp, fresh = r.real(i, "WT"), r.text(i + 1), True
             i += 2
