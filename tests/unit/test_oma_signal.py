@@ -95,6 +95,17 @@ def test_machines_are_found_and_noise_is_none():
     assert "2 x 12.5" in found[2].why
 
 
+def test_modes_in_three_directions_are_no_line():
+    """Each as narrow as the window; the sum of their powers has a normalised second moment of 4/3 only."""
+    t, found = np.arange(120000) / 100.0, 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        slow = np.array([np.interp(t, np.arange(0, 1220, 20.0), x) for x in rng.standard_normal((6, 61))])
+        y = slow[:3] * np.cos(2 * np.pi * 12.5 * t) + slow[3:] * np.sin(2 * np.pi * 12.5 * t)
+        found += bool(harmonics(history(y + 1e-3 * rng.standard_normal(y.shape), 100.0)))
+    assert found <= 1
+
+
 def test_geophone_is_undone_within_its_band():
     sensor, rate, t = Geophone(4.5, 0.56), 100.0, np.arange(20000) / 100.0
     envelope = np.exp(-(((t - 100) / 30) ** 2))

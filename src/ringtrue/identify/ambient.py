@@ -355,7 +355,7 @@ def _assemble(
     machines = steady_amplitudes(whole, f_all, z_all, known) if whole else ("",) * len(rows)
     edges = filter_edges(history, f_all, z_all)
     for (b, i), f, z, unsteady, edge in zip(rows, f_all, z_all, machines, edges, strict=True):
-        if h := machine(f, z, lines, resolution):
+        if h := machine(f, z, lines, resolution, history.duration):
             left_out.append(f"pole at {f:.4g} Hz left out: {h.why}{BESIDE}")
         elif z < LEAST_DAMPING:
             left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")

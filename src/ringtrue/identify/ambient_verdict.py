@@ -18,6 +18,7 @@ from ringtrue.signal.preprocess import Harmonic
 PAIRED = 0.3  # share of the orders
 STRONG = 10.0  # signal-to-noise ratio in the correlations, that poles of noise do not reach
 OVERTONE = 3e-3  # relative distance
+STEADY = 2.5  # deviations of the logarithm of a fourth moment
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
 
 
@@ -86,11 +87,17 @@ def _alike(like: Float, band: Int, conf: Float) -> Bool:
     return np.asarray(like > np.where(sure, 0.95, 0.8))
 
 
-def machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: float) -> Harmonic | None:
-    """The line that a pole stands on, if its width is no more than that of a line."""
-    narrow = zeta < max(2e-3, resolution / f)
+def machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: float, duration: float) -> Harmonic | None:
+    """The line that a pole stands on, if its width is no more than that of a line.
+
+    Within few cycles the amplitude of a mode is steady too: the logarithm of its fourth moment, 2, scatters by
+    1/sqrt(2π ζ f T). A pole with a width is a line only where that of the line is far below.
+    """
+    cycles = 2 * np.pi * zeta * f * duration
+    told = np.log(2 * cycles / (cycles + 1)) - STEADY / np.sqrt(cycles)
     near = [h for h in lines if abs(h.frequency - f) < max(1.5 * resolution, 1e-3 * f)]
-    return near[0] if narrow and near else None
+    near = [h for h in near if zeta < 2e-3 or (zeta < resolution / f and np.log(h.moment) < told)]
+    return near[0] if near else None
 
 
 def unresolved(found: list[Found], told: Float) -> tuple[str, ...]:

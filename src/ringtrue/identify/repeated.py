@@ -16,7 +16,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.identify.ambient_verdict import confidence
 from ringtrue.identify.poles import PoleSet, unit
 from ringtrue.identify.ssi import BandPoles
-from ringtrue.identify.stabilise import Candidates, groups_table, stacked
+from ringtrue.identify.stabilise import Candidates, groups_table, stable_poles, stacked
 from ringtrue.shapes.complexity import mpc
 
 LEAST_CHANNELS = 4  # in a plane of three channels any shape nearly lies
@@ -26,7 +26,7 @@ UNLIKE = 0.05  # least eigenvalue of the Gram matrix of two unit shapes that spa
 WEAK = 0.2  # strength of the weaker pole over that of the stronger
 ANY = float(np.sqrt(0.5))
 SEPARATE = 2.0  # standard deviations between poles that are told apart
-DAMPING = 2.0  # ratio to that of the place within which a pole may be one of a pair
+DAMPING = 3.0  # ratio to that of the place within which a pole may be one of a pair
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +71,9 @@ def with_pairs(
     free: list[tuple[int, int]] = []
     if table.shape.shape[0] < LEAST_CHANNELS:
         return table, free
+    worth = table.stable | stable_poles(band, collinearity=0.0)  # a mixture of two real shapes is complex
     for f, z in _places(table):
-        pair = _pair(band, table.stable, f, z)
+        pair = _pair(band, worth, f, z)
         if pair is None:
             continue
         near = np.abs(table.frequencies / f - 1) < z
@@ -120,9 +121,10 @@ def _inside(shape: Complex, basis: Complex) -> Float:
     return np.asarray((np.abs(basis.conj().T @ shape) ** 2).sum(0) / (np.abs(shape) ** 2).sum(0))
 
 
-def _near(p: PoleSet, f: float, z: float) -> Int:
-    like = (p.damping > z / DAMPING) & (p.damping < z * DAMPING)
-    return np.flatnonzero((np.abs(p.frequencies / f - 1) < z) & like)
+def _near(p: PoleSet, f: float, z: float, slack: float = 1.0) -> Int:
+    most = DAMPING * slack
+    like = (p.damping > z / most) & (p.damping < z * most)
+    return np.flatnonzero((np.abs(p.frequencies / f - 1) < slack * z) & like)
 
 
 def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
@@ -216,7 +218,7 @@ def _labels(poles: int, at: Int) -> Int:
 
 def _seen(h: PoleSet, basis: Complex, f: float, z: float) -> float:
     """Share of the orders of half a record that show two poles of the plane."""
-    near = _near(h, f, 1.5 * z)
+    near = _near(h, f, z, 1.5)
     near = near[_inside(h.shape[:, near], basis) > WITHIN]
     psi = h.shape / np.linalg.norm(h.shape, axis=0)
     seen = 0

@@ -85,11 +85,11 @@ class Candidates:
         return -self.pole.real / np.abs(self.pole)
 
 
-def stable_poles(band: BandPoles, damping_max: float = 0.2, strength: float = 2.0) -> Bool:
+def stable_poles(band: BandPoles, damping_max: float = 0.2, strength: float = 2.0, collinearity: float = 0.3) -> Bool:
     """(k,) poles worth clustering: damped, known to a few per cent, of some strength, and not wildly complex."""
     p = band.poles
     known = (p.std_frequency < 0.025 * p.frequencies) & (p.std_damping < np.maximum(p.damping, 2e-3))
-    return (p.damping < damping_max) & known & (band.strength > strength) & (mpc(p.shape) > 0.3)
+    return (p.damping < damping_max) & known & (band.strength > strength) & (mpc(p.shape) > collinearity)
 
 
 def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:

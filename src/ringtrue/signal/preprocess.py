@@ -52,10 +52,14 @@ class ChannelState:
 
 @dataclass(frozen=True, slots=True)
 class Harmonic:
-    """A spectral line of a machine or the mains: frequency in Hz and why it is taken for one."""
+    """A spectral line of a machine or the mains: frequency in Hz and why it is taken for one.
+
+    `moment` is the normalised fourth moment of its amplitude: 1 of a steady sine, 2 of a mode in random vibration.
+    """
 
     frequency: float
     why: str
+    moment: float = 1.0
 
 
 def detrend(data: Any_) -> Float:
@@ -280,8 +284,7 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     length = int(next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True))
     if data.shape[1] < 16 * length // 2:
         return ()
-    second, fourth, freqs = _moments(data, length, rate)
-    kurtosis = fourth / np.maximum(second**2, np.finfo(np.float64).tiny)
+    second, kurtosis, freqs = _moments(data, length, rate)
     floor = median_filter(second, size=41, mode="nearest")
     at = np.arange(8, second.size - 8)
     side = np.maximum(second[at - 5], second[at + 5])
@@ -290,29 +293,33 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     found = [float(freqs[i]) for i in at[line] if freqs[i] > low]
     names = [line_name(f, freqs[1], found[:i]) for i, f in enumerate(found)]
     return tuple(
-        Harmonic(f, f"{name}: steady line (fourth moment {kurtosis[round(f / freqs[1])]:.2f}, a mode has 2)")
-        for f, name in zip(found, names, strict=True)
+        Harmonic(f, f"{name}: steady line (fourth moment {k:.2f}, a mode has 2)", k)
+        for f, name, k in zip(found, names, kurtosis[np.rint(found / freqs[1]).astype(np.int64)].tolist(), strict=True)
     )
 
 
 def _moments(data: Any_, length: int, rate: float) -> tuple[Float, Float, Float]:
-    """Second and fourth moment (freq,) of the power summed over normalised channels, and frequencies.
+    """Power (freq,) summed over normalised channels, its normalised second moment over time, and frequencies.
 
-    Of half-overlapped segments of `length` samples.
+    Of half-overlapped segments of `length` samples. The moment is the mean of those of the channels by their power: the
+    sum of the powers of two modes in different directions would look steadier than either.
     """
     win, count = window("blackmanharris", length), (data.shape[1] - length) // (length // 2) + 1
-    power = np.zeros((count, length // 2 + 1), dtype=np.float32)
+    total, moment = np.zeros((2, length // 2 + 1))
     seg, own = np.empty((_BATCH, length), dtype=np.float32), np.empty(data.shape[1], dtype=np.float32)
     for i in np.unique(np.linspace(0, len(data) - 1, _LINES).astype(np.int64)):
         some = data[i, :: max(1, data.shape[1] // 20000)]
         level, scale = some.mean(dtype=np.float64), max(float(np.std(some, dtype=np.float64)), 1e-30)
         np.subtract(data[i], level, out=own, casting="same_kind")
         gain, parts = (win / scale).astype(np.float32), sliding_window_view(own, length)[:: length // 2]
+        first, second = np.zeros((2, length // 2 + 1))
         for k in range(0, count, _BATCH):  # in the cache, and in place: most of the time is that of the transforms
             x = np.multiply(parts[k : k + _BATCH], gain, out=seg[: min(_BATCH, count - k)])
             y = rfft(x, axis=1).view(np.float32)
             y *= y
-            power[k : k + _BATCH] += y[:, ::2]
-            power[k : k + _BATCH] += y[:, 1::2]
-    wide = power.astype(np.float64)
-    return wide.mean(0), (wide**2).mean(0), rfftfreq(length, 1 / rate)
+            power = y[:, ::2] + y[:, 1::2]
+            first += power.sum(0)
+            second += np.einsum("sf,sf->f", power, power)
+        total += first / count
+        moment += second / np.maximum(first, np.finfo(np.float64).tiny)
+    return total, moment / np.maximum(total, np.finfo(np.float64).tiny), rfftfreq(length, 1 / rate)
