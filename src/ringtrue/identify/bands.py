@@ -6,7 +6,6 @@ Each band is a pass over the signals at its rate, which also gives those of the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
@@ -20,8 +19,10 @@ from ringtrue.signal.events import NONE, Events
 from ringtrue.signal.preprocess import Band
 from ringtrue.signal.pyramid import Signals
 from ringtrue.signal.stream import Fir, decimator, high_passer
+from ringtrue.signal.threads import pool
 
 SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
+IN_STEP = 8  # channels that are transformed together
 STEP = 4  # from one rate to the next
 MOST_BLOCKS = 32
 NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
@@ -180,16 +181,20 @@ def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:
     n = int(prev_fast_len(y.samples // parts, real=True))
     low, high = span(band)
     first, last = int(np.ceil(max(low * n / band.rate, 1))), int(min(high * n / band.rate, n // 2 - 1))
-    rows = eyes if eyes.size < y.level.size else slice(None)
     lines = np.empty((last + 1 - first, parts, eyes.size), dtype=np.complex64)
-    for k in range(parts):
-        start = k * (y.samples // parts)
-        lines[:, k] = rfft(y.part(start, start + n, rows), axis=1)[:, first : last + 1].T
     unit = np.outer(scale, scale).astype(np.float32) * np.float32(2 / (n * band.rate * parts))
     edges = [first]
     while edges[-1] <= last:  # sub-bands, with bins of one width each
         edges.append(max(int(edges[-1] * 1.2), edges[-1] + 1))
-    found = [_sub_band(lines[a - first : b - first], a, unit) for a, b in pairwise(edges)]
+
+    def transformed(some: Int) -> None:
+        for k in range(parts):
+            start = k * (y.samples // parts)
+            lines[:, k, some] = rfft(y.part(start, start + n, eyes[some]), axis=1)[:, first : last + 1].T
+
+    with pool() as threads:
+        list(threads.map(transformed, np.array_split(np.arange(eyes.size), -(-eyes.size // IN_STEP))))
+        found = list(threads.map(lambda a, b: _sub_band(lines[a - first : b - first], a, unit), edges, edges[1:]))
     f, count, cross = (np.concatenate(x) for x in zip(*found, strict=True))
     return SpectralBins(f * band.rate / n, count, cross, n / band.rate)
 
