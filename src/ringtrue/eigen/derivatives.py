@@ -20,7 +20,7 @@ from ringtrue.eigen.problem import EigenModes
 from ringtrue.errors import InputError
 
 CLOSE = 1e-6  # relative distance under which eigenvalues are treated as one repeated root
-COLUMNS = 250  # right-hand sides solved together: more save few solves and cost products
+COLUMNS = 320  # right-hand sides solved together: more save few solves and cost products
 ROOM = 2**24  # numbers in an array of them, which lessens them in large models
 STILL = 1e-9  # share of its terms under which the load of a rigid-body mode is rounding
 
@@ -142,7 +142,8 @@ def eigenvector_derivatives(
     phi, lam = np.ascontiguousarray(modes.vectors), modes.values
     space = Complement(pencil, modes, lam[:m], m * len(slopes))
     columns = min(max(ROOM // max(pencil.size, 1), 30), COLUMNS)
-    per = max(columns // max(m, 1), 1)
+    runs = -(-len(slopes) // max(columns // max(m, 1), 1))
+    per = -(-len(slopes) // max(runs, 1)) or 1  # of like size: a small last one costs as many products
     out = np.empty((len(slopes), m, pencil.size))
     rows = out.reshape(-1, pencil.size)
     for start in range(0, len(slopes), per):
