@@ -6,7 +6,8 @@
     python bench/identification_ambient.py stream 11.4         hours, 64 channels at 200 Hz, from HDF5
 
 The system is `../shared/bench/identification_system.py`. Set OMP_NUM_THREADS=1 (and MKL's, OpenBLAS's): times are CPU
-seconds of one thread; `stream` shows the clock, too, which OMP_NUM_THREADS=2 lessens. Not covered: measured records, non-white forces; peers are in identification_peers.py.
+seconds of one thread; `stream` shows those of the clock, too, which OMP_NUM_THREADS=2 lessens. Not covered: measured
+records, non-white forces; peers are in identification_peers.py.
 """
 
 from __future__ import annotations

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 from scipy.signal import oaconvolve
 
 from ringtrue.identify import variance as var
 from ringtrue.identify.bands import MOST_BLOCKS, begin, more
+from ringtrue.identify.bands import _binned as binned
 from ringtrue.identify.mixing import unmix
 from ringtrue.identify.ssi import SsiCov
 from ringtrue.identify.whittle import SpectralBins
@@ -15,6 +18,7 @@ from ringtrue.signal import pyramid
 from ringtrue.signal.preprocess import Band, detrend
 from ringtrue.signal.pyramid import Signals, segments
 from ringtrue.signal.stream import decimator, high_passer
+from ringtrue.signal.threads import pool
 
 HIGH, DOWN = high_passer(4.0, 100.0), decimator(4)
 
@@ -39,6 +43,27 @@ def test_a_pass_gives_the_correlations_of_the_filtered_signals(samples):
         direct = np.stack([twice[:, t + k] @ y[refs][:, t].T for k in range(lags + 1)]) / block
         assert np.abs(r[b] - direct).max() < 1e-4 * np.abs(direct).max()
     assert lower == pytest.approx(filtered(y, DOWN.taps)[:, ::4], abs=1e-4)
+
+
+def test_threads_change_no_digit(monkeypatch):
+    y = Signals(np.random.default_rng(2).standard_normal((3, 60_000)), np.zeros(3))
+    monkeypatch.setattr(pyramid, "AT_ONCE", 8192)
+    cut = segments(60_000, 2, 20, HIGH, DOWN)
+    assert cut.each * 3 * cut.size > 2 * pyramid.LANES * pyramid.AT_ONCE  # several batches in each lane
+    got = []
+    for threads in ("1", "2", ""):
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        spectra = binned(y, np.arange(3), Band(6.0, 34.0, 100.0), np.ones(3))
+        got.append((*pyramid.run(y, cut, HIGH, DOWN, np.arange(3)), spectra.cross))
+    for other in got[1:]:
+        assert all((a == b).all() for a, b in zip(got[0], other, strict=True))
+
+
+@pytest.mark.parametrize(("said", "threads"), [("3", 3), ("2,1", 2), ("0", 1), ("", None), ("many", None)])
+def test_threads_are_as_many_as_the_environment_says(monkeypatch, said, threads):
+    monkeypatch.setenv("OMP_NUM_THREADS", said)
+    with pool() as p:
+        assert p._max_workers == (threads or os.cpu_count())
 
 
 def test_a_part_beyond_the_end_is_empty():
