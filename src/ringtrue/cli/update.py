@@ -244,13 +244,14 @@ def _problem(
     dofs, more = opened.analysis.dofs, named[len(modes.channels) :]
     observation = _observation(model, dofs, config, modes.channels, base)
     observation = observation.and_also(at_dofs(more, dofs)) if more else observation
-    count = len(opened.modes(ABOVE * float(target.frequencies.max())).modes)
+    top = ABOVE * float(target.frequencies.max())
+    count = len(opened.modes(top).modes)
     basis = reduced(model, parameters, observation, count)
     check_moving(found, at, basis.basis.observe)
     seen = AtChannels(flexible(basis, found, loaded), np.arange(len(modes.channels)), loaded)
     every = tuple(range(len(parameters)))
     data = tuple(residual_data(m, at, units, lambda: rigid_mass(model, parameters), every) for m in found)
-    modal = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config))
+    modal = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
     terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
     rows, limits = constraints(config, parameters)
     return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data
@@ -272,8 +273,9 @@ def _by_runs(
     with engine.open(model) as analysis:
         observation = _observation(model, analysis.dofs, config, modes.channels, base)
     full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)
-    full = full.reaching(ABOVE * float(target.frequencies.max()))
-    terms = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config))
+    top = ABOVE * float(target.frequencies.max())
+    full = full.reaching(top)
+    terms = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
     rows, limits = constraints(config, parameters)
     return Problem((Configuration(full, target, terms),), rows=rows, limits=limits)
 

@@ -43,7 +43,7 @@ class ModelSection(_Section):
 
     deck: str
     units: Literal["SI", "mm-t-s"] = "SI"
-    fmax: float = Field(default=100.0, gt=0)  # Hz, modes are computed up to here: a fifth or more above the test's
+    fmax: float | None = Field(default=None, gt=0)  # Hz, modes are computed up to here; None: as high as a pair may be
     solver: str = EMBEDDED  # of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in
     regions: dict[str, list[int]] = {}  # name -> property numbers, for drawing and naming
 

@@ -19,7 +19,7 @@ from ringtrue.study.measured import Data, check_moving, residual_data, rigid_mas
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import STILL, AtChannels
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.objective import Target, Weights
+from ringtrue.update.objective import Target
 from ringtrue.update.residuals import CrossOrthogonality, Eigenvalues, Frequencies, Mac, Shapes, Term, Weighted
 from ringtrue.update.residuals_static import RigidMass
 from ringtrue.update.robust import Huber, Loss, Squares, Tukey
@@ -81,12 +81,12 @@ def _mass(desk: Workbench, name: str) -> Float:
     """The mass of the nominal deck at the channels of the test modes."""
     if name not in desk.masses:
         opened, seen = desk.deck_of(name)
-        desk.masses[name] = mass_at(opened, seen, desk.reference(name).channels, desk.config)
+        desk.masses[name] = mass_at(opened, seen, desk.reference(name).channels, desk.config, desk.fmax)
     return desk.masses[name]
 
 
-def mass_at(opened: Opened, seen: Observation, channels: tuple[str, ...], config: StudyConfig) -> Float:
-    """The mass of a deck at channels, (channel, channel), by the test-analysis model of the study.
+def mass_at(opened: Opened, seen: Observation, channels: tuple[str, ...], config: StudyConfig, fmax: float) -> Float:
+    """The mass of a deck at channels, (channel, channel), by the test-analysis model of the study; `fmax` in Hz.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def mass_at(opened: Opened, seen: Observation, channels: tuple[str, ...], config
     """
     if config.correlate.tam in ("serep", "craig-bampton") or config.model is None:
         raise ConfigError('update.residuals "orthogonality" needs a deck, and correlate.tam irs, guyan or hybrid')
-    found = channel_mass(opened, seen, channels, config.correlate, config.model.fmax)
+    found = channel_mass(opened, seen, channels, config.correlate, fmax)
     if found.matrix is None:
         raise ConfigError(f'update.residuals "orthogonality": {found.why}')
     return found.matrix
@@ -140,10 +140,3 @@ def data_count(problem: Problem, at: Evaluated) -> float:
             count += t.factor * rows if isinstance(t, Weighted) else float(c.target.used.sum())
             kind += 1
     return max(count, 1.0)
-
-
-def scales(terms: Sequence[Term], found: Weights, assumed: Weights) -> list[float]:
-    """Factors (t,) on the standard deviations of kinds of residuals where the discrepancies are as found."""
-    f, m = found.frequency / assumed.frequency, found.mac / assumed.mac
-    by = {Eigenvalues: f, Frequencies: f, Shapes: float(np.sqrt(m)), Mac: m}
-    return [by.get(type(t), 1.0) for t in terms]

@@ -30,11 +30,14 @@ from ringtrue.study.measured import LENGTH, Measured, channels_of, excited, flex
 from ringtrue.study.opened import Opened, Progress
 from ringtrue.study.parametric import AtChannels, build
 from ringtrue.study.placing import alignment
+from ringtrue.study.reference import reference_modes
 from ringtrue.study.results import ConfigurationsStage, CorrelateStage
 from ringtrue.study.store import Store
 from ringtrue.update.residuals_static import RigidMass
 
 OWN = ""  # the deck of the study among the configurations
+FMAX = 100.0  # Hz, where neither the study nor a test says
+ROOM = 1.5  # over the highest test mode: where its partner may be before the updating
 
 
 @dataclass(eq=False)
@@ -81,6 +84,20 @@ class Workbench:
         return self.config.model
 
     @property
+    def first_fmax(self) -> float:
+        """Hz, up to where the modes of the deck are computed before a test is looked at."""
+        return self.deck.fmax or FMAX
+
+    @cached_property
+    def fmax(self) -> float:
+        """Hz, up to where the modes of decks are computed: as given, or well above the modes of the test."""
+        return self.deck.fmax or self.up_to(reference_modes(self.get("identify"), self.config).elastic.frequencies)
+
+    def up_to(self, frequencies: Float) -> float:
+        """The same for the test of another configuration, with modes at `frequencies`, Hz."""
+        return self.deck.fmax or max(ROOM, 1 + self.config.correlate.frequency_gate) * float(frequencies.max())
+
+    @property
     def length(self) -> float:
         """Metres a model unit."""
         return LENGTH[self.deck.units]
@@ -111,7 +128,7 @@ class Workbench:
 
     def _built(self, parameters: ParameterSet, progress: Progress) -> ReducedModel:
         seen = self._extended(self.bridge(self.remodelled), OWN)
-        return build(self.remodelled, parameters, seen, self.deck.fmax, progress)
+        return build(self.remodelled, parameters, seen, self.fmax, progress)
 
     def _extended(self, seen: Observation, name: str) -> Observation:
         """With the channels of what was measured beside the modes; those that are not on the sheet are DOFs."""
@@ -222,7 +239,7 @@ class Workbench:
                 mine, count = carried(opened.model, self.everything), len(carried(opened.model, self.parameters))
                 rows = np.array([seen.channels.index(c) for c in channels], dtype=np.int64)
                 loaded = self._loaded(section.name)
-                base = build(opened, mine, seen, self.deck.fmax, progress)
+                base = build(opened, mine, seen, self.up_to(item.reference.frequencies), progress)
                 model = AtChannels(flexible(base, self.measured(section.name), loaded), rows, loaded)
                 self._others[section.name] = model.with_parameters(range(count), np.zeros(len(mine)))
         return tuple(self._others[s.name] for s in self.config.configuration)

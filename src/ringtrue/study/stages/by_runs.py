@@ -68,5 +68,5 @@ def _full(desk: Workbench, name: str, members: Sequence[str]) -> FullModel:
         at, sign = look.dofs.align(analysis.dofs)
         matrix = sparse.csr_array(look.matrix[rows][:, at] * sign)
         seen = Observation(matrix, channels, analysis.dofs, look.unit, look.distance[rows])
-    count = len(opened.modes(desk.deck.fmax).modes)
+    count = len(opened.modes(desk.fmax).modes)
     return FullModel(opened.model, mine, seen, ModesRequest(max(count, 1)), desk.engine)

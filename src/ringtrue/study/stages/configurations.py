@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +63,7 @@ def _one(desk: Workbench, section: ConfigurationSection, progress: Progress) -> 
     _check(section, opened.model, parameters, mine)
     reference, test, source = _reference(desk, section, lambda f, t: progress(0.7 * f, t))
     progress(0.8, f"modes of the deck of {section.name}")
-    fe = seen(desk, opened, test, reference.elastic.channels)
+    fe = seen(desk, opened, test, reference.elastic)
     out = left_out(reference.elastic, section.left_out, desk.config.identify.confidence)
     return ConfiguredTest(
         section.name,
@@ -102,11 +101,12 @@ def _reference(
     return found, done.test, f"{len(found.elastic)} modes of {len(done.records)} records"
 
 
-def seen(desk: Workbench, opened: Opened, test: TestModel | None, channels: Sequence[str]) -> ModeSet:
+def seen(desk: Workbench, opened: Opened, test: TestModel | None, reference: ModeSet) -> ModeSet:
     """The modes of a deck at the channels of the test modes of a configuration."""
-    modes, look = opened.modes(desk.deck.fmax).modes, desk.observed(opened, test, channels)
+    modes = opened.modes(desk.up_to(reference.frequencies)).modes
+    look = desk.observed(opened, test, reference.channels)
     there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, modes.source)
-    return there.rows(list(channels))
+    return there.rows(list(reference.channels))
 
 
 def _check(section: ConfigurationSection, model: Model, every: ParameterSet, mine: ParameterSet) -> None:

@@ -39,6 +39,6 @@ def deliver(desk: Workbench, section: ConfigurationSection) -> tuple[Opened, tup
 
 def _one(desk: Workbench, section: ConfigurationSection, item: ConfiguredTest) -> DeliveredConfiguration:
     opened, files, told = deliver(desk, section)
-    fe = seen(desk, opened, item.test, item.reference.channels)
+    fe = seen(desk, opened, item.test, item.reference)
     table = elastic_table(Reference.of(item), fe, desk.config, item.left_out)
     return DeliveredConfiguration(section.name, files, told, table, fe)

@@ -21,7 +21,7 @@ from ringtrue.study.workbench import Workbench
 
 def seen(desk: Workbench, opened: Opened, progress: Progress | None = None) -> ModeSet:
     """The modes of a model at all channels of the sheet."""
-    modes = opened.modes(desk.deck.fmax, progress).modes
+    modes = opened.modes(desk.fmax, progress).modes
     there = desk.bridge(opened)
     return ModeSet(modes.frequencies, modes.damping, there(modes.shapes), there.channels, modes.norm, modes.source)
 
@@ -30,7 +30,7 @@ def judged(desk: Workbench, opened: Opened, reference: Reference, fe: ModeSet, t
     """What the elastic correlation of a model rests on, with the mass of its deck at the channels."""
     config = desk.config.correlate
     observation = desk.bridge(opened)
-    mass = channel_mass(opened, observation, reference.elastic.channels, config, desk.deck.fmax)
+    mass = channel_mass(opened, observation, reference.elastic.channels, config, desk.fmax)
     return evidence(reference, fe, table.pairing, desk.config, mass)
 
 
@@ -65,7 +65,7 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         words(desk.placed[0]) if config.correlate.align else "",
         _history(desk, reference, out, initial, tables),
         _expanded(desk, reference, progress),
-        (*reference.gaps, *beyond(reference.elastic, desk.deck.fmax)),
+        (*reference.gaps, *beyond(reference.elastic, desk.fmax)),
     )
 
 
@@ -75,7 +75,7 @@ def _expanded(desk: Workbench, reference: Reference, progress: Progress) -> Expa
         return None
     progress(0.8, "expansion of the test shapes")
     opened, test = desk.remodelled, reference.elastic
-    found = expanded(method, opened, desk.bridge(opened), test, desk.deck.fmax, quiet)
+    found = expanded(method, opened, desk.bridge(opened), test, desk.fmax, quiet)
     return Expansion(method, on_scene(found, opened, test, desk.get("model").scene), found.misfit)
 
 

@@ -107,7 +107,7 @@ class _Part:
 
 
 def _part(desk: Workbench, name: str, opened: Opened, test: _Measured) -> _Part:
-    modes, system = opened.modes(desk.deck.fmax).modes, opened.analysis.system
+    modes, system = opened.modes(desk.fmax).modes, opened.analysis.system
     f = modes.frequencies
     moving = np.flatnonzero(f > STILL * f.max())
     phi = np.asarray(system.local @ modes.shapes[:, moving])
@@ -214,7 +214,7 @@ def frf_errors(desk: Workbench, test: _Measured, moving: Int, damped: tuple[tupl
     Paired modes stand at the frequency of the test: what is compared is damping and shape.
     """
     final: FinalStage = desk.get("final")
-    frfs = on_sheet(desk.get("identify"), 0.0, desk.deck.fmax)
+    frfs = on_sheet(desk.get("identify"), 0.0, desk.fmax)
     if frfs is None:
         return [np.full(test.hertz.size, np.nan) for _ in damped]
     at = {c: i for i, c in enumerate(final.observed.channels)}

@@ -79,7 +79,7 @@ def run(desk: Workbench, progress: Progress) -> FinalStage:
     reference = reference_modes(found, desk.config)
     opened, files, changes = deliver(desk)
     progress(0.2, "modes of the delivered deck")
-    modes = opened.modes(desk.deck.fmax).modes
+    modes = opened.modes(desk.fmax).modes
     fe = seen(desk, opened)
     table = elastic_table(reference, fe, desk.config, before.left_out, before.fe_initial)
     rigid = rigid_table(reference, fe, desk.config)
@@ -111,7 +111,7 @@ def _frfs(
     """Measured FRFs, those of the initial and of the final model; None without measured ones."""
     found: IdentifyStage = desk.get("identify")
     low = min(1.0, 0.5 * float(reference.elastic.frequencies[0]))
-    measured = on_sheet(found, low, desk.deck.fmax)
+    measured = on_sheet(found, low, desk.fmax)
     if measured is None:
         return None
     first, _ = damping_of(before.fe_initial, before.initial.pairing, before.rigid_initial.pairing, reference)

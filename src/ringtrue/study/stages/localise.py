@@ -104,7 +104,7 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     springs = tuple(of_parameter(model, p) for p in desk.config.suspensions().parameters)
     taken = conflicts(model, (*every, *springs))[: len(every), len(every) :]
     every = tuple(every[i] for i in np.flatnonzero(~np.any(taken, axis=1)).tolist())
-    system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.deck.fmax).modes
+    system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.fmax).modes
     lam = (2 * np.pi * modes.frequencies) ** 2
     strain, kinetic = effects(model, system, every, lam, np.asarray(system.local @ modes.shapes))
     some = np.flatnonzero((np.abs(strain) + np.abs(kinetic)).max(axis=0) > LEAST)
@@ -146,7 +146,7 @@ def _errors(desk: Workbench, model: AtChannels, aim: Target, pairs: Int) -> tupl
         full, mine = u[:, : f.size], u[:, f.size :]
     else:
         part = desk.reference(OWN).take(test)
-        found = expanded(method, opened, desk.bridge(opened), part, desk.deck.fmax, quiet)
+        found = expanded(method, opened, desk.bridge(opened), part, desk.fmax, quiet)
         full, mine = found.shapes, b.vectors @ own[:, fe]
     solve = reduced.pencil.at(reduced.shift).solve
     return expanded_errors(opened.model, opened.analysis.system, f, full, mine, solve), found.misfit

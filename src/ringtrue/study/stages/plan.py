@@ -89,7 +89,7 @@ def _rows(desk: Workbench, nodes: Int) -> Int:
 
 def _shapes(desk: Workbench, nodes: Int, modes: Int) -> Float:
     """Mass-normalised translations at the candidates, (n, 3, m)."""
-    found = desk.initial.modes(desk.deck.fmax).modes
+    found = desk.initial.modes(desk.first_fmax).modes
     return np.asarray(found.shapes[_rows(desk, nodes)][:, :, modes])
 
 
@@ -110,7 +110,7 @@ def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Boo
     criteria: dict[str, Bool] = {}
     if not (plan.effective_mass or plan.sensitive or plan.telling or plan.kinetic):
         return criteria
-    analysis, modes = desk.initial.analysis, desk.initial.modes(desk.deck.fmax).modes
+    analysis, modes = desk.initial.analysis, desk.initial.modes(desk.first_fmax).modes
     free = np.asarray(analysis.system.local @ modes.shapes)
     if plan.effective_mass:
         share = effective_mass(free, analysis.system.mass, analysis.system.rigid_body())
@@ -226,7 +226,7 @@ def _exciters(
     none = np.zeros(0), np.zeros((0, 0))
     if plan.strike == "qr":
         analysis = desk.initial.analysis
-        pull = analysis.system.mass @ (analysis.system.local @ desk.initial.modes(desk.deck.fmax).modes.shapes)
+        pull = analysis.system.mass @ (analysis.system.local @ desk.initial.modes(desk.first_fmax).modes.shapes)
         at = _rows(desk, able.node[chosen])
         forces = (analysis.system.transform[at.ravel()] @ pull[:, targets]).reshape(chosen.size, 3, -1)
         return (qr_exciters(along(forces, able.axes[chosen]).reshape(len(rows), -1), count), *none)
@@ -260,7 +260,7 @@ def _aims(desk: Workbench, plan: PlanSection, able: Arrangement, seen: Float, ph
             f'[plan] method "information" needs derivatives of the modes of {desk.deck.solver}: use another'
         )
     if len(parameters):
-        found = desk.initial.modes(desk.deck.fmax).modes.take(targets)
+        found = desk.initial.modes(desk.first_fmax).modes.take(targets)
         d_lambda, d_phi = desk.initial.analysis.derivatives(found, parameters)
         slope = parameters.slope(np.zeros(len(parameters)))
         relative = d_lambda * slope / (2 * np.pi * found.frequencies[:, None]) ** 2
@@ -280,7 +280,7 @@ def _drawn(desk: Workbench, plan: PlanSection, able: Arrangement, targets: Int) 
     if not len(parameters):
         raise ConfigError("[plan] draws needs a [[candidate]]: the prior is theirs")
     labels = tuple(f"{n}+{a}" for n in able.nodes.tolist() for a in AXES)
-    model = build(desk.initial, parameters, at_dofs(labels, desk.initial.analysis.dofs), desk.deck.fmax, quiet)
+    model = build(desk.initial, parameters, at_dofs(labels, desk.initial.analysis.dofs), desk.first_fmax, quiet)
     found = prior_shapes(model, plan.draws, np.random.default_rng([desk.config.study.seed, 10]))[:, :, targets]
     mass = _mass(desk, able) if plan.weigh else np.ones(able.at.size)
     return np.stack([kinetic_weighted(able.seen(s.reshape(able.nodes.size, 3, -1)), mass) for s in found])
