@@ -223,7 +223,7 @@ def _known(r: Mapping[str, Any]) -> dict[str, Any]:
     found: UncertaintyStage | None = r.get("uncertainty")
     if found is None:
         return {}
-    out, held = np.isfinite(found.predicted) & ~found.used, np.isfinite(found.held.predicted)
+    out, held = np.isfinite(found.predicted) & ~found.used, found.held.in_turn
     return {
         "uncertainty": {
             "level": found.level,
@@ -261,8 +261,10 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
     update: UpdateStage | None = r.get("update")
     tune: TuneStage | None = r.get("tune")
     final: FinalStage | None = r.get("final")
+    known: UncertaintyStage | None = r.get("uncertainty")
     if update is not None:
         best = update.sets[update.chosen]
+        std = best.std if known is None else known.relative
         out |= {"solver": {"name": update.solver, "runs": update.runs}} if update.runs else {}
         out["parameter_set"] = {"name": best.name, "why": update.why}
         out["parameters"] = [
@@ -273,7 +275,7 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
                 "factor": float(a),
                 "std": float(s) * update.updated_values[n],
             }
-            for n, a, s in zip(best.parameters, best.factor, best.std, strict=True)
+            for n, a, s in zip(best.parameters, best.factor, std, strict=True)
         ]
         out["sets"] = [
             {

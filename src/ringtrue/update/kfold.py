@@ -1,14 +1,16 @@
 """Predictions on modes left out of the updating, fold by fold, with bands that hold what was measured.
 
 The band of a left-out frequency has three parts: the parameters (posterior), the test, and the model discrepancy,
-which no parameter can remove. The discrepancy of a fold is taken from the errors of the *other* folds, so that no mode
-helps to judge itself; `with_discrepancy` puts the same number into W, so that the posterior does not collapse.
+which no parameter can remove. The discrepancy is taken from all modes that are predicted unseen: those of the folds,
+and those that the updating does not use at all, which have had no say in the choice of the parameters either. That of
+a mode comes from all *others*, so that none helps to judge itself; `with_discrepancy` puts the number of all into W,
+so that the posterior does not collapse.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import stdtrit
@@ -22,8 +24,6 @@ from ringtrue.update.trust import Method, solve
 
 Progress = Callable[[float, str], None]
 LEAST = 1e-4  # model discrepancy, relative
-ROUNDS = 4  # of weights from left-out modes and updating with these
-SETTLED = 0.1  # relative change of the discrepancy
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,13 +33,15 @@ class Held:
     Attributes
     ----------
     test, predicted : (m,) float64, Hz
-        NaN where the mode was in no fold or found no partner.
+        NaN where the mode found no partner, or was used and in no fold.
     mac : (m,) float64
     parameter_std, test_std, model_std : (m,) float64, relative
-        The three parts of the band; `model_std` from the other folds.
+        The three parts of the band; `model_std` from all other modes that are predicted.
     fold : (m,) int64
-        -1: in none.
+        -1: in none; a mode that is not used is predicted by all that are.
     converged : bool
+    ends : (fold, p) float64
+        x of each fold.
     """
 
     test: Float
@@ -50,10 +52,21 @@ class Held:
     model_std: Float
     fold: Int
     converged: bool
+    ends: Float = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, test=f, predicted=f, mac=f, parameter_std=f, test_std=f, model_std=f, fold=np.int64)
+        freeze_fields(self, test=f, predicted=f, mac=f, parameter_std=f, test_std=f, model_std=f, ends=f, fold=np.int64)
+
+    @property
+    def in_turn(self) -> Bool:
+        """Modes that a fold has left out and predicted, (m,)."""
+        return np.asarray((self.fold >= 0) & np.isfinite(self.predicted))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom that the discrepancy is known with: as many errors as modes are predicted, less one."""
+        return max(int(np.isfinite(self.predicted).sum()) - 1, 1)
 
     @property
     def error(self) -> Float:
@@ -68,10 +81,9 @@ class Held:
     def band(self, level: float = 0.9) -> Float:
         """Central interval of the measured frequency, (m, 2), Hz.
 
-        The discrepancy is known from as many errors as there are left-out modes: Student's quantile.
+        The discrepancy is known from so many errors: Student's quantile.
         """
-        freedom = max(int(np.isfinite(self.predicted).sum()) - 1, 1)
-        reach = float(stdtrit(freedom, 0.5 + level / 2)) * self.std * self.predicted
+        reach = float(stdtrit(self.freedom, 0.5 + level / 2)) * self.std * self.predicted
         return np.stack([self.predicted - reach, self.predicted + reach], axis=1)
 
     def inside(self, level: float = 0.9) -> Bool:
@@ -80,8 +92,8 @@ class Held:
         return np.asarray((band[:, 0] <= self.test) & (self.test <= band[:, 1]))
 
     def coverage(self, level: float = 0.9) -> float:
-        """Share of the predicted modes inside their bands."""
-        seen = np.isfinite(self.predicted)
+        """Share of the modes left out in turn that are inside their bands."""
+        seen = self.in_turn
         return float(self.inside(level)[seen].mean()) if seen.any() else float("nan")
 
 
@@ -118,7 +130,7 @@ def k_fold(
     others: Sequence[Configuration] = (),
     progress: Progress | None = None,
 ) -> Held:
-    """Update without each fold in turn and predict it.
+    """Update without each fold in turn and predict it; at last with all used modes, for those that are not used.
 
     Parameters
     ----------
@@ -140,24 +152,34 @@ def k_fold(
     if len({i for f in folds for i in f}) != sum(len(f) for f in folds):
         raise InputError("a mode is in two folds")
     predicted, mac, spread, of = np.full(m, np.nan), np.full(m, np.nan), np.full(m, np.nan), np.full(m, -1)
-    begin, good = start, True
-    for i, fold in enumerate(folds):
-        of[list(fold)] = i
+    begin, good, ends = start, True, []
+    unused = np.flatnonzero(~target.used).tolist()
+    for i, fold in enumerate([*folds, unused] if unused else folds):
         used = target.used & ~np.isin(np.arange(m), fold)
         problem = Problem((replace(configuration, target=replace(target, used=used)), *others))
         done = solve(problem, method, start=begin)
         good, begin = good and done.outcome is Outcome.CONVERGED, done.y if start is None else start
         predicted_fold(done.end, laplace(problem, done.end), list(fold), predicted, mac, spread)
+        if i == len(folds):
+            break
+        of[list(fold)] = i
+        ends.append(done.x)
         if progress is not None:
             progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
-    error, known = predicted / target.frequencies - 1, np.hypot(spread, target.std)
-    if not np.isfinite(error).any():
-        discrepancy(error, known)  # says why
-    model = np.full(m, np.nan)
-    for i in range(len(folds)):  # the discrepancy of a fold from the others
-        rest = of != i if np.isfinite(error[of != i]).any() else of == i
-        model[of == i] = discrepancy(error[rest], known[rest])
-    return Held(target.frequencies, predicted, mac, spread, target.std, model, of, good)
+    model = _from_others(predicted / target.frequencies - 1, np.hypot(spread, target.std))
+    return Held(target.frequencies, predicted, mac, spread, target.std, model, of, good, np.array(ends))
+
+
+def _from_others(error: Float, known: Float) -> Float:
+    """The discrepancy of each mode from the errors of all others, (m,); NaN without an error."""
+    seen, out = np.flatnonzero(np.isfinite(error)), np.full(error.size, np.nan)
+    if seen.size < 2:
+        out[seen] = discrepancy(error, known)  # says so where there is none
+        return out
+    for i in seen.tolist():  # over modes: a search each
+        rest = seen[seen != i]
+        out[i] = discrepancy(error[rest], known[rest])
+    return out
 
 
 def predicted_fold(
@@ -182,23 +204,16 @@ def with_discrepancy(
     others: Sequence[Configuration] = (),
     progress: Progress | None = None,
 ) -> tuple[Configuration, Held]:
-    """The configuration with the weights that its left-out modes ask for, and the last predictions.
+    """The configuration with the weights that its left-out modes ask for, and the predictions of these.
 
-    Weights and updating in turns until the discrepancy stands: the frequency's from the errors of left-out
-    frequencies, the shape's from 1 − MAC of left-out shapes (their mean).
+    The folds are updated by the weights that are given, as the whole was: their errors are those of this way to update.
+    The discrepancy of a frequency is that of all frequencies that were predicted unseen, that of a shape the mean of
+    1 − MAC of such shapes.
 
     Notes
     -----
     Terms of frequencies, shapes and MAC get these weights, in the other configurations too; other kinds stay.
     """
-    now = configuration
-    for i in range(ROUNDS):
-        part = None if progress is None else (lambda f, t, i=i: progress((i + f) / ROUNDS, t))
-        held = k_fold(now, folds, method, start=start, others=others, progress=part)
-        s = discrepancy(held.error, np.hypot(held.parameter_std, held.test_std))
-        before = now.target.weights
-        shape = max(float(np.nanmean(1 - held.mac)), LEAST)
-        now, *others = (c.weighed(s, shape) for c in (now, *others))
-        if abs(np.log(s / before.frequency)) < SETTLED and abs(np.log(shape / before.mac)) < SETTLED:
-            break
-    return now, held
+    held = k_fold(configuration, folds, method, start=start, others=others, progress=progress)
+    s = discrepancy(held.error, np.hypot(held.parameter_std, held.test_std))
+    return configuration.weighed(s, max(float(np.nanmean(1 - held.mac)), LEAST)), held

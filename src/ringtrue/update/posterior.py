@@ -8,6 +8,7 @@ intervals.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,6 +91,19 @@ class Posterior:
         ends = (np.clip(self.x - reach, low, high), np.clip(self.x + reach, low, high))
         return np.stack([self.parameters.factors(e) for e in ends], axis=1)
 
+    def take(self, at: Sequence[int]) -> Posterior:
+        """Of some parameters by position, the others left open."""
+        part = self.link[list(at)]
+        every = self.parameters.take(at)
+        return Posterior(
+            every,
+            part @ self.y,
+            part @ self.covariance @ part.T,
+            np.eye(len(every)),
+            self.prior_std[list(at)],
+            self.freedom,
+        )
+
     def sample(self, count: int, rng: np.random.Generator) -> Float:
         """Draws of x, (count, p), pulled back to the bounds."""
         s, u = linalg.eigh(self.covariance)
@@ -149,6 +163,34 @@ def laplace(
     covariance = linalg.solve(a, half.T, assume_a="pos")
     prior = np.sqrt(np.diag(linalg.inv(problem.precision)))
     return Posterior(problem.parameters, at.y, (covariance + covariance.T) / 2, problem.link, prior, freedom)
+
+
+def around(problem: Problem, at: Evaluated, free: Bool | None = None, *, freedom: float = np.inf) -> Posterior:
+    """The posterior about a point that is not its mean, where W is the inverse covariance of the residuals.
+
+    With more parameters free than were updated, the others may be off by their priors too: what the data leave open
+    between the two widens both. The covariance is the mean square error about the point, A⁻¹ + d dᵀ with d the
+    Gauss-Newton step from it to the mean.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its terms as `as_likelihood` makes them.
+    at : Evaluated
+    free : (q,) bool, optional
+        Unknowns that may be off; the others are held to 0.
+    freedom : float
+        Degrees of freedom that the size of the errors is known with.
+    """
+    keep = np.ones(problem.size, dtype=np.bool_) if free is None else free
+    if at.y[~keep].any():
+        raise InputError("unknowns that are held must be at 0")
+    r, g = problem.weighted(at)
+    precision, g = problem.linked_precision[np.ix_(keep, keep)], g[:, keep]
+    inverse = linalg.inv(g.T @ g + precision)
+    d = inverse @ (g.T @ r - precision @ at.y[keep])
+    prior = np.sqrt(np.diag(linalg.inv(problem.precision)))
+    return Posterior(problem.parameters, at.y[keep], inverse + np.outer(d, d), problem.link[:, keep], prior, freedom)
 
 
 def _size(value: Float, inverse: Float, g: Float, share: Float, errors: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""How much to trust the prior (W_p) and the data (W): L-curve, generalised cross-validation, evidence, left-out modes.
+"""How much to trust the prior (W_p) and the data (W): L-curve, generalised cross-validation, evidence.
 
 All rules for W_p choose one factor γ on a given W_p for the problem linearised at the current point,
 min ‖r + Gx₀ − Gx‖² + γ xᵀW_p x, and `regularised` repeats choice and updating until the factor stands.
@@ -15,16 +15,13 @@ from scipy import linalg
 from scipy.optimize import minimize_scalar
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.outcome import Outcome
 from ringtrue.errors import ConfigError, InputError, did_you_mean
-from ringtrue.update.objective import Target
-from ringtrue.update.several import Configuration, Evaluated, Problem
+from ringtrue.update.several import Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve
 
 Rule = Literal["l-curve", "gcv", "evidence"]
 GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
 SETTLED = 0.1  # relative change of the factor below which it stands
-FLOOR = 1e-4  # least model discrepancy that is returned
 Progress = Callable[[float, str], None]
 
 
@@ -241,79 +238,3 @@ def _likelihood(b: Float, inner: Float, variance: Float) -> float:
     factor = linalg.cholesky(np.diag(variance) + inner, lower=True)
     z = linalg.solve_triangular(factor, b, lower=True)
     return float(z @ z + 2 * np.log(np.diag(factor)).sum())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LeftOut:
-    """What modes that were left out say of the model.
-
-    Attributes
-    ----------
-    frequency_error : (m,) float64
-        (f_FE − f_test)/f_test of each mode when it was left out; NaN without a partner.
-    mac : (m,) float64
-    frequency : float
-        Model discrepancy, relative: the part of the error that neither test nor parameters explain.
-    shape : float
-        The same for 1 − MAC.
-    converged : bool
-    """
-
-    frequency_error: Float
-    mac: Float
-    frequency: float
-    shape: float
-    converged: bool
-
-
-def discrepancy_from_left_out(
-    configuration: Configuration,
-    folds: Sequence[Sequence[int]],
-    method: Method | None = None,
-    *,
-    progress: Progress | None = None,
-) -> LeftOut:
-    """Model discrepancy from modes left out of the updating, fold by fold.
-
-    The median of the squared errors of the left-out frequencies gives their variance, so that no single bad mode
-    decides; the variances of the test and of the parameters (posterior) are taken away.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    folds : sequences of test modes
-        Each is left out once; modes that are not used at all do not take part.
-    """
-    target = configuration.target
-    m = target.frequencies.size
-    error, mac, spread, good = np.full(m, np.nan), np.full(m, np.nan), np.zeros(m), True
-    start: Float | None = None
-    for i, fold in enumerate(folds):
-        used = target.used & ~np.isin(np.arange(m), fold)
-        problem = Problem((replace(configuration, target=replace(target, used=used)),))
-        done = solve(problem, method, start=start)
-        good, start = good and done.outcome is Outcome.CONVERGED, done.y
-        _left_out(target, done, list(fold), error, mac, spread)
-        if progress is not None:
-            progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
-    seen = np.isfinite(error)
-    if not seen.any():
-        raise InputError("no left-out mode has found a partner: widen the gates, or leave other modes out")
-    known = float(np.mean(spread[seen] + target.std[seen] ** 2))
-    # the median of a squared normal deviate is 0.455 of its variance
-    frequency = np.sqrt(max(float(np.median(error[seen] ** 2)) / 0.455 - known, 0.0))
-    shape = float(np.median(1 - mac[seen]))
-    return LeftOut(error, mac, max(float(frequency), FLOOR), max(shape, FLOOR), good)
-
-
-def _left_out(target: Target, done: Solution, fold: list[int], error: Float, mac: Float, spread: Float) -> None:
-    """Fill in the deviations of one fold, in place; `spread` is the variance that the parameters bring."""
-    here = done.end.points[0]
-    t, f = here.every.T
-    which = np.isin(t, fold)
-    t, f = t[which], f[which]
-    now = here.now
-    error[t] = now.frequencies[f] / target.frequencies[t] - 1
-    mac[t] = here.mac[which]
-    slope = now.d_lambda[f] / (8 * np.pi**2 * now.frequencies[f] * target.frequencies[t])[:, None]
-    spread[t] = np.einsum("mp,pq,mq->m", slope, done.covariance, slope)

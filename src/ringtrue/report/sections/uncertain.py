@@ -58,8 +58,8 @@ def _facts(s: UncertaintyStage) -> Facts:
     facts = [Fact("Model discrepancy, frequency", fixed(100 * float(s.discrepancy[0]), 2), "%")]
     if (there & ~s.used).any():
         facts.append(Fact(f"Left-out modes in their {percent} bands", _share(s.inside, there & ~s.used)))
-    held = np.isfinite(s.held.predicted)
-    facts.append(Fact("Used modes, left out in turn, in theirs", _share(s.held.inside(s.level), held)))
+    in_turn = s.held.in_turn
+    facts.append(Fact("Used modes, left out in turn, in theirs", _share(s.held.inside(s.level), in_turn)))
     facts.append(Fact("Parameters that the test has told", f"{int(s.moved.sum())} of {s.moved.size}"))
     return Facts(facts)
 
@@ -115,11 +115,12 @@ def _folds(s: UncertaintyStage) -> Table:
             verdict = Cell("inside", "good") if inside[i] else Cell("outside", "bad")
             rows.append([*row, fixed(100 * float(h.mac[i]), 1), verdict])
     heads = ("Fold", "Test #", "f test, Hz", "Predicted, Hz", "Δf, %", "Band, ± %", "MAC, %", "|")
-    seen = int(np.isfinite(h.predicted).sum())
+    seen = h.in_turn
+    off = fixed(100 * float(np.abs(h.error[seen]).mean()), 2)
     text = (
-        f"The model is updated again without the modes of each fold, which it then predicts: {seen} modes, mean |Δf| "
-        f"{fixed(100 * float(np.nanmean(np.abs(h.error))), 2)} %; {fixed(100 * h.coverage(s.level), 0)} % are in their "
-        f"{100 * s.level:g} % bands. The discrepancy of a fold's band comes from the other folds."
+        "The model is updated again without the modes of each fold, which it then predicts: "
+        f"{int(seen.sum())} modes, mean |Δf| {off} %; {fixed(100 * h.coverage(s.level), 0)} % are in their "
+        f"{100 * s.level:g} % bands. The discrepancy of a band comes from all other modes that were predicted unseen."
     )
     return Table(heads, rows, text if h.converged else text + " Not every updating converged.", scroll=len(rows) > 12)
 

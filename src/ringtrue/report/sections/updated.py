@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ringtrue.core.arrays import Float
 from ringtrue.plots import scene
 from ringtrue.plots import updating as plots
 from ringtrue.report.parts import (
@@ -37,7 +38,8 @@ def section(data: Stages) -> Section | None:
     caption = "Convergence of every parameter set. Modes are paired anew at each iteration: where a mode is gained or "
     caption += "lost, J and the mean values jump."
     blocks.append(Plot(plots.convergence(u.sets, u.chosen), caption))
-    blocks += [Heading(f"The chosen set: {best.name}"), _parameters(u, best)]
+    std = best.std if data.uncertainty is None else data.uncertainty.relative
+    blocks += [Heading(f"The chosen set: {best.name}"), _parameters(u, best, std)]
     text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. "
     text += f"Outcome: {best.outcome}."
     blocks.append(Plot(plots.path(best), text))
@@ -96,7 +98,7 @@ def _compared(u: UpdateStage) -> Table:
     return Table(heads, rows, " ".join([text, *(f"{sentence(o)}" for o in other)]))
 
 
-def _parameters(u: UpdateStage, s: SetResult) -> Table:
+def _parameters(u: UpdateStage, s: SetResult, std: Float) -> Table:
     heads = ("|Parameter", "Initial", "Updated", "Factor", "σ, %", "Bounds", "σ after / before")
     rows = []
     for j, name in enumerate(s.parameters):
@@ -105,9 +107,10 @@ def _parameters(u: UpdateStage, s: SetResult) -> Table:
         at_bound = min(abs(factor / low - 1), abs(factor / high - 1)) < 0.01
         shown = Cell(fixed(factor, 3), "warn", "at its bound") if at_bound else fixed(factor, 3)
         values = [number(u.initial_values.get(name), 4), number(u.updated_values.get(name), 4), shown]
-        spread = [number(100 * float(s.std[j]), 2), f"{plain(low)} to {plain(high)}"]
+        spread = [number(100 * float(std[j]), 2), f"{plain(low)} to {plain(high)}"]
         rows.append([name, *values, *spread, fixed(float(s.identifiability[j]), 2)])
-    text = "The updated parameters, deck units. σ after / before near 1: the data say nothing about it."
+    text = "The updated parameters, deck units. σ after / before, with the errors that the updating assumed, near 1: "
+    text += "the data say nothing about it."
     return Table(heads, rows, text)
 
 

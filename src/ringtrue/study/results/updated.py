@@ -258,6 +258,11 @@ class UncertaintyStage:
     independent: float = 0.0  # effective number of draws
     converged: bool = True  # the chains are long enough and agree
 
+    @property
+    def relative(self) -> Float:
+        """Standard deviation of the factors, relative, (p,)."""
+        return np.asarray(self.parameters.slope(self.parameters.vector(self.factor)) * self.std / self.factor)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictStage:

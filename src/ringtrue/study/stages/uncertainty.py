@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,18 +12,20 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.reduce.condense import condensed
 from ringtrue.shapes.mac import paired_mac
-from ringtrue.study.objective import scales, terms_of
+from ringtrue.study.objective import terms_of
 from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels, frequency_error
 from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import as_delivered, others_at
 from ringtrue.study.workbench import OWN, Workbench
+from ringtrue.update.identifiable import cosines
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
 from ringtrue.update.objective import Target, Weights, match
 from ringtrue.update.plausible import plausibility
-from ringtrue.update.posterior import Posterior, as_likelihood, laplace
+from ringtrue.update.pool import conflicts, of_parameter
+from ringtrue.update.posterior import Posterior, around, as_likelihood
 from ringtrue.update.residuals import Eigenvalues, Weighted
 from ringtrue.update.several import Configuration, Problem
 
@@ -45,11 +48,13 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     final: FinalStage = desk.get("final")
     best, asked, aim = done.sets[done.chosen], desk.config.uncertainty, target(desk)
     factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
+    whole = dict.fromkeys(desk.parameters.names, 1.0) | factor
 
     def early(fraction: float, text: str) -> None:
         progress(0.4 * fraction, text)
 
-    model, x = as_delivered(desk, desk.candidates(early), factor, final.observed.frequencies, early)
+    every, _ = as_delivered(desk, desk.candidates(early), whole, final.observed.frequencies, early)
+    model, x = as_delivered(desk, every, factor, final.observed.frequencies, early)
     if desk.engine is not None and not _same(desk, model, final, x):
         return None
     paired = _paired(aim, model, final, x)
@@ -66,8 +71,13 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
         others=others,
         progress=lambda f, t: progress(0.4 + 0.4 * f, t),
     )
-    posterior, slope = _posterior((first, *others), likely.target.weights, x)
-    told = _result(posterior, aim, likely.target, slope, final, held, asked.level)
+    full = (
+        Configuration(every, paired, terms_of(desk, OWN, every, desk.config.update)),
+        *_whole(desk, best, whole, early),
+    )
+    among, slope = _posterior(desk, full, likely.target.weights, whole, best.parameters, held.freedom)
+    posterior = among.take([every.parameters.names.index(n) for n in best.parameters])
+    told = _result(posterior, among, aim, likely.target, slope, final, held, asked.level)
     if not asked.samples:
         return told
     rng = np.random.default_rng([desk.config.study.seed, 7])
@@ -105,21 +115,40 @@ def _others(
     return tuple(out)
 
 
-def _posterior(assumed: tuple[Configuration, ...], found: Weights, x: Float) -> tuple[Posterior, Float]:
-    """Of the delivered point, which is the best one by the weights that were assumed, when errors are as found.
+def _whole(
+    desk: Workbench, best: SetResult, factor: Mapping[str, float], progress: Progress
+) -> tuple[Configuration, ...]:
+    """The other configurations over all candidates."""
+    return others_at(desk, replace(best, parameters=tuple(factor), factor=np.array(list(factor.values()))), progress)
 
-    The errors of the other configurations are taken to be like those of the first, the deck of the study.
+
+def _posterior(
+    desk: Workbench,
+    configurations: tuple[Configuration, ...],
+    found: Weights,
+    factor: Mapping[str, float],
+    chosen: Sequence[str],
+    freedom: float,
+) -> tuple[Posterior, Float]:
+    """About the delivered point, with errors as found, where the candidates that were not chosen may be off, too.
+
+    Those that a chosen one stands for are held: the data cannot tell them from it, or both scale one field. The errors
+    of the other configurations are taken to be like those of the first, the deck of the study.
 
     Returns
     -------
     posterior : Posterior
+        Of all candidates.
     slope : (m, p) float64
         ∂λ/∂x of the modes of the first.
     """
-    problem, w = Problem(assumed), assumed[0].target.weights
-    at = problem.evaluate(x)
-    scale = np.array([s for c in assumed for s in scales(c.terms, found, w)])
-    return laplace(problem, at, scale, independent=HANDFUL), at.points[0].now.d_lambda
+    problem = Problem(tuple(_likelihood(c.weighed(found.frequency, found.mac)) for c in configurations))
+    p, model = problem.parameters, desk.remodelled.model
+    at = problem.evaluate(p.vector(np.array([factor[n] for n in p.names])))
+    mine = np.isin(p.names, list(chosen))
+    twins = cosines(at.slope * p.std())[:, mine] > desk.config.localise.alike
+    twins |= conflicts(model, [of_parameter(model, one) for one in p.parameters])[:, mine]
+    return around(problem, at, mine | ~twins.any(axis=1), freedom=freedom), at.points[0].now.d_lambda
 
 
 def _likelihood(found: Configuration) -> Configuration:
@@ -153,18 +182,24 @@ def _near(desk: Workbench, model: AtChannels, x: Float, std: Float, rng: np.rand
 
 
 def _result(
-    posterior: Posterior, aim: Target, likely: Target, slope: Float, final: FinalStage, held: Held, level: float
+    posterior: Posterior,
+    among: Posterior,
+    aim: Target,
+    likely: Target,
+    slope: Float,
+    final: FinalStage,
+    held: Held,
+    level: float,
 ) -> UncertaintyStage:
     p, pairing = posterior.parameters, final.table.pairing
     f = np.full(aim.frequencies.size, np.nan)
     f[pairing.a] = final.observed.frequencies[pairing.b]
     known = pairing.b < slope.shape[0]
-    rows = slope[pairing.b[known]] / (8 * np.pi**2 * f[pairing.a[known]] ** 2)[:, None]
+    rows = slope[pairing.b[known]] / (8 * np.pi**2 * f[pairing.a[known]] ** 2)[:, None] @ among.link
     parts = np.full((f.size, 3), np.nan)
-    parts[pairing.a[known], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, posterior.covariance, rows))
-    parts[:, 1], parts[:, 2] = aim.std, likely.weights.frequency
-    freedom = max(int(np.isfinite(held.predicted).sum()) - 1, 1)  # the discrepancy comes from so many errors
-    reach = float(stdtrit(freedom, 0.5 + level / 2)) * np.sqrt((parts**2).sum(axis=1)) * f
+    parts[pairing.a[known], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, among.covariance, rows))
+    parts[:, 1], parts[:, 2] = aim.std, np.where(np.isfinite(held.model_std), held.model_std, likely.weights.frequency)
+    reach = float(stdtrit(held.freedom, 0.5 + level / 2)) * np.sqrt((parts**2).sum(axis=1)) * f
     band = np.stack([f - reach, f + reach], axis=1)
     return UncertaintyStage(
         p,
