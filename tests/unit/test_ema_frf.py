@@ -145,8 +145,8 @@ def test_refusals() -> None:
         estimate_frf(r, HammerSettings(force="F:9"))
     with pytest.raises(DataError, match="none of 6 hits"):
         estimate_frf(r, HammerSettings(block=30.0))
-    mixed = replace(r, channels=(*r.channels[:2], Channel("2+Z", "velocity", "m/s")))
-    with pytest.raises(DataError, match="one kind of motion"):
+    mixed = replace(r, channels=(*r.channels[:2], Channel("2+Z", "strain", "strain")))
+    with pytest.raises(DataError, match="all must be motions"):
         estimate_frf(mixed)
     with pytest.raises(DataError, match="different rates"):
         estimate_frf([r, replace(r, rate=256.0)])

@@ -1,10 +1,9 @@
-"""`oma` and `ema`: modes from ambient records and from FRFs, with a choice by hand stored and replayed."""
+"""`oma`: modes from ambient records; with `ema` it shares the options, the table and a choice by hand."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -14,16 +13,14 @@ import typer
 from ringtrue.cli.show import json_target, out, progress, rows, write_json
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient
 from ringtrue.identify.choice import as_choice
-from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
-from ringtrue.io.frfs import read_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.records import read_record
 from ringtrue.plots.picker import picker_page
@@ -58,6 +55,9 @@ Json = Annotated[
 Fmin = Annotated[float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")]
 Fmax = Annotated[float | None, typer.Option("--fmax", metavar="HZ", help="Highest frequency of interest.")]
 Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file has none.")]
+Group = Annotated[
+    str, typer.Option("--group", metavar="NAME", help="Group of a .tdms or HDF5 file, where its rates differ.")
+]
 LeaveOut = Annotated[
     list[str] | None, typer.Option("--leave-out", metavar="CHANNEL", help="Do not use this channel; may be repeated.")
 ]
@@ -104,15 +104,16 @@ def check_band(fmin: float | None, fmax: float | None) -> None:
         raise ConfigError(f"--fmin {fmin} --fmax {fmax}: must be 0 <= fmin < fmax")
 
 
-def record_without(path: Path, rate: float | None, lost: Sequence[str]) -> TimeHistory:
+def record_without(path: Path, rate: float | None, lost: Sequence[str], group: str = "") -> TimeHistory:
     """A record without some channels; those that are left are checked."""
     if not lost:
-        return read_record(path, rate)
-    every = read_record(path, rate, check=False).channels
-    return read_record(path, rate, channels=_kept(path, every, lost))
+        return read_record(path, rate, group=group)
+    every = read_record(path, rate, check=False, group=group).channels
+    return read_record(path, rate, channels=kept_channels(path, every, lost), group=group)
 
 
-def _kept(path: Path, channels: Sequence[Channel], lost: Sequence[str]) -> list[str]:
+def kept_channels(path: Path, channels: Sequence[Channel], lost: Sequence[str]) -> list[str]:
+    """Ids of the channels but for those left out, each of which must be there."""
     ids = [c.id for c in channels]
     for name in lost:
         if name not in ids:
@@ -133,17 +134,19 @@ def fault_notes(history: TimeHistory) -> tuple[str, ...]:
     )
 
 
-def _tell(notes: Sequence[str]) -> None:
+def tell(notes: Sequence[str]) -> None:
+    """Print notes, a line each."""
     for note in notes:
         out.print(note, markup=False, highlight=False, soft_wrap=True)
 
 
-def _write_pages(
+def write_pages(
     record: Path,
     found: tuple[ModeSet, Sequence[str], Sequence[StableDiagram]],
     choice_to: Path | None,
     diagram_to: Path | None,
 ) -> None:
+    """Write the choice and the diagrams that were asked for."""
     modes, reasons, diagrams = found
     if choice_to:
         write_choice(choice_to, as_choice(modes, reasons, record=record.stem))
@@ -152,7 +155,8 @@ def _write_pages(
             part.write_text(picker_page(str(record), diagrams, modes), encoding="utf-8")
 
 
-def _choice(path: Path | None, record: Path) -> Choice | None:
+def choice_of(path: Path | None, record: Path) -> Choice | None:
+    """The choice by hand for a record."""
     if path is None:
         return None
     choice = read_choice(path)
@@ -163,8 +167,9 @@ def _choice(path: Path | None, record: Path) -> Choice | None:
 
 
 def oma(
-    record: Annotated[Path, typer.Argument(help=".h5, .npy (sample, channel), .csv, .mat or .uff")],
+    record: Annotated[Path, typer.Argument(help=".h5, .npy (sample, channel), .csv, .mat, .uff, .tdms, .lvm or .wav")],
     rate: Rate = None,
+    group: Group = "",
     fmin: Fmin = None,
     fmax: Fmax = None,
     leave_out: LeaveOut = None,
@@ -182,18 +187,18 @@ def oma(
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
     """
     check_band(fmin, fmax)
-    by_hand = _choice(choice, record)
-    history = record_without(record, rate, leave_out or [])
+    by_hand = choice_of(choice, record)
+    history = record_without(record, rate, leave_out or [], group)
     settings = AmbientSettings(fmin=fmin, fmax=fmax)
     with progress("ambient modes") as show, about(record):
         history, removed = _removed(history, remove_harmonics)
         found = identify_ambient(history, settings, choice=by_hand, progress=show)
-    _write_pages(record, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
+    write_pages(record, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
     if json:
         write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
     if json != "-":
         print_modes(f"{record}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
-        _tell((*fault_notes(history), *removed, *_machines(found), *found.notes))
+        tell((*fault_notes(history), *removed, *_machines(found), *found.notes))
     return 0 if len(found.modes) else 1
 
 
@@ -206,49 +211,3 @@ def _machines(found: AmbientResult) -> list[str]:
     """The lines of machines that no pole stood on; the others are among the notes."""
     told = " ".join(found.notes)
     return [f"line at {h.frequency:.4g} Hz: {h.why}" for h in found.harmonics if h.why not in told]
-
-
-def ema(
-    frf: Annotated[Path, typer.Argument(help=".h5, .npz with freq (f) and H1 (reference, response, f), or .uff")],
-    fmin: Fmin = None,
-    fmax: Fmax = None,
-    window_decay: Annotated[
-        float | None,
-        typer.Option(metavar="1/S", help="Decay rate of the exponential window; taken out of the damping."),
-    ] = None,
-    leave_out: LeaveOut = None,
-    choice: ChoiceFile = None,
-    choice_to: WriteChoice = None,
-    diagram: Diagram = None,
-    json: Json = None,
-) -> int:
-    """Modes from FRFs: automatic poly-reference LSCF with residues and standard deviations.
-
-    Example: ringtrue ema frf.npz --fmin 100 --fmax 5000 --choice beam.toml
-    """
-    check_band(fmin, fmax)
-    by_hand = _choice(choice, frf)
-    frfs = _frfs_without(read_frfs(frf), frf, leave_out or [])
-    if window_decay is not None:
-        if not 0 <= window_decay < float("inf"):
-            raise ConfigError(f"--window-decay {window_decay}: must be 0 or more, 1/s")
-        frfs = replace(frfs, window_decay=window_decay)
-    with progress("modes from FRFs") as show, about(frf):
-        found = identify_hammer(frfs, HammerModes(fmin=fmin, fmax=fmax), choice=by_hand, progress=show)
-    _write_pages(frf, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
-    if json:
-        write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
-    if json != "-":
-        print_modes(f"{frf}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
-        _tell(found.notes)
-        if not len(found.modes):
-            _tell(("no mode is believed in this band", *found.rejected[-5:]))
-    return 0 if len(found.modes) else 1
-
-
-def _frfs_without(frfs: FrfSet, path: Path, lost: Sequence[str]) -> FrfSet:
-    """The FRFs without some responses and references."""
-    if not lost:
-        return frfs
-    _kept(path, list({c.id: c for c in (*frfs.outputs, *frfs.inputs)}.values()), lost)
-    return frfs.without(lost)

@@ -23,7 +23,7 @@ COMMANDS = {  # where each stands; in the order of the help
     "check": ("model", "check"),
     "plan": ("plan", "plan"),
     "oma": ("identify", "oma"),
-    "ema": ("identify", "ema"),
+    "ema": ("ema", "ema"),
     "track": ("track", "track"),
     "correlate": ("measure", "correlate"),
     "predict": ("predict", "run"),

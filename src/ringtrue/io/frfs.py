@@ -19,7 +19,8 @@ from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing
-from ringtrue.io.uff.functions import read_frf_sets, write_frf_sets
+from ringtrue.io.uff.function58 import FRF
+from ringtrue.io.uff.functions import read_frf_sets, read_functions, write_frf_sets
 
 GROUP = "frfs"
 _UFF = (".uff", ".unv", ".58")
@@ -63,6 +64,27 @@ def read_frfs(path: str | Path) -> FrfSet:
         raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.npz', *_HDF5, *_UFF])}")
     _check(frfs, path)
     return frfs
+
+
+def holds_frfs(path: str | Path) -> bool:
+    """Whether a file holds FRFs; else it may be a time record.
+
+    Raises
+    ------
+    DataError
+        If there is no such file, or it is a damaged universal file.
+    """
+    path = existing(path)
+    ext = path.suffix.lower()
+    if ext in _UFF:
+        return any(f.kind == FRF for f in read_functions(path))
+    if ext in _HDF5:
+        try:
+            with h5py.File(path, "r") as file:
+                return GROUP in file or "averages" in file
+        except OSError:
+            return True  # what is wrong with it `read_frfs` tells
+    return ext == ".npz"
 
 
 def write_frfs(path: str | Path, frfs: FrfSet) -> None:

@@ -13,11 +13,12 @@ import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float
-from ringtrue.errors import DataError
+from ringtrue.errors import DataError, did_you_mean
 
 _RATE_NAMES = ("rate", "fs", "sampling_rate", "sample_rate", "fsamp", "sr")
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
+_LONG = 64  # samples: a shorter table is no record
 _CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
 
 
@@ -74,38 +75,63 @@ def is_time(name: str) -> bool:
     return name.strip().lower() in TIME_NAMES or re.search(r"(^|_)time(_|$)", name.lower()) is not None
 
 
-def h5_table(file: h5py.File, path: Path) -> tuple[h5py.Dataset, float | None]:
-    """The first 2-D data set of numbers of an HDF5 file of others, unread, and the rate.
+def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None]:
+    """The 2-D data set of samples of an HDF5 file of others, unread, and the rate.
+
+    It is the only long one, or the first where none is long.
 
     Raises
     ------
     DataError
-        If there is none, or it announces far more than the file holds.
+        If there is none, there are several long ones, or it announces far more than the file holds.
     """
     found: list[h5py.Dataset] = []
     file.visititems(lambda _, o: found.append(o) if isinstance(o, h5py.Dataset) and o.ndim == 2 else None)
     if not found:
         raise DataError(f"{path}: no 2-D data set in the file")
-    check_stored(found[0], path)
-    attrs = {k.lower(): v for o in (file, found[0].parent, found[0]) for k, v in o.attrs.items()}
+    long = [d for d in found if d.dtype.kind in "fiu" and max(d.shape) >= max(_LONG, 4 * min(d.shape))]
+    if len(long) > 1:
+        told = "; ".join(f"{d.name.lstrip('/')} {d.shape}" for d in long[:8])
+        raise DataError(f"{path}: several tables of samples ({told}): choose one with group (--group NAME)")
+    data = (long or found)[0]
+    check_stored(data, path)
+    attrs = {k.lower(): v for o in (file.file, file, data.parent, data) for k, v in o.attrs.items()}
     scalars = {k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1}
     rate = named_rate({**scalars, **attrs})
     if rate is None:
-        beside = {k: v for k, v in found[0].parent.items() if isinstance(v, h5py.Dataset) and v.name != found[0].name}
-        times = {k: v[()] for k, v in beside.items() if v.size == max(found[0].shape) and is_time(k)}
-        rate = time_rate(times, max(found[0].shape), path)
-    return found[0], rate
+        beside = {k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name}
+        times = {k: v[()] for k, v in beside.items() if v.size == max(data.shape) and is_time(k)}
+        rate = time_rate(times, max(data.shape), path)
+    return data, rate
 
 
-def read_h5_table(file: h5py.File, path: Path) -> RawTable:
-    """The first 2-D data set of an HDF5 file of others, or all vectors of one length if there is none."""
+def read_h5_table(file: h5py.Group, path: Path, group: str = "") -> RawTable:
+    """The 2-D data set of samples of an HDF5 file of others, or all vectors of one length if there is none.
+
+    With `group`, the path of a group or of a data set, what stands there alone.
+    """
+    if group:
+        return _h5_part(file, path, group)
     if (table := _h5_vectors(file, path)) is not None:
         return table
     data, rate = h5_table(file, path)
     return without_time(numbered(columns_first(data[()], path), rate), path)
 
 
-def _h5_vectors(file: h5py.File, path: Path) -> RawTable | None:
+def _h5_part(file: h5py.Group, path: Path, group: str) -> RawTable:
+    part = file.get(group.strip("/"))
+    if part is None:
+        every: list[str] = []
+        file.visit(every.append)
+        raise DataError(f"{path}: no group {group!r}{did_you_mean(group, every)}")
+    if isinstance(part, h5py.Group):
+        return read_h5_table(part, path)
+    check_stored(part, path)
+    rate = named_rate({k.lower(): v for o in (file, part.parent, part) for k, v in o.attrs.items()})
+    return without_time(numbered(columns_first(part[()], path), rate), path)
+
+
+def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
     """A file of one vector a channel; None if it has a 2-D data set or no vectors."""
     every: dict[str, h5py.Dataset] = {}
     file.visititems(lambda name, o: every.update({name: o}) if isinstance(o, h5py.Dataset) and o.ndim else None)

@@ -15,7 +15,7 @@ from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.delimited import read_csv, write_csv
 from ringtrue.io.files import existing
-from ringtrue.io.lvm import read_lvm
+from ringtrue.io.lvm import read_lvm, read_lvm_segments
 from ringtrue.io.matfile import read_mat, write_mat
 from ringtrue.io.plain import RawTable, check_stored, read_h5_table, read_npy
 from ringtrue.io.record_layout import (
@@ -32,8 +32,8 @@ from ringtrue.io.record_layout import (
     stored_samples,
 )
 from ringtrue.io.si import to_si
-from ringtrue.io.tdms import read_tdms
-from ringtrue.io.uff.functions import read_time, write_time
+from ringtrue.io.tdms import read_tdms, read_tdms_runs
+from ringtrue.io.uff.functions import read_time, read_time_runs, write_time
 from ringtrue.io.wav import read_wav
 
 _READERS = {
@@ -42,7 +42,6 @@ _READERS = {
     ".txt": read_csv,
     ".lvm": read_lvm,
     ".mat": read_mat,
-    ".tdms": read_tdms,
     ".wav": read_wav,
 }
 _HDF5 = (".h5", ".hdf5")
@@ -138,6 +137,7 @@ def read_record(
     start: int = 0,
     stop: int | None = None,
     check: bool = True,
+    group: str = "",
 ) -> TimeHistory:
     """Read a time record, SI.
 
@@ -154,6 +154,9 @@ def read_record(
         Samples to keep.
     check : bool
         Refuse channels that are constant or not finite; without it they stay, for `signal.faults` to tell.
+    group : str
+        The group of a `.tdms`, or the group or data set of an HDF5 file of others, that is meant where there are
+        several of unlike rates.
 
     Raises
     ------
@@ -161,13 +164,54 @@ def read_record(
         If the file is empty, a channel has NaN or is constant, or the rate is missing or odd.
     """
     path = existing(path)
+    _check_rate_given(path, rate)
+    history = _read(path, rate, channels, slice(start, stop), group)
+    _check_rate(history, path)
+    refuse_bad_samples(history, path, check)
+    return history
+
+
+def read_runs(path: str | Path, rate: float | None = None, *, group: str = "") -> tuple[TimeHistory, ...]:
+    """The acquisitions of one file, each a record: triggered blows that were stored one after the other.
+
+    Functions of a universal file that recur, segments of a `.lvm`, groups of a `.tdms` with the same channels; any
+    other file is one record. Channels that are constant or not finite stay.
+
+    Raises
+    ------
+    DataError
+        As `read_record` does.
+    """
+    path = existing(path)
+    reader = _RUNS.get(path.suffix.lower())
+    if reader is None or group:
+        return (read_record(path, rate, check=False, group=group),)
+    _check_rate_given(path, rate)
+    found = tuple(_from_table(t, path, rate) for t in reader(path))
+    for history in found:
+        _check_rate(history, path)
+        refuse_bad_samples(history, path, False)
+    return found
+
+
+def _lvm_runs(path: Path) -> tuple[RawTable, ...]:
+    try:
+        return (read_lvm(path),)
+    except DataError:
+        return tuple(t for _, t in read_lvm_segments(path))
+
+
+_RUNS = {".lvm": _lvm_runs, ".tdms": read_tdms_runs, **dict.fromkeys(_UFF, read_time_runs)}
+
+
+def _check_rate_given(path: Path, rate: float | None) -> None:
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise DataError(f"{path}: rate {rate} Hz must be positive")
-    history = _read(path, rate, channels, start, stop)
+
+
+def _check_rate(history: TimeHistory, path: Path) -> None:
     if not _SLOWEST <= history.rate <= _FASTEST:
         raise DataError(f"{path}: rate {history.rate:g} Hz cannot be right; allowed are {_SLOWEST:g} to {_FASTEST:g}")
-    _check_samples(history, path, check)
-    return history
 
 
 def record_blocks(
@@ -201,22 +245,27 @@ def record_blocks(
             yield stored_samples(group, info, at, slice(start, start + samples))
 
 
-def _read(path: Path, rate: float | None, channels: Sequence[str] | None, start: int, stop: int | None) -> TimeHistory:
+def _read(path: Path, rate: float | None, channels: Sequence[str] | None, samples: slice, group: str) -> TimeHistory:
     ext = path.suffix.lower()
+    if group and ext not in (*_HDF5, ".tdms"):
+        raise DataError(f"{path}: group {group!r}: only .tdms and HDF5 files have groups")
     if ext in _HDF5:
         with open_hdf5(path) as file, intact(path):
-            if (group := find_record(file)) is not None:
-                return _read_own(group, path, rate, channels, slice(start, stop))
-            table = read_h5_table(file, path)
+            own = find_record(file)
+            if own is not None and not group:
+                return _read_own(own, path, rate, channels, samples)
+            table = read_h5_table(file, path, group)
+    elif ext == ".tdms":
+        table = read_tdms(path, group)
     elif ext in _UFF:
         table = read_time(path)
     elif ext in _READERS:
         table = _READERS[ext](path)
     else:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, [*_HDF5, *_UFF, *_READERS])}")
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, [*_HDF5, *_UFF, *_READERS, '.tdms'])}")
     history = _from_table(table, path, rate)
     history = history if channels is None else history.pick(channels)
-    return replace(history, data=history.data[:, start:stop])
+    return replace(history, data=history.data[:, samples])
 
 
 def _read_own(
@@ -252,7 +301,13 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
     return TimeHistory(data, float(table.rate or rate or 0.0), channels, str(path))
 
 
-def _check_samples(history: TimeHistory, path: Path, check: bool) -> None:
+def refuse_bad_samples(history: TimeHistory, path: Path, check: bool = True) -> None:
+    """Refuse a record of less than two samples and, if `check`, channels that are constant or not finite.
+
+    Raises
+    ------
+    DataError
+    """
     if history.data.shape[1] < 2:
         raise DataError(f"{path}: {history.data.shape[1]} samples; a record needs at least 2")
     if not check:

@@ -13,7 +13,7 @@ import numpy as np
 from nptdms import TdmsFile
 
 from ringtrue.core.arrays import Float
-from ringtrue.errors import DataError
+from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.plain import RawTable, is_time, time_rate
 from ringtrue.io.si import known
 
@@ -23,37 +23,74 @@ _UNIT = ("unit_string", "NI_UnitDescription", "Unit", "unit")
 _TOO_MANY = 1 << 20  # objects or properties: a damaged count, not a file
 
 
-def read_tdms(path: Path) -> RawTable:
+def read_tdms(path: Path, group: str = "") -> RawTable:
     """The channels of a TDMS file, (channel, sample); all must have one rate (`wf_increment`) and length.
 
     Ids are the names of the channels, `group/name` where a name occurs in several groups. Units that ringtrue does not
-    know stay out.
+    know stay out. With `group` the channels of that group alone.
 
     Raises
     ------
     DataError
-        If it is no TDMS file, it is damaged, holds no numbers, or rates or lengths differ.
+        If it is no TDMS file, it is damaged, holds no numbers or no such group, or rates or lengths differ.
     """
     with _opened(path) as file:
-        found = [c for g in file.groups() for c in g.channels() if len(c) and c.dtype.kind in "fiu"]
-        if not found:
-            raise DataError(f"{path}: no channel with numbers in the file")
-        lengths = sorted({len(c) for c in found})
-        if len(lengths) > 1:
-            raise DataError(
-                f"{path}: channels of {lengths[0]} to {lengths[-1]} samples; they must be equal: split the file"
-            )
-        rates = [_rate(c.properties) for c in found]
-        known = [r for r in rates if r is not None]
-        if known and max(known) - min(known) > 1e-6 * max(known):
-            raise DataError(f"{path}: rates from {min(known):g} to {max(known):g} Hz; split the file")
-        rate = known[0] if known else None
-        if rate is None and (times := [c for c in found if is_time(c.name)]) and len(times) < len(found):
-            rate = time_rate({"time": _values(times[0])}, lengths[0], path)
-            found = [c for c in found if not is_time(c.name)]
-        data = np.stack([_values(c) for c in found])
-        units = tuple(_unit(c.properties) for c in found)
-        return RawTable(data, rate, _names(found), units, ("",) * len(found))
+        found = _signals(file, path)
+        if group:
+            names = list(dict.fromkeys(c.group_name for c in found))
+            if group not in names:
+                raise DataError(f"{path}: no group {group!r}{did_you_mean(group, names)}")
+            found = [c for c in found if c.group_name == group]
+        return _table(found, path)
+
+
+def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
+    """A table for each group where all hold the same channels of one rate: triggered blows; else one table of all."""
+    with _opened(path) as file:
+        found = _signals(file, path)
+        groups = [[c for c in found if c.group_name == g] for g in dict.fromkeys(c.group_name for c in found)]
+        shown = {(tuple(c.name for c in g), _rate(g[0].properties)) for g in groups}
+        return tuple(_table(g, path) for g in (groups if len(shown) == 1 and len(groups[0]) > 1 else [found]))
+
+
+def _signals(file: TdmsFile, path: Path) -> list[Any]:
+    found = [c for g in file.groups() for c in g.channels() if len(c) and c.dtype.kind in "fiu"]
+    if not found:
+        raise DataError(f"{path}: no channel with numbers in the file")
+    return found
+
+
+def _table(found: list[Any], path: Path) -> RawTable:
+    _check_alike(found, path)
+    rate = next((r for c in found if (r := _rate(c.properties)) is not None), None)
+    if rate is None and (times := [c for c in found if is_time(c.name)]) and len(times) < len(found):
+        rate = time_rate({"time": _values(times[0])}, len(times[0]), path)
+        found = [c for c in found if not is_time(c.name)]
+    data = np.stack([_values(c) for c in found])
+    units = tuple(_unit(c.properties) for c in found)
+    return RawTable(data, rate, _names(found), units, ("",) * len(found))
+
+
+def _check_alike(found: list[Any], path: Path) -> None:
+    """Refuse rates or lengths that differ; where they do from group to group, say which group has which."""
+    lengths = sorted({len(c) for c in found})
+    known = [r for c in found if (r := _rate(c.properties)) is not None]
+    rates_differ = known and max(known) - min(known) > 1e-6 * max(known)
+    if not rates_differ and len(lengths) == 1:
+        return
+    by_group = {g: [c for c in found if c.group_name == g] for g in dict.fromkeys(c.group_name for c in found)}
+    one_each = all(len({(len(c), _rate(c.properties)) for c in g}) == 1 for g in by_group.values())
+    if len(by_group) > 1 and one_each:
+        told = "; ".join(
+            f"{name}: {len(g)} channels, {len(g[0])} samples" + (f", {r:g} Hz" if (r := _rate(g[0].properties)) else "")
+            for name, g in by_group.items()
+        )
+        raise DataError(f"{path}: the groups differ in rate or length ({told}): choose one with group (--group NAME)")
+    if len(lengths) > 1:
+        raise DataError(
+            f"{path}: channels of {lengths[0]} to {lengths[-1]} samples; they must be equal: split the file"
+        )
+    raise DataError(f"{path}: rates from {min(known):g} to {max(known):g} Hz; split the file")
 
 
 @contextmanager

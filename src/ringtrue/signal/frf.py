@@ -26,6 +26,8 @@ log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 
 _KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
+_DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}
+_UNIT = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
 _ENDS_AT = 0.01  # of its start, a response under an automatic exponential window
 
 
@@ -50,7 +52,7 @@ def estimate_frf(
 
     Each record has one force channel, whose id names the point and direction hit (a leading `F:` is dropped).
     Records of the same input and responses are averaged together; different ones become columns (roving hammer)
-    or rows (roving responses) of one set.
+    or rows (roving responses) of one set. Motions of several kinds become that of most responses.
 
     Parameters
     ----------
@@ -209,22 +211,29 @@ def frf_variance(frfs: FrfSet) -> Float:
 
 
 def _column(s: _Sums, decay: float, settings: HammerSettings, source: str) -> FrfSet:
-    kinds = {c.quantity for c in s.outputs}
-    if len(kinds) != 1 or not kinds <= set(_KIND):
-        raise DataError(f"{source}: responses measure {', '.join(sorted(kinds))}; all must be one kind of motion")
+    kinds = [c.quantity for c in s.outputs]
+    if not kinds or not set(kinds) <= set(_KIND):
+        raise DataError(
+            f"{source}: responses measure {', '.join(sorted(set(kinds)))}; all must be motions: leave the others out"
+        )
+    kind = max(dict.fromkeys(kinds), key=kinds.count)
     h, coherence = estimators(s.ff, s.xf, s.xx, settings.estimator)
     if s.count < 2:
         coherence = np.full(coherence.shape, np.nan)  # one hit has coherence 1 whatever its noise
     freqs = np.fft.rfftfreq(s.length, 1 / s.rate)
-    keep = freqs <= (settings.fmax or np.inf)
+    power = np.array([_DERIVATIVE[kind] - _DERIVATIVE[k] for k in kinds])
+    keep = (freqs <= (settings.fmax or np.inf)) & ((freqs > 0) | (decay > 0) | (power == 0).all())
+    freqs, h, coherence = freqs[keep], h[keep], coherence[keep]
+    if power.any():  # under the window the FRF stands at s + decay
+        h = h * (2j * np.pi * freqs + decay)[:, None] ** power
     return FrfSet(
-        h[keep, :, None],
-        np.asarray(freqs[keep], dtype=np.float64),
-        s.outputs,
+        h[:, :, None],
+        np.asarray(freqs, dtype=np.float64),
+        tuple(c if c.quantity == kind else replace(c, quantity=kind, unit=_UNIT[kind]) for c in s.outputs),
         (Channel(s.input, "force", "N"),),
-        coherence[keep, :, None],
+        coherence[:, :, None],
         np.array([float(s.count)]),
-        _KIND[kinds.pop()],
+        _KIND[kind],
         decay,
         source,
     )

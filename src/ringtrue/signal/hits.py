@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -15,6 +16,7 @@ from ringtrue.errors import ConfigError, DataError, did_you_mean
 Estimator = Literal["H1", "H2", "Hv"]
 _NEAR_FULL = 0.985  # of the range counts as an overload
 _FLAT = 4  # equal extreme samples in a row that give clipping away where no range is known
+_HAMMER = re.compile(r"(?<![a-z])(force|hammer|impact|impulse|kraft|f)(?![a-z])", re.IGNORECASE)
 _BAD_RINGING = 0.2  # rms before the hit to rms after it
 
 
@@ -25,7 +27,8 @@ class HammerSettings:
     Attributes
     ----------
     force : str
-        Id of the force channel; by default the only channel whose quantity is force.
+        Id of the force channel; by default the only channel whose quantity is force, or, where none is, the only one
+        of unknown quantity with a name such as `Force` or `hammer`.
     block : float, s, optional
         Length of a block; by default what fits between the hits.
     pretrigger : float, s
@@ -112,10 +115,11 @@ def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
             raise DataError(f"{record.source}: no channel {settings.force!r}{did_you_mean(settings.force, ids)}")
         return ids.index(settings.force)
     at = [i for i, c in enumerate(record.channels) if c.quantity == "force"]
+    at = at or [i for i, c in enumerate(record.channels) if c.quantity == "unknown" and _HAMMER.search(c.id)]
     if len(at) != 1:
         raise DataError(
-            f"{record.source}: {len(at)} force channels ({' '.join(ids[i] for i in at) or 'none'}); "
-            "there must be one, or name it in HammerSettings.force"
+            f"{record.source}: {len(at)} force channels ({' '.join(ids[i] for i in at) or 'none'}) of "
+            f"{' '.join(ids[:20])}; there must be one, or name it: HammerSettings.force, --force"
         )
     return at[0]
 

@@ -66,16 +66,40 @@ def label(node: int, direction: int) -> str:
 def read_time(path: Path) -> RawTable:
     """The time functions of a universal file as (channel, sample); all must have one rate and length."""
     functions, units = _functions(path)
+    return _time_table(_time_functions(functions, path), units, path)
+
+
+def read_time_runs(path: Path) -> tuple[RawTable, ...]:
+    """A table for each acquisition where every channel comes as often: triggered blows, one after the other."""
+    functions, units = _functions(path)
+    found = _time_functions(functions, path)
+    keys = [(*f.response, _motion(f.axes[1].unit, f, units)[0]) for f in found]
+    times = {keys.count(k) for k in dict.fromkeys(keys)}
+    if len(set(keys)) < 2 or len(times) > 1 or times == {1}:
+        return (_time_table(found, units, path),)
+    seen: dict[object, int] = {}
+    runs: list[list[Function]] = [[] for _ in range(times.pop())]
+    for key, f in zip(keys, found, strict=True):
+        seen[key] = seen.get(key, -1) + 1
+        runs[seen[key]].append(f)
+    return tuple(_time_table(r, units, path) for r in runs)
+
+
+def _time_functions(functions: Sequence[Function], path: Path) -> list[Function]:
     found = [f for f in functions if f.kind == TIME]
     if not found:
         raise DataError(f"{path}: no time functions (58, function type 1) in the file")
+    return found
+
+
+def _time_table(found: Sequence[Function], units: Units | None, path: Path) -> RawTable:
     rates = [_rate(f, path) for f in found]
     if max(rates) - min(rates) > 1e-4 * max(rates):
         raise DataError(f"{path}: different rates, {min(rates):g} to {max(rates):g} Hz; split the file")
     length = min(f.y.size for f in found)
     kinds, factors = zip(*(_motion(f.axes[1].unit, f, units) for f in found), strict=True)
     data = np.stack([np.real(f.y[:length]) * x for f, x in zip(found, factors, strict=True)])
-    return RawTable(data, rates[0], _names(found), tuple(_SI.get(k, "") for k in kinds), tuple(kinds))
+    return RawTable(data, rates[0], _names(found, kinds), tuple(_SI.get(k, "") for k in kinds), tuple(kinds))
 
 
 def _rate(f: Function, path: Path) -> float:
@@ -92,10 +116,14 @@ def _factor(quantity: str, units: Units | None) -> float:
     return 1 / {"force": units.force, "unknown": 1.0}.get(quantity, units.length)
 
 
-def _names(functions: Sequence[Function]) -> tuple[str, ...]:
+def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ...]:
+    """Point and direction of each; a force beside a response of the same point is `F:101+Z`."""
     names = [label(*f.response) for f in functions]
     if len(set(names)) == len(names):
         return tuple(names)
+    named = [f"F:{n}" if k == "force" else n for n, k in zip(names, kinds, strict=True)]
+    if len(set(named)) == len(named):
+        return tuple(named)
     return tuple(f"{n}#{i + 1}" for i, n in enumerate(names))
 
 

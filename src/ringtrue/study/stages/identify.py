@@ -21,7 +21,7 @@ from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.merge import Contribution, merge_modes
 from ringtrue.identify.peaks import cmif
 from ringtrue.io.choices import read_choice
-from ringtrue.io.records import read_record, record_info
+from ringtrue.io.records import read_record
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
@@ -30,6 +30,7 @@ from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
+from ringtrue.study.blows import full_scale, kept_blows, refused_blows
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.opened import Progress
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
@@ -37,7 +38,6 @@ from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, on_sheet, suppli
 from ringtrue.study.workbench import Workbench
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
-OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
 SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 
 
@@ -114,14 +114,6 @@ def _history(path: Path, sheet: TestModel, lost: Sequence[str]) -> TimeHistory:
     history = read_record(path, channels=keep)
     _check_sheet(path, history.channels, sheet)
     return history
-
-
-def _full_scale(path: Path) -> dict[str, float]:
-    """Ranges of the channels, V, where the record tells them."""
-    try:
-        return record_info(path).full_scale() if path.suffix.lower() in OWN else {}
-    except DataError:  # HDF5 of another layout
-        return {}
 
 
 def files(desk: Workbench) -> list[Path]:
@@ -248,7 +240,7 @@ def struck(
     histories = [replace(_history(r.path, sheet, lost), source=r.name) for r in records]
     ranges: dict[str, float] = {}
     for r in records:
-        ranges |= _full_scale(r.path)
+        ranges |= full_scale(r.path)
     rate, d = histories[0].rate, records[0].details
     block, pre = d["block_samples"] / rate, d["pretrigger_samples"] / rate
     want = HammerSettings(block=block - pre, pretrigger=pre)  # the peak comes a little after the trigger
@@ -257,12 +249,8 @@ def struck(
     for record, history in zip(records, histories, strict=True):
         mine = [h for h in hits if h.source == record.name]
         first = record.details["setup"] == records[0].details["setup"]  # the others look alike
-        kept = f"{sum(h.accepted for h in mine)} of {len(mine)} hits kept"
-        shown.append(summary(record, history, [kept], draw=first))
-    rejected = tuple(
-        f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: {', '.join(h.reasons)}" for h in hits if not h.accepted
-    )
-    return frfs, shown, rejected
+        shown.append(summary(record, history, [kept_blows(mine)], draw=first))
+    return frfs, shown, refused_blows(hits)
 
 
 def _lines(test: TestModel) -> Int:

@@ -1,0 +1,220 @@
+"""`ema`: modes from FRFs, or from the time records of a hammer or shaker test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from ringtrue.cli.identify import (
+    ChoiceFile,
+    Diagram,
+    Fmax,
+    Fmin,
+    Group,
+    Json,
+    LeaveOut,
+    Rate,
+    WriteChoice,
+    check_band,
+    choice_of,
+    file_target,
+    kept_channels,
+    print_modes,
+    tell,
+    write_pages,
+)
+from ringtrue.cli.show import progress, write_json
+from ringtrue.core.signals import FrfSet
+from ringtrue.errors import ConfigError, about
+from ringtrue.identify.hammer import HammerModes, identify_hammer
+from ringtrue.identify.lsfd import driving_pairs
+from ringtrue.io.frfs import holds_frfs, read_frfs, write_frfs
+from ringtrue.io.modes_json import modes_to_json
+from ringtrue.signal.frf import estimate_frf, join_frfs
+from ringtrue.signal.hits import HammerSettings, HitReport
+from ringtrue.signal.psd import Welch
+from ringtrue.signal.spectra import shaker_frfs
+from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
+
+Progress = Callable[[float, str], None]
+
+
+class Estimator(StrEnum):
+    """Of the FRFs."""
+
+    H1 = "H1"
+    H2 = "H2"
+    HV = "Hv"
+
+
+class Motion(StrEnum):
+    """What responses measure."""
+
+    ACCELERATION = "acceleration"
+    VELOCITY = "velocity"
+    DISPLACEMENT = "displacement"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Measured:
+    """FRFs of some files, the blows behind them and what is to be said of both."""
+
+    frfs: FrfSet
+    hits: tuple[HitReport, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def ema(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="FRFs (.h5, .npz, .uff), or time records with a force channel (.uff .h5 .csv .mat .wav .tdms .lvm)"
+        ),
+    ],
+    fmin: Fmin = None,
+    fmax: Fmax = None,
+    force: Annotated[
+        str, typer.Option(metavar="CHANNEL", help="Force channel; by default that with a unit of force, or so named.")
+    ] = "",
+    struck: Annotated[
+        list[str] | None,
+        typer.Option(metavar="POINT", help="Point and direction struck (3+Z), once or for each file in order."),
+    ] = None,
+    quantity: Annotated[
+        Motion | None, typer.Option(help="What responses measure, where the file does not tell.")
+    ] = None,
+    block: Annotated[
+        float | None, typer.Option(metavar="S", help="Length of a block; by default what fits between the blows.")
+    ] = None,
+    pretrigger: Annotated[float, typer.Option(metavar="S", help="Part of a block before the blow.")] = 0.02,
+    force_window: Annotated[
+        float | None, typer.Option(metavar="S", help="The force is kept so long; by default four pulse widths.")
+    ] = None,
+    exp_end: Annotated[
+        float | None,
+        typer.Option(metavar="0..1", help="End value of the exponential window; 1: none; by default what is needed."),
+    ] = None,
+    estimator: Annotated[Estimator, typer.Option(help="FRF estimator.")] = Estimator.H1,
+    shaker: Annotated[
+        float | None, typer.Option(metavar="HZ", help="The force runs all the time: Welch spectra with lines HZ apart.")
+    ] = None,
+    rate: Rate = None,
+    group: Group = "",
+    window_decay: Annotated[
+        float | None,
+        typer.Option(
+            metavar="1/S", help="Decay rate of an exponential window in given FRFs; taken out of the damping."
+        ),
+    ] = None,
+    leave_out: LeaveOut = None,
+    choice: ChoiceFile = None,
+    choice_to: WriteChoice = None,
+    diagram: Diagram = None,
+    frfs_to: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-frfs",
+            metavar="FILE",
+            help="Write the FRFs with their coherence (.h5, .uff).",
+            callback=file_target("--write-frfs", ".h5", ".uff"),
+        ),
+    ] = None,
+    json: Json = None,
+) -> int:
+    """Modes from FRFs or from the blows of a hammer: poly-reference LSCF with residues and standard deviations.
+
+    In time records the blows are found; double hits, overloads and blows on a structure that still rings are left out
+    and listed; the damping of the exponential window is taken out again. Several files are one test: a roving hammer,
+    moved sensors or more blows.
+
+    Example: ringtrue ema blows-1.csv blows-2.csv --struck 1+Z --struck 5+Z --fmax 400 --write-frfs frfs.h5
+    """
+    check_band(fmin, fmax)
+    by_hand = choice_of(choice, files[0])
+    how = BlowFiles(force, tuple(struck or ()), tuple(leave_out or ()), quantity.value if quantity else "", rate, group)
+    want = HammerSettings(force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end)
+    want = replace(want, estimator=estimator.value)
+    with progress("modes from FRFs") as show, about(files[0]):
+        measured = _measured(files, how, want, shaker, show)
+        frfs = _windowed(measured.frfs, window_decay)
+        if frfs_to:
+            write_frfs(frfs_to, frfs)
+        found = identify_hammer(frfs, HammerModes(fmin=fmin, fmax=fmax), choice=by_hand, progress=show)
+    write_pages(files[0], (found.modes, found.reasons, found.diagrams), choice_to, diagram)
+    title = " ".join(str(f) for f in files)
+    if json:
+        value = modes_to_json(found.modes, found.uncertainty, reasons=found.reasons)
+        write_json(value | _blows_json(measured.hits), json)
+    if json != "-":
+        print_modes(f"{title}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
+        tell((*measured.notes, *found.notes))
+        if not len(found.modes):
+            tell(("no mode is believed in this band", *found.rejected[-5:]))
+    return 0 if len(found.modes) else 1
+
+
+def _blows_json(hits: Sequence[HitReport]) -> dict[str, Any]:
+    rows = [
+        {"source": h.source, "struck": h.input, "time_s": h.time, "peak_n": h.peak, "used": h.accepted}
+        | {"reasons": list(h.reasons)}
+        for h in hits
+    ]
+    return {"blows": rows} if rows else {}
+
+
+def _windowed(frfs: FrfSet, decay: float | None) -> FrfSet:
+    if decay is None:
+        return frfs
+    if not 0 <= decay < float("inf"):
+        raise ConfigError(f"--window-decay {decay}: must be 0 or more, 1/s")
+    return replace(frfs, window_decay=decay)
+
+
+def _measured(
+    files: Sequence[Path], how: BlowFiles, want: HammerSettings, shaker: float | None, show: Progress
+) -> _Measured:
+    """The FRFs of the files, estimated where these are time records."""
+    given = [holds_frfs(f) for f in files]
+    if any(given) and not all(given):
+        raise ConfigError(
+            f"{files[given.index(False)]} is a time record, {files[given.index(True)]} holds FRFs: one of the two"
+        )
+    if all(given):
+        found = [read_frfs(f) for f in files]
+        frfs = found[0] if len(found) == 1 else join_frfs(found)
+        return _Measured(_frfs_without(frfs, files[0], how.leave_out))
+    records, ranges, notes = read_blows(files, how)
+    if shaker is not None:
+        parts = [shaker_frfs(r, Welch(shaker), estimator=want.estimator).frfs for r in records]
+        return _Measured(join_frfs(parts), (), (*notes, f"{parts[0].averages[0]:.3g} independent averages"))
+    frfs, hits = estimate_frf(records, want, full_scale=ranges, progress=lambda f, t: show(0.05 * f, t))
+    return _Measured(frfs, hits, (*notes, *_said(frfs, hits)))
+
+
+def _said(frfs: FrfSet, hits: Sequence[HitReport]) -> tuple[str, ...]:
+    """Blows kept and left out, windows, coherence, driving points."""
+    known = frfs.coherence[np.isfinite(frfs.coherence)]
+    out = [kept_blows(hits), *refused_blows(hits)]
+    if frfs.window_decay > 0:
+        out.append(f"exponential window of {frfs.window_decay:.3g} 1/s, taken out of the damping")
+    out.append(
+        f"coherence {np.median(known):.3f} at the typical line" if known.size else "one blow a point: no coherence"
+    )
+    if not driving_pairs(frfs):
+        ids = " ".join(dict.fromkeys(c.id for c in frfs.inputs))
+        out.append(f"struck at {ids}, where no response is: shapes are not scaled to unit modal mass (--struck)")
+    return tuple(out)
+
+
+def _frfs_without(frfs: FrfSet, path: Path, lost: Sequence[str]) -> FrfSet:
+    """The FRFs without some responses and references."""
+    if not lost:
+        return frfs
+    kept_channels(path, list({c.id: c for c in (*frfs.outputs, *frfs.inputs)}.values()), lost)
+    return frfs.without(lost)

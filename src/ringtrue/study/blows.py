@@ -1,0 +1,140 @@
+"""Hammer records as a laboratory stores them, made into FRFs: which channel is the hammer, what was struck."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.core.signals import Channel, Quantity, TimeHistory
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
+from ringtrue.signal.hits import HammerSettings, HitReport, force_channel
+
+OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
+_MOTION: dict[str, tuple[Quantity, str]] = {
+    "acceleration": ("acceleration", "m/s^2"),
+    "velocity": ("velocity", "m/s"),
+    "displacement": ("displacement", "m"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class BlowFiles:
+    """How the records of a hammer test are to be read.
+
+    Attributes
+    ----------
+    force : str
+        Id of the force channel; by default found by its quantity, or else by its name.
+    struck : tuple of str
+        Point and direction struck, such as `3+Z`, one for all files or one a file; by default the id of the force.
+    leave_out : tuple of str
+        Channels that are not used.
+    quantity : str
+        What responses measure, acceleration, velocity or displacement, where no file tells it; by default
+        acceleration, and a note says so.
+    rate : float, Hz, optional
+        Where the files have none.
+    group : str
+        The group of a `.tdms` or HDF5 file that is meant.
+    """
+
+    force: str = ""
+    struck: tuple[str, ...] = ()
+    leave_out: tuple[str, ...] = ()
+    quantity: str = ""
+    rate: float | None = None
+    group: str = ""
+
+
+def full_scale(path: Path) -> dict[str, float]:
+    """Ranges of the channels by id, SI, where the record tells them."""
+    try:
+        return record_info(path).full_scale() if path.suffix.lower() in OWN else {}
+    except DataError:  # HDF5 of another layout
+        return {}
+
+
+def refused_blows(hits: Sequence[HitReport]) -> tuple[str, ...]:
+    """A line for each blow that does not count."""
+    return tuple(f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: {', '.join(h.reasons)}" for h in hits if not h.accepted)
+
+
+def kept_blows(hits: Sequence[HitReport]) -> str:
+    """How many blows count."""
+    return f"{sum(h.accepted for h in hits)} of {len(hits)} hits kept"
+
+
+def read_blows(
+    paths: Sequence[Path], how: BlowFiles | None = None
+) -> tuple[tuple[TimeHistory, ...], dict[str, float], tuple[str, ...]]:
+    """The records of all files, a force channel and motions each, ready for `signal.frf.estimate_frf`.
+
+    Returns
+    -------
+    tuple of TimeHistory
+        `source` tells file and acquisition.
+    dict
+        Full scale by channel, where known.
+    tuple of str
+        Channels that are not used, and what was taken for granted.
+
+    Raises
+    ------
+    DataError
+        If a file has no force channel, no motion, or samples that are constant or not finite.
+    ConfigError
+        If there are neither one nor as many points struck as files, or no file has a channel to be left out.
+    """
+    how = how or BlowFiles()
+    if len(how.struck) not in (0, 1, len(paths)):
+        raise ConfigError(f"--struck: {len(how.struck)} points for {len(paths)} files; one for all, or one each")
+    runs = [(i, p, run) for i, p in enumerate(paths) for run in _runs(p, how)]
+    known = {c.id for *_, run in runs for c in run.channels}
+    if lost := [c for c in how.leave_out if c not in known]:
+        raise ConfigError(
+            f"--leave-out {lost[0]}: no file has such a channel; there are {' '.join(sorted(known)[:40])}"
+        )
+    records, notes = [], dict[str, None]()
+    for i, path, run in runs:
+        kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
+        point = how.struck[min(i, len(how.struck) - 1)] if how.struck else ""
+        record, said = _prepared(kept, how, point)
+        refuse_bad_samples(record, path)
+        records.append(record)
+        notes.update(dict.fromkeys(said))
+    ranges: dict[str, float] = {}
+    for path in paths:
+        ranges |= full_scale(path)
+    return tuple(records), ranges, tuple(notes)
+
+
+def _runs(path: Path, how: BlowFiles) -> Iterator[TimeHistory]:
+    runs = read_runs(path, how.rate, group=how.group)
+    for k, run in enumerate(runs):
+        yield replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}")
+
+
+def _prepared(record: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHistory, list[str]]:
+    """The force, named after the point struck, and the motions."""
+    at = force_channel(record, HammerSettings(force=how.force))
+    force, notes = record.channels[at], list[str]()
+    rest = [i for i in range(len(record.channels)) if i != at]
+    motions = [i for i in rest if record.channels[i].quantity in _MOTION]
+    unknown = [i for i in rest if record.channels[i].quantity == "unknown"]
+    quantity, unit = _MOTION[how.quantity or "acceleration"]
+    if not motions and unknown:
+        motions = unknown
+        if not how.quantity:
+            notes.append("no unit tells what the responses measure: taken as accelerations (--quantity)")
+    if lost := [record.channels[i].id for i in rest if i not in motions]:
+        notes.append(f"channel {' '.join(lost)}: no motion, not used")
+    if not motions:
+        raise DataError(f"{record.source}: no channel but the force {force.id} is a motion")
+    named = Channel(f"F:{point}" if point else force.id, "force", "N", force.sensor)
+    channels = [c if c.quantity in _MOTION else Channel(c.id, quantity, unit, c.sensor) for c in record.channels]
+    data = np.asarray(record.data[[at, *motions]])
+    return TimeHistory(data, record.rate, (named, *(channels[i] for i in motions)), record.source), notes

@@ -1,0 +1,185 @@
+"""`ringtrue ema` on what a laboratory stores: blows in time records of many formats, FRFs, several force levels."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import wavfile
+from test_ema_frf import FN, PHI, ZETA, pulse, receptance, record
+
+from ringtrue.cli.main import run
+from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.io.frfs import read_frfs
+from ringtrue.io.records import read_record, read_runs, write_history
+from ringtrue.io.uff.function58 import TIME, write_function
+from ringtrue.signal.frf import estimate_frf
+from ringtrue.study.blows import BlowFiles, read_blows
+
+Capture = pytest.CaptureFixture[str]
+RESPONSES = [0, 2, 5, 7, 10]
+
+
+def ema(capsys: Capture, *words: object) -> dict[str, Any]:
+    """The JSON of the command."""
+    capsys.readouterr()
+    status = run(["ema", *map(str, words), "--json", "-"])
+    out, err = capsys.readouterr()
+    assert status == 0, err
+    return dict(json.loads(out))
+
+
+def as_tdms(path: Path, history: TimeHistory, names: list[str]) -> Path:
+    with TdmsWriter(path) as file:
+        step = 1 / history.rate
+        file.write_segment(
+            [
+                ChannelObject("blows", n, x, {"wf_increment": step, "unit_string": c.unit})
+                for n, x, c in zip(names, history.data, history.channels, strict=True)
+            ]
+        )
+    return path
+
+
+@pytest.mark.parametrize("ending", [".csv", ".uff", ".h5", ".mat", ".tdms", ".wav"])
+def test_blows_in_any_format_give_the_modes(ending: str, tmp_path: Path, capsys: Capture) -> None:
+    blows, path, options = record(1, RESPONSES, rebound=2), tmp_path / f"b{ending}", list[object]()
+    if ending == ".tdms":
+        names = ["hammer", *(c.id for c in blows.channels[1:])]
+        as_tdms(path, blows, names)
+        options = ["--struck", "2+Z"]
+    elif ending == ".wav":
+        wavfile.write(path, int(blows.rate), (blows.data / np.abs(blows.data).max()).T.astype(np.float32))
+        options = ["--force", "ch1", "--quantity", "acceleration"]
+    else:
+        write_history(path, blows)
+    found = ema(capsys, path, "--fmax", 80, *options)
+    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=1e-3)
+    assert [m["damping"] for m in found["modes"]] == pytest.approx(ZETA, rel=0.05)
+    assert [b["used"] for b in found["blows"]] == [True, True, False, True, True, True]
+    assert "double hit" in found["blows"][2]["reasons"][0]
+
+
+def test_what_was_struck_is_named_and_frfs_are_written(tmp_path: Path, capsys: Capture) -> None:
+    """Two files of a roving hammer whose force channel is called the same."""
+    for k, point in enumerate([1, 7]):
+        b = record(point, RESPONSES, seed=k)
+        write_history(tmp_path / f"{k}.csv", replace(b, channels=(Channel("Hammer", "force", "N"), *b.channels[1:])))
+    files = [tmp_path / "0.csv", tmp_path / "1.csv"]
+    found = ema(capsys, *files, "--struck", "2+Z", "--struck", "8+Z", "--write-frfs", tmp_path / "h.h5")
+    assert {b["struck"] for b in found["blows"]} == {"2+Z", "8+Z"}
+    assert found["scaling"] == "mass"  # 8+Z is a driving point
+    frfs = read_frfs(tmp_path / "h.h5")
+    assert [c.id for c in frfs.inputs] == ["2+Z", "8+Z"]
+    assert np.median(frfs.coherence) > 0.9
+    assert run(["ema", *map(str, files), "--struck", "2+Z"]) == 0
+    out = capsys.readouterr().out
+    assert "12 of 12 hits kept" in out
+    assert "shapes are not scaled to unit modal mass" in out
+    with pytest.raises(ConfigError, match="3 points for 2 files"):
+        read_blows(files, BlowFiles(struck=("1+Z", "2+Z", "3+Z")))
+
+
+def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_point(tmp_path: Path) -> None:
+    b = record(2, RESPONSES)
+    with (tmp_path / "b.uff").open("wb") as file:
+        for start in np.arange(6) * 9.0 + 0.5:
+            part = slice(int(start * b.rate), int((start + 8.5) * b.rate))
+            t = np.arange(part.stop - part.start) / b.rate
+            for c, x in zip(b.channels, b.data, strict=True):
+                node = int(c.id.removeprefix("F:").split("+")[0])
+                codes = (17, 13 if c.quantity == "force" else 12, 0)
+                file.write(write_function(TIME, t, x[part], (node, 3), (0, 0), codes=codes, text="", binary=True))
+    runs = read_runs(tmp_path / "b.uff")
+    assert len(runs) == 6
+    assert [c.id for c in runs[0].channels] == ["F:3+Z", "1+Z", "3+Z", "6+Z", "8+Z", "11+Z"]
+    records, _, notes = read_blows([tmp_path / "b.uff"])
+    frfs, hits = estimate_frf(records)
+    assert frfs.averages[0] == len(hits) == 6
+    assert frfs.driving_points() == [(1, 0)]
+    assert not notes
+
+
+def test_motions_of_two_kinds_become_one(tmp_path: Path) -> None:
+    """A laser among accelerometers, and a channel of temperature, which is left out."""
+    b = record(1, RESPONSES)
+    still = b.data[2] - 0.5
+    laser = (np.cumsum(still) - 0.5 * still) / b.rate
+    mixed = np.vstack(
+        [b.data[:2], laser - laser.mean(), b.data[3:], np.random.default_rng(0).standard_normal(laser.size)]
+    )
+    channels = (*b.channels[:2], Channel("3+Z", "velocity", "m/s"), *b.channels[3:], Channel("T", "unknown", "V"))
+    write_history(tmp_path / "b.csv", replace(b, data=mixed, channels=channels))
+    records, _, notes = read_blows([tmp_path / "b.csv"])
+    assert notes == ("channel T: no motion, not used",)
+    frfs, _ = estimate_frf(records)
+    assert {c.quantity for c in frfs.outputs} == {"acceleration"}
+    true = receptance(2j * np.pi * frfs.freqs + frfs.window_decay, RESPONSES, 1)
+    true = true * (2j * np.pi * frfs.freqs + frfs.window_decay)[:, None] ** 2
+    at = (frfs.freqs > 8) & (frfs.freqs < 30)
+    error = np.linalg.norm(frfs.data[at, :, 0] - true[at], axis=0) / np.linalg.norm(true[at], axis=0)
+    assert error.max() < 0.03  # trapezoids are no exact integral, and the laser drifts
+
+
+def test_a_shaker_that_runs_all_the_time(tmp_path: Path, capsys: Capture) -> None:
+    rng, rate, n = np.random.default_rng(4), 256.0, 1 << 17
+    force = rng.standard_normal(n)
+    s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / rate)
+    y = np.fft.irfft(s[:, None] ** 2 * receptance(s, RESPONSES, 2) * np.fft.rfft(force, 2 * n)[:, None], axis=0)[:n].T
+    y = y + 0.01 * y.std() * rng.standard_normal(y.shape)
+    channels = (Channel("F:3+Z", "force", "N"), *(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES))
+    write_history(tmp_path / "s.h5", TimeHistory(np.vstack([force, y]), rate, channels))
+    found = ema(capsys, tmp_path / "s.h5", "--shaker", 0.05, "--fmax", 70)
+    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-3)
+
+
+def test_refusals(tmp_path: Path) -> None:
+    b = record(1, [0, 2])
+    write_history(tmp_path / "b.csv", b)
+    with pytest.raises(ConfigError, match="--leave-out 9"):
+        read_blows([tmp_path / "b.csv"], BlowFiles(leave_out=("9+Z",)))
+    with pytest.raises(DataError, match="no channel but the force"):
+        read_blows([tmp_path / "b.csv"], BlowFiles(leave_out=("1+Z", "3+Z")))
+    write_history(tmp_path / "q.csv", replace(b, channels=(*b.channels[1:], Channel("x", "acceleration", "m/s^2"))))
+    with pytest.raises(DataError, match="0 force channels"):
+        read_blows([tmp_path / "q.csv"])
+
+
+def test_groups_of_two_rates_are_chosen_by_name(tmp_path: Path) -> None:
+    y = np.random.default_rng(1).standard_normal((2, 400))
+    with TdmsWriter(tmp_path / "r.tdms") as file:
+        fast = [ChannelObject("fast", c, x, {"wf_increment": 0.01}) for c, x in zip("ab", y, strict=True)]
+        file.write_segment([*fast, ChannelObject("slow", "T", y[0, :40], {"wf_increment": 0.1})])
+    with pytest.raises(DataError, match=r"fast: 2 channels, 400 samples, 100 Hz; slow: 1 .* choose one with group"):
+        read_record(tmp_path / "r.tdms")
+    got = read_record(tmp_path / "r.tdms", group="fast")
+    assert (got.rate, [c.id for c in got.channels]) == (pytest.approx(100), ["a", "b"])
+    assert read_record(tmp_path / "r.tdms", group="slow").rate == pytest.approx(10)
+    with pytest.raises(DataError, match="did you mean 'fast'"):
+        read_record(tmp_path / "r.tdms", group="fats")
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        for name, x, rate in (("fast", y, 100.0), ("slow", y[:, :80], 20.0)):
+            file[f"{name}/data"] = x
+            file[name].attrs["rate"] = rate
+    with pytest.raises(DataError, match=r"several tables .* choose one with group"):
+        read_record(tmp_path / "r.h5")
+    for name in ("slow", "slow/data"):
+        assert read_record(tmp_path / "r.h5", group=name).rate == 20.0
+
+
+def test_groups_of_blows_are_runs(tmp_path: Path) -> None:
+    blow = np.stack([pulse(np.arange(400) / 400 - 0.1, 10.0), np.ones(400)])
+    with TdmsWriter(tmp_path / "r.tdms") as file:
+        for k in range(3):
+            made = zip(["hammer", "1+Z"], blow * (k + 1), strict=True)
+            file.write_segment([ChannelObject(f"blow {k}", c, x, {"wf_increment": 1 / 400}) for c, x in made])
+    runs = read_runs(tmp_path / "r.tdms")
+    assert [r.data[1, 0] for r in runs] == [1.0, 2.0, 3.0]
+    assert PHI.shape[1] == FN.size
