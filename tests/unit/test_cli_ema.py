@@ -17,6 +17,7 @@ from test_ema_frf import FN, PHI, ZETA, pulse, receptance, record
 from ringtrue.cli.main import run
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.records import read_record, read_runs, write_history
 from ringtrue.io.uff.function58 import TIME, write_function
@@ -183,3 +184,27 @@ def test_groups_of_blows_are_runs(tmp_path: Path) -> None:
     runs = read_runs(tmp_path / "r.tdms")
     assert [r.data[1, 0] for r in runs] == [1.0, 2.0, 3.0]
     assert PHI.shape[1] == FN.size
+
+
+def test_blows_that_follow_before_the_structure_is_quiet() -> None:
+    """A seventh of the response is left at the next blow, is cut off there and rings on; the fit knows both.
+
+    Errors of frequency and damping over three seeds, in stated deviations: rms near 1 (0.5 to 2 for 24 values);
+    without the end of the block the damping is some three times as wrong.
+    """
+    score, error = [], []
+    for seed in range(3):
+        gaps = 2.5 + 0.1 * np.random.default_rng(seed).random(8)
+        blows = record(1, RESPONSES, seed, starts=1.0 + np.cumsum(gaps), noise=0.005)
+        frfs, hits = estimate_frf(blows)
+        assert sum(h.accepted for h in hits) >= 7
+        for kept in (frfs.kept, np.inf):
+            r = identify_hammer(replace(frfs, kept=kept), HammerModes(fmax=80.0))
+            assert len(r.modes) == FN.size
+            error.append(np.abs(r.modes.damping / ZETA - 1).mean())
+            if np.isfinite(kept):
+                score += [(r.modes.frequencies - FN) / r.uncertainty.frequency]
+                score += [(r.modes.damping - ZETA) / r.uncertainty.damping]
+    assert 0.5 < np.sqrt(np.mean(np.square(score))) < 2.0
+    assert max(error[::2]) < 0.01
+    assert np.mean(error[1::2]) > 3 * np.mean(error[::2])

@@ -93,6 +93,9 @@ class FrfSet:
     kind : str
     window_decay : float, 1/s
         Decay rate σ of an exponential window e^{-σt} on the responses, still in the data; 0 for none.
+    source : str
+    kept : float, s
+        How long after the blow the response was cut off by the end of the block; inf where it was not, or is unknown.
     """
 
     data: Complex
@@ -104,6 +107,7 @@ class FrfSet:
     kind: FrfKind = "accelerance"
     window_decay: float = 0.0
     source: str = ""
+    kept: float = float("inf")
 
     def __post_init__(self) -> None:
         put = object.__setattr__

@@ -98,7 +98,8 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
     out = []
     step = float(frfs.freqs[1] - frfs.freqs[0])
     width = (2 * modes.damping * modes.frequencies + frfs.window_decay / np.pi) / step
-    if cut := [f"{f:.4g}" for f in modes.frequencies[width < _CUT]]:
+    cut = [f"{f:.4g}" for f in modes.frequencies[width < _CUT]]
+    if cut and np.isinf(frfs.kept):
         more = f" and {len(cut) - 6} more" if len(cut) > 6 else ""
         out.append(
             f"less than {_CUT:g} lines in the half-power bandwidth at {' '.join(cut[:6])} Hz{more}: the blocks are "

@@ -31,6 +31,7 @@ Progress = Callable[[float, str], None]
 
 TURNS = 6
 LAST_ITERATIONS = 60
+RINGING_TURNS = 6  # of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
 MOST_NEW = 6
 MOST_BYTES = 2e9
 PAIR = "one of two modes of one frequency: any turn of the two shapes in their plane fits as well"
@@ -163,8 +164,12 @@ def identify_hammer(
     )
     fit, rejected = _fit(search, candidates, tell)
     tell(0.95, "verdict")
-    search, fit, why = _reweighed(search, used, fit)
-    rejected += why
+    for _ in range(1 if np.isinf(used.kept) else RINGING_TURNS):
+        before = fit.refined.poles
+        search, fit, why = _reweighed(search, used, fit)
+        rejected += why
+        if _still(before, fit.refined):
+            break
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
     odd = odd_channel(used, fit.refined.poles)
     result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
@@ -273,6 +278,14 @@ def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit,
     start = replace(fit.candidates, pole=r.poles, participation=r.participation)
     new, why = search.settle(search.refined(start), r.poles.size + 1, strict=True)
     return search, new, why
+
+
+def _still(before: Complex, now: Refined) -> bool:
+    """The last turn moved no frequency by a tenth of its standard deviation."""
+    if before.size != now.poles.size:
+        return False
+    moved = np.abs(np.abs(now.poles) - np.abs(before)) / (2 * np.pi)
+    return bool((moved < 0.1 * now.std_frequency).all())
 
 
 def _by_hand(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
+from scipy.ndimage import median_filter
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import DofSet
@@ -20,6 +21,7 @@ from ringtrue.core.modes import Norm
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
 
+_AROUND = 31  # lines at least, that tell the noise beside a mode
 _SMOOTHED, _VALUES = 5, 40  # lines that their noise is averaged over, and values at least
 _LEAST = 1e-4  # of the squared noise of a typical line
 POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
@@ -48,6 +50,8 @@ def noise(frfs: FrfSet) -> Noise:
     """The noise of the FRFs: from the coherence, σ² = |H|²(1 − γ²)/(2 n γ²), else from the roughness over lines.
 
     Where the coherence is unknown an error of 2 % of the local level is added, as systematic errors then dominate.
+    Where the end of the block is known, what rings on from blow to blow lowers the coherence at the modes and is no
+    noise: lines count as their surroundings do.
     """
     h2 = np.abs(frfs.data) ** 2
     if np.isfinite(frfs.coherence).all():
@@ -60,6 +64,8 @@ def noise(frfs: FrfSet) -> Noise:
     log = np.log(var)
     mean = log.mean()
     line = _smooth(log.mean(axis=(1, 2)))
+    if np.isfinite(frfs.kept):
+        line = np.minimum(line, median_filter(line, size=max(_AROUND, line.size // 10) | 1, mode="nearest"))
     response, given = log.mean(axis=(0, 2)) - mean, log.mean(axis=(0, 1)) - mean
     return Noise(np.exp(0.5 * line), np.exp(0.5 * response), np.exp(0.5 * given))
 
@@ -95,6 +101,10 @@ class Lines:
         Weight of each response, not in `y`.
     input : (in,) float64
         Weight of each input, in `y`; a participation vector times it belongs to `y`.
+    order : int
+        p of `kind`.
+    kept : float, s
+        Length of response behind the FRFs, `FrfSet.kept`.
     """
 
     s: Complex
@@ -105,13 +115,16 @@ class Lines:
     terms: Complex
     response: Float
     input: Float
+    order: int
+    kept: float
 
 
 def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
     """Weight the data and project out the lower and upper residuals.
 
     An exponential window e^{-σt} on force and response moves the FRF from s to s + σ, poles, s² of the accelerance
-    and all: so the fit is done at s = iω + σ, and the poles come out without the window.
+    and all: so the fit is done at s = iω + σ, and the poles come out without the window. The end of the block cuts the
+    response of each mode off (`resonances`).
     """
     s = np.asarray(2j * np.pi * frfs.freqs + frfs.window_decay, dtype=np.complex128)
     if (frfs.freqs <= 0).any():
@@ -119,10 +132,12 @@ def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
     kind = np.asarray(s ** POWER[frfs.kind], dtype=np.complex128)
     weight, given = 1 / sigma.line, 1 / sigma.input
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
+    if np.isfinite(frfs.kept):  # λ^p for s^p: a free decay that began with the blow before leaves a polynomial
+        t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
     terms = np.asarray(np.linalg.qr(weight[:, None] * t)[0], dtype=np.complex128)
     y = without_terms(terms, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1))
     power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
-    return Lines(s, kind, y, power, weight, terms, 1 / sigma.response, given)
+    return Lines(s, kind, y, power, weight, terms, 1 / sigma.response, given, POWER[frfs.kind], frfs.kept)
 
 
 def without_terms(terms: Complex, y: Complex) -> Complex:
@@ -130,10 +145,22 @@ def without_terms(terms: Complex, y: Complex) -> Complex:
     return np.asarray(y - terms @ (terms.conj().T @ y))
 
 
+def resonances(lines: Lines, poles: Complex, power: int = 1) -> Complex:
+    """(freq, m) s^p/(s − λ), or its derivative by λ with `power` 2, of a response that the block cuts off after τ.
+
+    The rest of the response, λ^p e^{λt} from τ on, is missing: λ^p e^{(λ−s)τ}/(s − λ).
+    """
+    gap = lines.s[:, None] - poles
+    if not np.isfinite(lines.kept):
+        return np.asarray(lines.kind[:, None] / gap**power)
+    tail = poles**lines.order * np.exp(-gap * lines.kept)
+    value = (lines.kind[:, None] - tail) / gap
+    return np.asarray(value if power == 1 else (value - tail * (lines.order / poles + lines.kept)) / gap)
+
+
 def functions(lines: Lines, poles: Complex, power: int = 1) -> Complex:
-    """Weighted 1/(s − λ)^power and those of the conjugate poles, (freq, 2 m), residual terms projected out."""
-    both = np.concatenate([poles, poles.conj()])
-    q = lines.kind[:, None] / (lines.s[:, None] - both) ** power
+    """Weighted `resonances` of the poles and of the conjugate ones, (freq, 2 m), residual terms projected out."""
+    q = resonances(lines, np.concatenate([poles, poles.conj()]), power)
     return without_terms(lines.terms, lines.weight[:, None] * q)
 
 
@@ -209,7 +236,7 @@ def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Com
     """(freq, out, in) what the modes contribute, at the lines and in the kind of the data."""
     residue = (shapes.T[:, :, None] * participation[:, None, :]).reshape(poles.size, -1)
     both = np.concatenate([residue, residue.conj()])
-    h = (lines.kind[:, None] / (lines.s[:, None] - np.concatenate([poles, poles.conj()]))) @ both
+    h = resonances(lines, np.concatenate([poles, poles.conj()])) @ both
     return np.asarray(h.reshape(lines.s.size, shapes.shape[0], participation.shape[1]))
 
 

@@ -20,6 +20,7 @@ from ringtrue.signal.hits import (
     find_hits,
     force_channel,
     input_id,
+    pulse_width,
 )
 
 log = logging.getLogger(__name__)
@@ -28,6 +29,7 @@ Progress = Callable[[float, str], None]
 _KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 _DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}
 _UNIT = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
+_SAME_END = 2e-3  # of the block, by which pulses of other width move its end
 _ENDS_AT = 0.01  # of its start, a response under an automatic exponential window
 
 
@@ -65,7 +67,7 @@ def estimate_frf(
     Returns
     -------
     FrfSet
-        With the exponential window still in the data, its rate in `window_decay`.
+        With the exponential window still in the data, its rate in `window_decay`, and `kept` of the response.
     tuple of HitReport
         All hits, those left out with their reasons.
 
@@ -133,6 +135,7 @@ class _Sums:
     ff: Float  # (freq,)
     xf: Complex  # (freq, out)
     xx: Float  # (freq, out)
+    kept: float  # s, of the response
 
     def plus(self, other: _Sums) -> _Sums:
         return replace(
@@ -141,13 +144,25 @@ class _Sums:
             ff=self.ff + other.ff,
             xf=self.xf + other.xf,
             xx=self.xx + other.xx,
+            kept=(self.kept * self.count + other.kept * other.count) / (self.count + other.count),
         )
 
 
-def _block(data: Any_, start: int, length: int, pre: int) -> Float:
-    """(channel, length) float64 without the offset in the first half of the pretrigger."""
+def _block(data: Any_, start: int, length: int) -> Float:
+    """(channel, length) float64 without the offset: the mean of the second half, where least is left of the blow."""
     block = np.asarray(data[:, start : start + length], dtype=np.float64)
-    return block - (block[:, : pre // 2].mean(axis=1, keepdims=True) if pre > 8 else 0.0)
+    return np.asarray(block - block[:, length // 2 :].mean(axis=1, keepdims=True))
+
+
+def _lead(cut: _Cut, hits: Int, settings: HammerSettings) -> int:
+    """Samples of a block before the peak: those of the pulse and no more, within the pretrigger.
+
+    What rings on from the blow before would else stand in the pretrigger, where the model of a blow has nothing; from
+    the blow on it decays as the response does.
+    """
+    force = np.asarray(cut.record.data[cut.force], dtype=np.float64)
+    wide = max(pulse_width(force - np.median(force), h) for h in hits.tolist())
+    return min(round(settings.pretrigger * cut.record.rate), 2 * wide + 2)
 
 
 def _decay(cut: _Cut, hits: Int, length: int, settings: HammerSettings) -> float:
@@ -156,7 +171,7 @@ def _decay(cut: _Cut, hits: Int, length: int, settings: HammerSettings) -> float
     if settings.exp_end is not None:
         return float(-np.log(settings.exp_end) / duration)
     pre = round(settings.pretrigger * cut.record.rate)
-    block = _block(np.delete(cut.record.data, cut.force, axis=0), int(hits[0]) - pre, length, pre)
+    block = _block(np.delete(cut.record.data, cut.force, axis=0), int(hits[0]) - pre, length)
     part = max(length // 20, 2)
     first = np.sqrt(np.mean(block[:, pre : pre + part] ** 2))
     last = np.sqrt(np.mean(block[:, -part:] ** 2))
@@ -176,20 +191,23 @@ def _force_window(force: Float, pre: int, rate: float, settings: HammerSettings)
 
 def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSettings) -> _Sums:
     rate, at = cut.record.rate, cut.force
-    pre = round(settings.pretrigger * rate)
+    lead = _lead(cut, hits, settings)
     fade = np.exp(-decay * np.arange(length) / rate)
     lines = length // 2 + 1
     outputs = tuple(c for i, c in enumerate(cut.record.channels) if i != at)
     ff = np.zeros(lines)
     xf, xx = np.zeros((lines, len(outputs)), dtype=np.complex128), np.zeros((lines, len(outputs)))
+    kept = 0.0
     for hit in hits.tolist():  # a few dozen hits; all at once would hold the record twice
-        block = _block(cut.record.data, hit - pre, length, pre)
-        f = np.fft.rfft(block[at] * fade * _force_window(block[at], pre, rate, settings))
+        block = _block(cut.record.data, hit - lead, length)
+        pulse = block[at] * _force_window(block[at], lead, rate, settings)
+        kept += (length - float(np.arange(length) @ pulse) / float(pulse.sum())) / rate / hits.size
+        f = np.fft.rfft(pulse * fade)
         x = np.fft.rfft(np.delete(block, at, axis=0) * fade, axis=1).T
         ff += np.abs(f) ** 2
         xf += x * f.conj()[:, None]
         xx += np.abs(x) ** 2
-    return _Sums(input_id(cut.record.channels[at].id), outputs, rate, length, int(hits.size), ff, xf, xx)
+    return _Sums(input_id(cut.record.channels[at].id), outputs, rate, length, int(hits.size), ff, xf, xx, kept)
 
 
 def estimators(ff: Float, xf: Complex, xx: Float, which: Estimator) -> tuple[Complex, Float]:
@@ -236,6 +254,7 @@ def _column(s: _Sums, decay: float, settings: HammerSettings, source: str) -> Fr
         _KIND[kind],
         decay,
         source,
+        s.kept,
     )
 
 
@@ -257,6 +276,8 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
             raise DataError(f"{p.source}: other frequency lines than {first.source}")
         if p.kind != first.kind or abs(p.window_decay - first.window_decay) > 1e-9:
             raise DataError(f"{p.source}: {p.kind}, window {p.window_decay:g} 1/s; {first.source} differs")
+    kept = np.array([p.kept for p in parts])
+    same = bool(np.isfinite(kept).all()) and np.ptp(kept) < _SAME_END * kept.mean()
     outputs = {c.id: c for p in parts for c in p.outputs}
     inputs = {c.id: c for p in parts for c in p.inputs}
     row, column = {k: i for i, k in enumerate(outputs)}, {k: i for i, k in enumerate(inputs)}
@@ -280,5 +301,6 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
         inputs=tuple(inputs.values()),
         coherence=coherence / weight,
         averages=np.median(weight, axis=0),
+        kept=float(kept.mean()) if same else np.inf,
         source=", ".join(dict.fromkeys(p.source for p in parts if p.source)),
     )

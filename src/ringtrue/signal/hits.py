@@ -215,7 +215,7 @@ def check_hits(
             why += _overloads(record, block, full_scale or {})
             why += _ringing(_unrest(block[responses], pre), quietest)
         name = input_id(record.channels[at].id)
-        width = _width(force, hit) / record.rate
+        width = pulse_width(force, hit) / record.rate
         reports.append(HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, tuple(why)))
     return tuple(reports)
 
@@ -231,7 +231,7 @@ def _place(start: int, stop: int, samples: int, later: Int, rate: float) -> list
     return why
 
 
-def _width(force: Float, hit: int) -> int:
+def pulse_width(force: Float, hit: int) -> int:
     """Samples around the peak above half of it."""
     half = np.abs(force) >= 0.5 * abs(force[hit])
     left = hit - int(np.argmin(half[hit::-1])) if not half[: hit + 1].all() else 0
@@ -242,7 +242,7 @@ def _width(force: Float, hit: int) -> int:
 def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSettings) -> list[str]:
     """A second pulse of the same sign, once the first has come down."""
     sign = np.sign(force[hit])
-    width = _width(force, hit)
+    width = pulse_width(force, hit)
     tail = sign * force[hit + 2 * width + 2 : min(stop, hit + round(0.5 * rate))]
     level = max(settings.double * abs(force[hit]), 8 * _noise(force))
     down = np.flatnonzero(tail < 0.5 * level)
