@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, sparse
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Float, Int
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
-from ringtrue.fem.functions import Function
+from ringtrue.fem.functions import AffineTerm, Function
 from ringtrue.reduce.affine import AffineSystem
 
 CHUNK = 32  # right-hand sides solved together
@@ -81,28 +81,50 @@ def project(system: AffineSystem, vectors: Float, old: Projection | None = None)
 
 
 def static_sensitivities(
-    pencil: Pencil,
-    modes: EigenModes,
-    system: AffineSystem,
-    at: Sequence[int],
-    count: int,
-    progress: Progress | None,
+    pencil: Pencil, modes: EigenModes, terms: Sequence[AffineTerm], count: int, progress: Progress | None
 ) -> Float:
-    """(K − σM)⁻¹ (K_t − λ_k M_t) φ_k of the chosen parameters alone, free of the modes, scaled to the mode's energy."""
-    factor, phi, lam = pencil.at(modes.shift), modes.vectors, modes.values
-    mphi = pencil.mass @ phi
-    scale = 1 / np.sqrt(np.maximum(lam[:count] - modes.shift, np.abs(modes.shift)))
+    """(K − σM)⁻¹ (K_j − λ_k M_j) φ_k of each term and mode, free of the modes, scaled to the mode's energy."""
     found = []
-    todo = [t for i in at for t in system.alone(i)]
-    for done, t in enumerate(todo):
-        load = (t.stiffness @ phi[:, :count] - (t.mass @ phi[:, :count]) * lam[:count]) * scale
-        load -= mphi @ (phi.T @ load)
-        parts = [factor.solve(load[:, s : s + CHUNK]) for s in range(0, count, CHUNK)]
-        x = np.concatenate(parts, axis=1)
-        found.append(x - phi @ (mphi.T @ x))
+    for done, t in enumerate(terms):
+        load = np.zeros((pencil.size, count))
+        rows, load[rows] = _forces(modes, t, count)
+        found.append(_answers(pencil, modes, load))
         if progress is not None:
-            progress((done + 1) / len(todo), "static sensitivities")
+            progress((done + 1) / len(terms), "static sensitivities")
     return np.concatenate(found, axis=1) if found else np.zeros((pencil.size, 0))
+
+
+def mixed_sensitivities(
+    pencil: Pencil, modes: EigenModes, terms: Sequence[AffineTerm], count: int, columns: int, progress: Progress | None
+) -> Float:
+    """As many random mixtures of all static sensitivities: their range, for a solve each (Halko et al. 2011, 4.1)."""
+    rng, load = np.random.default_rng(0), np.zeros((pencil.size, columns))
+    for t in terms:  # over parameters and their powers
+        rows, forces = _forces(modes, t, count)
+        load[rows] += forces @ (rng.standard_normal((count, columns)) / np.sqrt(columns))
+    return _answers(pencil, modes, load, progress)
+
+
+def _forces(modes: EigenModes, t: AffineTerm, count: int) -> tuple[Int, Float]:
+    """The rows that a term touches, and its forces (r, count) there."""
+    rows = np.union1d(*(np.flatnonzero(np.diff(a.indptr)) for a in (t.stiffness, t.mass)))
+    phi, lam = modes.vectors[:, :count], modes.values[:count]
+    scale = 1 / np.sqrt(np.maximum(lam - modes.shift, np.abs(modes.shift)))
+    return rows, (t.stiffness[rows] @ phi - (t.mass[rows] @ phi) * lam) * scale
+
+
+def _answers(pencil: Pencil, modes: EigenModes, load: Float, progress: Progress | None = None) -> Float:
+    """Static responses to loads (f, k), both free of the modes."""
+    factor, phi = pencil.at(modes.shift), modes.vectors
+    mphi = pencil.mass @ phi
+    x = np.empty(load.shape)
+    for s in range(0, load.shape[1], CHUNK):
+        some = load[:, s : s + CHUNK]
+        part = factor.solve(some - mphi @ (phi.T @ some))
+        x[:, s : s + CHUNK] = part - phi @ (mphi.T @ part)
+        if progress is not None:
+            progress(min(1.0, (s + CHUNK) / load.shape[1]), "static sensitivities")
+    return x
 
 
 def principal(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:

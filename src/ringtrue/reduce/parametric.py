@@ -26,12 +26,15 @@ from ringtrue.reduce.basis import (
     Progress,
     Projection,
     compress,
+    mixed_sensitivities,
     orthonormal_part,
     principal,
     project,
     static_sensitivities,
 )
 
+SOLVED = 0.3  # share of the progress of a basis that its modes are
+MANY = 2400  # sensitivity vectors from which on random mixtures of them stand for all
 AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
 FAR = 100.0  # times the highest frequency returned: stiffer vectors of the basis have no sensitivity that can be used
 MASSLESS = 1e-14  # θ = 1/(λ − σ), relative to the largest, from which on a vector of the basis has no mass
@@ -247,7 +250,8 @@ class ReducedModel:
         modes = solve_modes(pencil, self.count, shift=self.shift, progress=progress)
         fresh = modes.vectors
         if sensitivities:
-            s = static_sensitivities(pencil, modes, self.system, self.active, self.count, progress)
+            terms = [t for i in self.active for t in self.system.alone(i)]
+            s = static_sensitivities(pencil, modes, terms, self.count, progress)
             there = sparse.csr_array(k - modes.shift * m)
             fresh = np.hstack([fresh, compress(there, s, 2 * self.count, 1e-4)])
         pencil.close()
@@ -260,6 +264,35 @@ class ReducedModel:
             np.array(x, dtype=float), modes.frequencies, seen, np.zeros((n, 0)), np.zeros((seen.shape[0], n, 0))
         )
         return replace(self, basis=basis), truth
+
+
+def _static(
+    pencil: Pencil,
+    modes: EigenModes,
+    system: AffineSystem,
+    count: int,
+    energy: sparse.csr_array,
+    most: int,
+    drop: float,
+    progress: Progress | None,
+) -> Float:
+    """Principal directions of the static sensitivities: of each, or of their mixtures where they are too many."""
+    todo = [t for i in range(len(system.parameters)) for t in system.alone(i)]
+    if len(todo) * count > MANY and 2 * most * 2 < len(todo) * count:
+        return compress(energy, mixed_sensitivities(pencil, modes, todo, count, 2 * most, progress), most, drop)
+    x = np.zeros((pencil.size, 0))
+    block = max(1, AT_ONCE // max(count, 1))
+    for first in range(0, len(todo), block):  # principal directions of so many at a time
+        some = todo[first : first + block]
+        told = _within(progress, first / len(todo), (first + len(some)) / len(todo))
+        x = np.hstack([x, static_sensitivities(pencil, modes, some, count, told)])
+        if first + block < len(todo):
+            x = principal(energy, x, most, drop)
+    return compress(energy, x, most, drop)
+
+
+def _within(progress: Progress | None, begin: float, end: float) -> Progress | None:
+    return None if progress is None else lambda f, text: progress(begin + (end - begin) * f, text)
 
 
 def modes_of(count: int, options: BasisOptions | None = None) -> int:
@@ -297,17 +330,11 @@ def reduced_model(
     wanted = modes_of(count, options)
     if modes is None or modes.values.size < wanted:
         known = pencil.shift if pencil.shift < 0 else None  # that of a solution before, whose factor may still be there
-        modes = solve_modes(pencil, wanted, shift=known, progress=progress)
+        modes = solve_modes(pencil, wanted, shift=known, progress=_within(progress, 0.0, SOLVED))
     n = min(count, modes.values.size)
     energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
-    most, x = options.size - modes.values.size, np.zeros((pencil.size, 0))
-    block = max(1, AT_ONCE // max(n, 1))
-    for first in range(0, len(system.parameters), block):  # principal directions of so many at a time
-        some = range(first, min(first + block, len(system.parameters)))
-        x = np.hstack([x, static_sensitivities(pencil, modes, system, some, n, progress)])
-        if some.stop < len(system.parameters):
-            x = principal(energy, x, most, options.drop)
-    x = compress(energy, x, most, options.drop)
+    most = max(options.size - modes.values.size, modes.values.size // 2)
+    x = _static(pencil, modes, system, n, energy, most, options.drop, _within(progress, SOLVED, 1.0))
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)
     vectors = np.hstack([base_modes, orthonormal_part(energy, base_modes, x)])
     every = tuple(range(len(system.parameters)))
