@@ -33,6 +33,7 @@ from ringtrue.reduce.basis import (
     static_sensitivities,
 )
 
+USUAL = 320  # vectors of a basis
 SOLVED = 0.3  # share of the progress of a basis that its modes are
 MANY = 2400  # sensitivity vectors from which on random mixtures of them stand for all
 AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
@@ -49,13 +50,13 @@ class BasisOptions:
     extra : float
         Modes computed, as a multiple of those returned.
     size : int
-        Most vectors kept at the start; enrichment adds to it.
+        Most vectors kept at the start; enrichment adds to it. 0: 320, or half as many again as modes if that is more.
     drop : float
         Sensitivity vectors below this share of the largest (strain energy norm) are dropped.
     """
 
     extra: float = 1.3
-    size: int = 320
+    size: int = 0
     drop: float = 1e-5
 
 
@@ -278,7 +279,9 @@ def _static(
 ) -> Float:
     """Principal directions of the static sensitivities: of each, or of their mixtures where they are too many."""
     todo = [t for i in range(len(system.parameters)) for t in system.alone(i)]
-    if len(todo) * count > MANY and 2 * most * 2 < len(todo) * count:
+    if most <= 0:
+        return np.zeros((pencil.size, 0))
+    if len(todo) * count > max(MANY, 4 * most):
         return compress(energy, mixed_sensitivities(pencil, modes, todo, count, 2 * most, progress), most, drop)
     x = np.zeros((pencil.size, 0))
     block = max(1, AT_ONCE // max(count, 1))
@@ -333,7 +336,7 @@ def reduced_model(
         modes = solve_modes(pencil, wanted, shift=known, progress=_within(progress, 0.0, SOLVED))
     n = min(count, modes.values.size)
     energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
-    most = max(options.size - modes.values.size, modes.values.size // 2)
+    most = (options.size or max(USUAL, 3 * modes.values.size // 2)) - modes.values.size
     x = _static(pencil, modes, system, n, energy, most, options.drop, _within(progress, SOLVED, 1.0))
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)
     vectors = np.hstack([base_modes, orthonormal_part(energy, base_modes, x)])
