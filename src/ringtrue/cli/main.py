@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from signal import SIGTERM, default_int_handler, signal
 from typing import NoReturn
 
 import typer
@@ -90,5 +91,6 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def main() -> NoReturn:
-    """The console script."""
+    """The console script; a batch system that ends it (SIGTERM) stops it as Ctrl-C does."""
+    signal(SIGTERM, default_int_handler)
     sys.exit(run())

@@ -30,6 +30,8 @@ from ringtrue.study.results import FrfEvidence
 
 BAD = "#a4351c"
 WORST = 12  # channels shown
+TOLD = 60  # modes up to which the cells of a matrix carry numbers and gaps
+OUTLINED = 300  # terms that are outlined in a matrix
 LOST = 0.6  # overlap of shapes below which a mode that is followed may be another one
 STAGE_COLORS = {"initial": INITIAL, "remodelled": REMODELLED, "final": FINAL}
 
@@ -44,7 +46,7 @@ def matrix(
     diagonal: bool = True,
     name: str = "MAC",
 ) -> go.Figure:
-    """A MAC matrix in percent; `mac` (row, column) 0..1. Cells over 10 % carry their number.
+    """A MAC matrix in percent; `mac` (row, column) 0..1. Cells over 10 % carry their number, up to `TOLD` modes.
 
     `diagonal` False leaves out the ones of an auto-MAC; `name` is what the matrix holds.
     """
@@ -60,12 +62,13 @@ def matrix(
     told = percent >= 10
     if not diagonal:
         np.fill_diagonal(told, False)
-    text = np.where(told, np.char.mod("%.0f", percent), "")
     bar = {"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"}
     fig.add_heatmap(
         z=f32(percent), x=list(columns), y=list(rows), zmin=0, zmax=100, colorscale=SEQUENTIAL, colorbar=bar
     )
-    fig.data[0].update(xgap=1, ygap=1, text=text, texttemplate="%{text}", textfont={"size": 9 if size > 12 else 10})
+    if size <= TOLD:
+        text = np.where(told, np.char.mod("%.0f", percent), "")
+        fig.data[0].update(xgap=1, ygap=1, text=text, texttemplate="%{text}", textfont={"size": 9 if size > 12 else 10})
     fig.data[0].hovertemplate = f"%{{y}}<br>%{{x}}<br>{name} %{{z:.1f}} %<extra></extra>"
     fig.update_layout(plot_bgcolor="#eef1f4", margin={"t": 12, "r": 8, "l": 50, "b": 50})
     return fig
@@ -118,7 +121,7 @@ def orthogonality(check: Check, table: CorrelationTable, height: int = 0) -> go.
         diagonal=cross,
         name="orthogonality",
     )
-    fig.update_layout(shapes=[_outline(f.a, f.b - first, BAD) for f in check.verdict.failures])
+    fig.update_layout(shapes=[_outline(f.a, f.b - first, BAD) for f in check.verdict.failures[:OUTLINED]])
     return fig
 
 
