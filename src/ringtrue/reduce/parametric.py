@@ -34,7 +34,7 @@ from ringtrue.reduce.basis import (
 )
 
 USUAL = 320  # vectors of a basis
-SOLVED = 0.3  # share of the progress of a basis that its modes are
+SOLVED, SPANNED = 0.3, 0.8  # of the progress of a basis: its modes are there, its vectors are there
 MANY = 2400  # sensitivity vectors from which on random mixtures of them stand for all
 AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
 FAR = 100.0  # times the highest frequency returned: stiffer vectors of the basis have no sensitivity that can be used
@@ -337,7 +337,9 @@ def reduced_model(
     n = min(count, modes.values.size)
     energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
     most = (options.size or max(USUAL, 3 * modes.values.size // 2)) - modes.values.size
-    x = _static(pencil, modes, system, n, energy, most, options.drop, _within(progress, SOLVED, 1.0))
+    x = _static(pencil, modes, system, n, energy, most, options.drop, _within(progress, SOLVED, SPANNED))
+    if progress is not None:
+        progress(SPANNED, "projection")
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)
     vectors = np.hstack([base_modes, orthonormal_part(energy, base_modes, x)])
     every = tuple(range(len(system.parameters)))
