@@ -152,6 +152,8 @@ def test_reading_writing_and_editing(tmp_path: Path) -> None:
     assert [i for i, pair in enumerate(zip(old, new, strict=True)) if pair[0] != pair[1]] == [6]  # the station's line
     edited = read_deck(tmp_path / "new/a.bdf")["PBEAM"]
     assert [edited.ragged(n).row(0)[0] for n in ("AX", "I1X", "I2X", "JX")] == [0.0123, 3e-5, 7e-6, 2e-5]
+    edit_fields(read, [FieldChange("PBEAM", 1, "X1", 0.25)], tmp_path / "moved")
+    assert read_deck(tmp_path / "moved/a.bdf")["PBEAM"].ragged("X").row(0)[0] == 0.25
     with pytest.raises(InputError, match="1 stations"):
         edit_fields(read, [FieldChange("PBEAM", 1, "AX2", 1.0)], tmp_path / "other")
 

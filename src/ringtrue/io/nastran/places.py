@@ -115,7 +115,7 @@ def _of_beam(fields: Sequence[str], field: str) -> int | None:
     if field in END_B:
         return next((p + END_B.index(field) for x, p in stations if x == 1.0), None)
     key, number = ply_field(field) or ("", 0)
-    if key in BETWEEN:
+    if key in ("X", *BETWEEN):
         between = [p for x, p in stations if x < 1.0]
-        return between[number - 1] + BETWEEN.index(key) if 1 <= number <= len(between) else None
+        return between[number - 1] + ("X", *BETWEEN).index(key) - 1 if 1 <= number <= len(between) else None
     return behind + _BEAM.index(field)
