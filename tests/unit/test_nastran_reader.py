@@ -204,6 +204,15 @@ def test_grdset_fills_blanks_only(tmp_path: Path) -> None:
     assert model["GRID"]["PS"].tolist() == ["126", "", "3"]
 
 
+def test_an_include_by_a_logical_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`SYMBOL:file`: the environment variable names the folder; without one the file stands beside the deck."""
+    deck(tmp_path, "GRID,1\n", "side.dat")
+    assert read(tmp_path, "INCLUDE 'TPLDIR:side.dat'\n")["GRID"].ids.tolist() == [1]
+    deck(tmp_path, "GRID,2\n", "far/side.dat")
+    monkeypatch.setenv("TPLDIR", str(tmp_path / "far"))
+    assert read(tmp_path, "INCLUDE 'TPLDIR:side.dat'\n")["GRID"].ids.tolist() == [2]
+
+
 def test_lists_of_rbe3_may_be_ranges(tmp_path: Path) -> None:
     rbe3 = read(tmp_path, NODES + "RBE3,10,,4,123,1.,123,1,THRU\n,2,.5,12,3\n")["RBE3"]
     assert rbe3.ragged("G").row(0).tolist() == [1, 2, 3]

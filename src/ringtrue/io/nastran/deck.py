@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -113,7 +114,17 @@ def _any_case(path: Path) -> Path | None:
 def _spellings(quoted: bytes) -> list[str]:
     """What a name may be that is broken over lines: put together as it is, or with one blank where it was broken."""
     parts = [part.strip().decode("utf-8", "surrogateescape") for part in quoted.splitlines()]
-    return list(dict.fromkeys(glue.join(parts).strip().replace("\\", "/") for glue in ("", " ")))
+    names = [glue.join(parts).strip().replace("\\", "/") for glue in ("", " ")]
+    return list(dict.fromkeys(spelling for name in names for spelling in (name, *_by_logical_name(name))))
+
+
+def _by_logical_name(name: str) -> list[str]:
+    """`SYMBOL:file` by the environment variable SYMBOL, as Nastran takes it, and the file beside the deck."""
+    symbol, colon, rest = name.partition(":")
+    if not colon or not re.fullmatch(r"[A-Za-z_]\w+", symbol):  # one letter is a drive
+        return []
+    folder = os.environ.get(symbol) or os.environ.get(symbol.upper())
+    return [*([f"{folder}/{rest}"] if folder else []), rest]
 
 
 def _text(path: Path) -> bytes:
