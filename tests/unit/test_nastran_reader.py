@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.io.nastran.reader import read_deck, survey
+from ringtrue.model.edit import FieldChange
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 
@@ -211,6 +213,23 @@ def test_an_include_by_a_logical_name(tmp_path: Path, monkeypatch: pytest.Monkey
     deck(tmp_path, "GRID,2\n", "far/side.dat")
     monkeypatch.setenv("TPLDIR", str(tmp_path / "far"))
     assert read(tmp_path, "INCLUDE 'TPLDIR:side.dat'\n")["GRID"].ids.tolist() == [2]
+
+
+def test_a_blank_behind_the_name_of_a_free_line_separates(tmp_path: Path) -> None:
+    path = deck(tmp_path, NODES + "GRID   11,  , 5., 6.\nCONM2\t12, 11,, 3.\nGRID    13 ,,7.\n")
+    model = read_deck(path)
+    assert model["GRID"].ids.tolist() == [1, 2, 3, 4, 11, 13]
+    assert model["GRID"]["X1"][-2:].tolist() == [5.0, 7.0]
+    assert (model["CONM2"].ids[0], model["CONM2"]["G"][0], model["CONM2"]["M"][0]) == (12, 11, 3.0)
+    edit_fields(model, [FieldChange("CONM2", 12, "M", 4.5)], tmp_path / "new")
+    assert (tmp_path / "new/main.bdf").read_text() == path.read_text().replace("3.\nGRID    13", "4.5\nGRID    13")
+
+
+def test_column_73_of_a_continuation_is_free(tmp_path: Path) -> None:
+    """Columns 74 to 80 name the continuation; what stands in column 73 does not count."""
+    line = "PBAR    1       1       1.      2.      3.                              KBAR"
+    model = read(tmp_path, NODES + MATERIAL + line + "\n+BAR    .5      .25\n")
+    assert (model["PBAR"]["C1"][0], model["PBAR"]["C2"][0]) == (0.5, 0.25)
 
 
 def test_lists_of_rbe3_may_be_ranges(tmp_path: Path) -> None:

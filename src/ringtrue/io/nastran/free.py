@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool, Int
 from ringtrue.io.nastran.deck import WIDTH, Deck
+from ringtrue.io.nastran.lexer import cuts
 
 BLOCK = 65_536  # lines at a time: the temporaries stay in the cache
 _LINE = 8  # data fields of a line
@@ -23,7 +24,7 @@ class FreeLines:
     ----------
     deck : Deck
     comma : (c,) int64
-        Places in `deck.raw`, comments left out.
+        Places in `deck.raw`, comments left out; also those of blanks that stand for a comma behind the name.
     first : (n,) int64
         The first of each line in `comma`.
     count : (n,) int64
@@ -77,8 +78,32 @@ def free_lines(deck: Deck) -> FreeLines:
         return FreeLines(deck, np.zeros(0, dtype=np.int64), none, none)
     row = np.searchsorted(deck.start, found, side="right") - 1
     used = (row >= 0) & (found < deck.stop[row])
-    count = np.bincount(row[used], minlength=deck.start.size)
-    return FreeLines(deck, found[used], np.cumsum(count) - count, count)
+    lines = _counted(deck, found[used], row[used])
+    behind = _blanks(lines)
+    if not behind:
+        return lines
+    at = np.sort(np.concatenate([lines.comma, np.array(behind, dtype=np.int64)]))
+    return _counted(deck, at, np.searchsorted(deck.start, at, side="right") - 1)
+
+
+def _counted(deck: Deck, comma: Int, row: Int) -> FreeLines:
+    count = np.bincount(row, minlength=deck.start.size)
+    return FreeLines(deck, comma, np.cumsum(count) - count, count)
+
+
+def _blanks(lines: FreeLines) -> list[int]:
+    """Places of blanks that stand for a comma behind the name: `CBUSH   11, 2, 3`."""
+    out: list[int] = []
+    rows = np.flatnonzero(lines.count > 0)
+    for a in range(0, rows.size, BLOCK):
+        at = rows[a : a + BLOCK]
+        first = lines.field(at, 0)
+        inside = (np.strings.find(first, b" ") >= 0) | (np.strings.find(first, b"\t") >= 0)
+        for row in at[inside].tolist():  # hardly ever
+            begin = int(lines.deck.start[row])
+            line = lines.deck.raw[begin : int(lines.deck.stop[row])]
+            out += [begin + cut for cut in cuts(line) if line[cut] != 44]
+    return out
 
 
 def upper_slices(raw: NDArray[np.uint8], begin: Int, end: Int, width: int, pad: int) -> NDArray[np.uint8]:

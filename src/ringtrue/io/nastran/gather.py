@@ -6,6 +6,7 @@ import logging
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from ringtrue.core.arrays import Bool, Int
 from ringtrue.errors import DeckError
 from ringtrue.io.nastran.deck import WIDTH, Deck
 from ringtrue.io.nastran.free import BLOCK, FreeLines, free_lines, upper_slices
+from ringtrue.io.nastran.lexer import cuts
 from ringtrue.io.nastran.replicate import Replication, replicates
 from ringtrue.model.cards import CARDS, SPECIAL
 
@@ -127,7 +129,8 @@ class Cards:
             text, width = self.text[at].tobytes(), 16 if style else 8
             return [text[i : i + width].strip() for i in range(8, 72, width)]
         row = self.raw_of[at]
-        parts = [p.strip() for p in self.deck.raw[self.deck.start[row] : self.deck.stop[row]].upper().split(b",")]
+        line = self.deck.raw[self.deck.start[row] : self.deck.stop[row]].upper()
+        parts = [line[a + 1 : b].strip() for a, b in pairwise([-1, *cuts(line), len(line)])]
         size = 4 if style == 3 else 8
         if any(parts[size + 2 :]):
             raise DeckError(
@@ -314,7 +317,7 @@ def _continuation_order(deck: Deck, text: NDArray[np.uint8], follows: Bool, keep
         found = parents.get(bytes(mine[i]), [])
         if len(found) == 1:
             after[found[0]] = i
-        elif i and calls[i - 1] == b"":
+        elif i and (calls[i - 1] == b"" or text[i - 1, 73:80].tobytes().strip() == mine[i]):  # column 73 is free
             log.debug("continuation %r taken for the line before it", bytes(mine[i]))
         else:
             why = "no line calls it" if not found else f"{len(found)} lines call it"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,6 +14,7 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 
 _POWERS = 10.0 ** np.arange(23)
 _BLOCK = 65_536
+_TOKEN = re.compile(rb"[^ \t]+")
 _PLUS, _MINUS, _DOT, _E, _D = b"+-.ED"
 
 
@@ -156,8 +158,7 @@ def split_line(line: bytes) -> LineFields:
     end = line.find(b"$") if b"$" in line else len(line)
     data = line[:end]
     if b"," in data:
-        cuts = [-1, *(i for i, b in enumerate(data) if b == 44), len(data)]
-        parts = [(a + 1, b) for a, b in pairwise(cuts)]
+        parts = [(a + 1, b) for a, b in pairwise([-1, *cuts(data), len(data)])]
         first = data[parts[0][0] : parts[0][1]].strip().upper()
         large = b"*" in first
         return LineFields("free", _name(first), tuple(parts[1 : 5 if large else 9]), end, False)
@@ -167,6 +168,15 @@ def split_line(line: bytes) -> LineFields:
     edges = [_at(columns, 8 + k * width, end) for k in range(64 // width + 1)]
     spans = tuple(pairwise(edges))
     return LineFields("large" if width == 16 else "small", _name(first), spans, end, b"\t" in data)
+
+
+def cuts(line: bytes) -> list[int]:
+    """Where a free-format line is cut: at its commas, and at blanks between its name and field 2."""
+    commas = [i for i, b in enumerate(line) if b == 44]
+    begins = [found.start() for found in _TOKEN.finditer(line[: commas[0]])] if commas else []
+    if len(begins) != 2 or line[begins[0]] in b"+*":
+        return commas
+    return [begins[1] - 1, *commas]
 
 
 def _name(first: bytes) -> str:
