@@ -196,6 +196,16 @@ def test_a_spring_between_nodes_apart_is_no_rigid_link(tmp_path: Path) -> None:
     assert found == ["warning"]
 
 
+def test_a_direction_without_stiffness_holds_only_rounding(tmp_path: Path) -> None:
+    """Bars on a line that bend in one plane alone, in a frame turned against basic."""
+    nodes = "".join(f"GRID,{i},1,0.,{0.572 * i:.3f},0.,1\n" for i in range(1, 12))
+    bars = "".join(f"CBAR,{i},1,{i},{i + 1},0.,0.,1.\n" for i in range(1, 11))
+    frame = "CORD2R,1,,0.,0.,0.,0.,0.,1.\n,.96593,-.25882,0.\n"
+    check, found = ground(tmp_path, frame + nodes + bars + "PBAR,1,1,.07175,9.83-6,,3.68-5\nMAT1,1,1.04+7,3.9+6\n")
+    assert check.ok
+    assert not found
+
+
 def test_free_edges_and_their_chains(tmp_path: Path) -> None:
     """A ring of eight quads around a hole: 12 outer and 4 inner free edges, 8 shared."""
     grid = [f"GRID,{10 * i + j + 11},,{i}.,{j}.,0.\n" for i in range(4) for j in range(4)]

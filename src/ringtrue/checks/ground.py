@@ -18,6 +18,7 @@ from ringtrue.model.model import Model
 
 DIRECTIONS = ("X", "Y", "Z", "RX", "RY", "RZ")
 LIMIT = 1e-9  # relative energy that is round-off or the sixth digit of coordinates
+ROUNDING = 1e-15  # of the largest stiffness, left where elements have none
 _NAMED = 3
 
 
@@ -54,6 +55,9 @@ def ground_check(system: System) -> GroundCheck:
     force = system.stiffness @ motions
     energy = np.einsum("ij,ij->j", motions, force) / 2
     whole = np.einsum("ij,ij->j", abs(motions), abs(system.stiffness) @ abs(motions)) / 2
+    # a direction that nothing stiffens holds only the rounding of the others
+    least = ROUNDING / LIMIT * abs(system.stiffness).max() * (motions**2).sum(axis=0) if system.stiffness.nnz else 0.0
+    whole = np.maximum(whole, least)
     relative = energy / np.where(whole > 0, whole, 1.0)
     names = tuple(
         _largest(system, force[:, k] * motions[:, k]) if abs(relative[k]) > LIMIT else ()

@@ -13,6 +13,7 @@ from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, Table
 from ringtrue.model.places import error as error
+from ringtrue.model.places import unsupported as unsupported
 
 SCALAR_CARDS = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4")  # they define the points that they name
 

@@ -10,6 +10,8 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
 
 _LIMITS = {"EIGRL": ("V1", "V2"), "EIGR": ("F1", "F2")}
+# of EIGR: their F1 and F2 count only where ND is blank (MSC Nastran Quick Reference Guide, EIGR)
+_BY_COUNT = frozenset(("GIV", "MGIV", "AGIV", "HOU", "MHOU", "AHOU"))
 FIRST = 40  # modes asked for at first where a deck limits both their number and their frequency
 
 
@@ -46,5 +48,7 @@ def asked_modes(model: Model) -> AskedModes | None:
     card, i = rows[0]
     table = model[card]
     low, high = (float(table[name][i]) for name in _LIMITS[card])
+    if card == "EIGR" and table["ND"][i] > 0 and str(table["METHOD"][i]).upper() in _BY_COUNT:
+        low, high = np.nan, np.nan
     asked = AskedModes(low if low > 0 else -np.inf, np.inf if np.isnan(high) else high, int(table["ND"][i]))
     return asked if asked.count > 0 or max(asked.low, 0.0) < asked.high < np.inf else None

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from ringtrue.errors import DeckError
+from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.model import Model, Table
 
 
 def error(model: Model, table: Table, row: int, message: str) -> DeckError:
     """A DeckError at the place of a row of a table."""
-    file = int(table.file[row])
-    path = model.files[file] if 0 <= file < len(model.files) else None
-    line = int(table.line[row]) if path else None
+    path, line = _place(model, table, row)
     return DeckError(message, path=path, line=line, card=f"{table.card} {table.ids[row]}")
+
+
+def unsupported(model: Model, table: Table, row: int, why: str) -> UnsupportedCard:
+    """An UnsupportedCard at the place of a row of a table."""
+    path, line = _place(model, table, row)
+    return UnsupportedCard(table.card, path=path, line=line, why=f"{table.ids[row]} {why}")
+
+
+def _place(model: Model, table: Table, row: int) -> tuple[str | None, int | None]:
+    file = int(table.file[row])
+    return (model.files[file], int(table.line[row])) if 0 <= file < len(model.files) else (None, None)

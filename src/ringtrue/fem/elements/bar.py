@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, scatter, unit
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
+from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup, unsupported
 from ringtrue.fem.place import components, node_dofs, orientation, segment, triad
 from ringtrue.model.model import Table
 
@@ -236,7 +235,7 @@ def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     t = m.model[card]
     warping = t.stack("SA", "SB")[at].any(axis=1)
     if warping.any():
-        raise UnsupportedCard(card, why=f"{t.ids[at[warping][0]]} has warping points SA, SB; leave them out")
+        raise unsupported(m.model, t, int(at[warping][0]), "has warping points SA, SB; leave them out")
     row = lookup(m.model, "PBEAM", t["PID"][at], t, at)
     p = m.model["PBEAM"]
     x, order = _stations(p, row)
@@ -296,7 +295,7 @@ def _offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
     offt = np.where(offt == "", OFFSETS[0], offt)
     other = used.any(axis=1) & ~np.isin(offt, OFFSETS)
     if other.any():
-        raise UnsupportedCard(card, why=f"{t.ids[at[other][0]]} has OFFT {offt[other][0]}; allowed are {OFFSETS}")
+        raise unsupported(m.model, t, int(at[other][0]), f"has OFFT {offt[other][0]}; allowed are {OFFSETS}")
     frame = m.cd[nodes]
     letters = np.char.ljust(offt, 3).astype("U3").view("U1").reshape(-1, 3)
     own = (letters[:, 1:] == "O") & used

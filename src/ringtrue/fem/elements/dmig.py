@@ -8,8 +8,8 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Int
-from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.fem.mesh import Mesh, error
+from ringtrue.errors import DeckError
+from ringtrue.fem.mesh import Mesh, error, unsupported
 
 SYMMETRIC, SQUARE = 6, 1
 Given = tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array]
@@ -55,7 +55,7 @@ def named(m: Mesh, name: str) -> sparse.csr_array:
     t = m.model["DMIG"]
     form = int(t["IFO"][i])
     if form not in (SYMMETRIC, SQUARE) or t.ragged("B").row(i).any():
-        raise UnsupportedCard("DMIG", why=f"{name} has form {form}; allowed are real matrices of form 1 and 6")
+        raise unsupported(m.model, t, i, f"{name} has form {form}; allowed are real matrices of form 1 and 6")
     row, column = (_dofs(m, i, t.ragged(f"G{e}").row(i), t.ragged(f"C{e}").row(i)) for e in "IJ")
     value = t.ragged("A").row(i)
     if form == SYMMETRIC:  # one triangle is given, or both alike: each pair counts once

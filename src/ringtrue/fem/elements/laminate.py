@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Int
-from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.elements.shell_material import RIGID_SHEAR, layers, turned
-from ringtrue.fem.mesh import error
+from ringtrue.fem.mesh import error, unsupported
 from ringtrue.model.model import Model, Table
 
 _GAUSS = np.polynomial.legendre.leggauss(3)
@@ -57,7 +56,7 @@ def laminates(model: Model, card: str, rows: Int) -> Laminate:
         On a laminate without thickness, an absent material, or an unknown LAM.
     """
     t = model[card]
-    option = _options(t, rows)
+    option = _options(model, t, rows)
     plies = _plies(model, t, rows, option)
     total = plies.height.sum(axis=1)
     if (total.real <= 0).any():
@@ -68,16 +67,14 @@ def laminates(model: Model, card: str, rows: Int) -> Laminate:
     return Laminate(A, B, D, S, _turning(plies), (plies.height * plies.density).sum(axis=1))
 
 
-def _options(t: Table, rows: Int) -> Any_:
+def _options(model: Model, t: Table, rows: Int) -> Any_:
     text = np.char.upper(np.char.strip(t["LAM"][rows].astype(str)))
     for short, name in _SHORT.items():
         text = np.where(text == short, name, text)
     strange = ~np.isin(text, OPTIONS)
     if strange.any():
         i = int(np.flatnonzero(strange)[0])
-        raise UnsupportedCard(
-            t.card, why=f"{t.ids[rows[i]]} has LAM {text[i]}; allowed are blank, {', '.join(OPTIONS[1:])}"
-        )
+        raise unsupported(model, t, int(rows[i]), f"has LAM {text[i]}; allowed are blank, {', '.join(OPTIONS[1:])}")
     return text
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.errors import InputError, UnsupportedCard
+from ringtrue.errors import InputError
 from ringtrue.fem.algebra import condense, scaled
 from ringtrue.fem.elements.solid_material import Anisotropic, anisotropic, bulk, is_anisotropic, moduli
 from ringtrue.fem.elements.solid_rule import Rule, kept
 from ringtrue.fem.isotropy import elastic, gram, incompatible, jacobian, solid
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, lookup
+from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, lookup, unsupported
 from ringtrue.fem.place import node_dofs
 from ringtrue.model.model import Model
 
@@ -146,9 +146,7 @@ def _refuse_fluid(model: Model, row: Int) -> None:
     p = model["PSOLID"]
     fluid = np.char.startswith(p["FCTN"][row].astype(str), "PFLUID")
     if fluid.any():
-        raise UnsupportedCard(
-            "PSOLID", why=f"{p.ids[row[fluid][0]]} is a fluid (FCTN PFLUID); allowed is SMECH or blank"
-        )
+        raise unsupported(model, p, int(row[fluid][0]), "is a fluid (FCTN PFLUID); allowed is SMECH or blank")
 
 
 def _part(material: Isotropic | Anisotropic, first: int, size: int) -> Isotropic | Anisotropic:
