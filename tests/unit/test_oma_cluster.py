@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.identify.ambient import AmbientSettings, bands_for
-from ringtrue.identify.ambient_verdict import settled
+from ringtrue.identify.ambient_verdict import settled, without_echoes
 from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.merge import merge_modes
 from ringtrue.identify.ssi import SsiCov, decompose, hankel_gram, ssi_cov
@@ -185,3 +186,20 @@ def test_a_mode_in_doubt_asks_for_all_orders(halves: float, done: bool):
         np.zeros(20, np.int64), np.ones(20, np.bool_), np.zeros(1, np.bool_),
     )  # fmt: skip
     assert settled(c, 40) == done
+
+
+def test_the_scatter_of_a_mode_is_no_second_mode():
+    """A weaker pole nearby of the same shape, without a peak that could be fitted, is halved; another shape is not."""
+    same, other = np.array([1.0, 2.0, 3.0, 4.0]), np.array([4.0, -3.0, 2.0, -1.0])
+    shape = np.stack([same, same, other], axis=1).astype(complex)
+    f = np.array([1.2, 1.34, 1.4])
+    blank = np.zeros((3, 4))
+    table = Candidates(
+        2j * np.pi * f, blank + 0j, shape, np.zeros((3, 4, 4), complex), blank[:, 0], np.ones((3, 2), np.int64),
+        np.array([7.0, 4.4, 4.4]), np.ones(3), np.ones(3), np.zeros(0, np.int64), np.zeros(0, bool),
+        np.array([True, False, False]),
+    )  # fmt: skip
+    sure = np.array([0.94, 0.39, 0.39])
+    assert without_echoes(table, sure) == pytest.approx([0.94, 0.195, 0.39])
+    few = replace(table, shape=shape[:3])
+    assert without_echoes(few, sure) == pytest.approx(sure)

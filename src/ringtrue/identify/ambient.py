@@ -23,6 +23,7 @@ from ringtrue.identify.ambient_record import (
     Heard,
     Motion,
     filter_edges,
+    in_phase,
     long_enough,
     one_motion,
     references,
@@ -42,6 +43,7 @@ from ringtrue.identify.ambient_verdict import (
     uncertainty,
     unexplained,
     unresolved,
+    without_echoes,
 )
 from ringtrue.identify.bands import STEP, BandSums
 from ringtrue.identify.choice import chosen, with_picks
@@ -216,7 +218,7 @@ def _band(sums: BandSums, settings: AmbientSettings, heard: Heard) -> Found:
         return found
     bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
     table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
-    return _found(sums, poles, table, sure, picked, turning, motion)
+    return _found(sums, poles, table, without_echoes(table, sure), picked, turning, motion)
 
 
 def _found(
@@ -306,6 +308,7 @@ def identify_stretches(
         raise DataError("no stretch of a record to identify")
     second = next(coming, None)
     good, states = usable(first)
+    good, late = in_phase(good, mend=second is None)
     refs = references(good, settings.references)
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
     tell(0.0, "filtering into bands")
@@ -332,7 +335,7 @@ def identify_stretches(
         return identify_stretches((first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady))
     result = replace(result, harmonics=(*sines, *result.harmonics))
     tell(1.0, f"{len(result.modes)} modes")
-    notes = tuple(f"channel {s.id}: {s.why}{'' if s.usable else '; left out'}" for s in states)
+    notes = tuple(f"channel {s.id}: {s.why}{'' if s.usable else '; left out'}" for s in states) + late
     if whole is None:
         notes += ("every channel is clipped: machines are not told from modes",)
     if motion:

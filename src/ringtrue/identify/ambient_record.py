@@ -13,6 +13,7 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.whittle import SpectralBins
 from ringtrue.signal.events import Events
+from ringtrue.signal.phases import channel_phases, in_step
 from ringtrue.signal.preprocess import Band
 from ringtrue.signal.psd import Welch, csd
 
@@ -104,6 +105,25 @@ def one_motion(channels: Sequence[Channel]) -> Motion | None:
     order = np.array([DERIVATIVE.get(c.quantity, DERIVATIVE[kind]) - DERIVATIVE[kind] for c in channels])
     strain = np.array([c.quantity == "strain" for c in channels])
     return Motion(kind, np.asarray((-1j) ** order, dtype=np.complex128), np.where(strain, 0, -order))
+
+
+def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[str, ...]]:
+    """The record with channels that lag the others moved back, and notes on them and on channels of odd phase."""
+    kind = np.array([DERIVATIVE.get(c.quantity, -1) for c in history.channels])
+    kind[kind < 0] = np.bincount(kind[kind >= 0], minlength=1).argmax()
+    found = channel_phases(history, kind.tolist())
+    ids, notes = np.array([c.id for c in history.channels]), []
+    place = np.rint(2 * found.delay * history.rate)
+    for k in np.unique(place[found.delay != 0]):
+        lag, done = found.delay[place == k].mean(), "moved back" if mend else "they must be aligned first"
+        late = f"{' '.join(ids[place == k].tolist())}: {abs(lag):.3g} s {'after' if lag > 0 else 'before'} the others"
+        notes.append(f"channel {late} by the phases of the cross spectra; {done}")
+    notes += [
+        f"channel {x}: its phase to the others is neither 0 nor 180 degrees, and no delay explains it: another "
+        "quantity, sensor or filter? Shapes are wrong there"
+        for x in ids[found.odd].tolist()
+    ]
+    return (in_step(history, found.delay) if mend and found.delay.any() else history), tuple(notes)
 
 
 def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> tuple[bool, ...]:

@@ -18,6 +18,8 @@ from ringtrue.signal.preprocess import Harmonic
 PAIRED = 0.3  # share of the orders
 STRONG = 10.0  # signal-to-noise ratio in the correlations, that poles of noise do not reach
 OVERTONE = 3e-3  # relative distance
+FEW = 4  # channels: with three any shape is like any other
+ECHO, LIKE = 1.5, 0.9  # ratio of frequencies and MAC
 STEADY = 2.5  # deviations of the logarithm of a fourth moment
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
 
@@ -85,6 +87,20 @@ def _alike(like: Float, band: Int, conf: Float) -> Bool:
     """Shapes (MAC `like`) of one mode; two clusters of one band beyond doubt must be more alike to be one."""
     sure = (np.minimum(conf[:, None], conf) > SURE) & (band[:, None] == band)
     return np.asarray(like > np.where(sure, 0.95, 0.8))
+
+
+def without_echoes(c: Candidates, sure: Float) -> Float:
+    """(m,) confidence, halved for candidates that are the scatter of a mode of the same shape, stronger and surer.
+
+    The correlations of a mode of few cycles, and those of its motion with noise, have poles near it that both halves of
+    a record may show, all of its shape; their own spectrum has no peak that could be fitted. Four channels or more.
+    """
+    if len(c.shape) < FEW:
+        return sure
+    f, less = c.frequencies, (c.strength[:, None] < 1.2 * c.strength) & (sure[:, None] < sure)
+    near = np.abs(np.log(f[:, None] / f)) < np.log(ECHO)
+    echo = less & near & (mac(c.shape, c.shape) > LIKE) & ~c.refined[:, None] & c.refined
+    return np.where(echo.any(axis=1), 0.5 * sure, sure)
 
 
 def machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: float, duration: float) -> Harmonic | None:

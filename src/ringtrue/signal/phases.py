@@ -1,0 +1,160 @@
+"""Channels of recorders that did not start together: delays from the phases of cross spectra.
+
+Modes of little damping under forces that have nothing to do with each other have cross spectra that are real at all
+frequencies: their phase is 0 or half a turn. A delay τ between two channels turns it by 2π f τ. The square of the phase
+factor does not see the half turn, so
+
+    J(τ) = Σ w(f) Re[(S/|S|)² e^{4πi f τ}] / Σ w(f),  w = γ⁴,
+
+is 1 at the delay, and its Fourier transform gives all delays at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import irfft, rfft
+
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.signal.windows import window
+
+SEGMENTS, ROOTS = 64, 8  # of the record that are looked at, and channels that the others are held against
+SHORTEST, LONGEST = 1024, 8192  # samples of each
+FINE = 8  # values of J between those of the transform
+COHERENT = 0.25  # squared coherence of a line that says something
+LINES = 20.0  # sum of squared coherences that tell a delay
+SURE = 0.93  # J at a delay
+AGREED = 0.8  # median J of channels among which one may be odd
+EXPLAINED = 0.25  # of what is missing to 1 without a delay may be missing with it
+APART = 0.15  # that no other delay comes near
+LEAST = 0.1  # of a sample
+TAPS, BETA = 24, 9.0  # to each side of the interpolation, and of its Kaiser window
+ODD = 0.5  # J of a channel whose phase is neither
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Phases:
+    """How the phases of channels stand to those of one of them.
+
+    Attributes
+    ----------
+    known : (ch,) bool
+        Coherent enough with the others to say anything.
+    delay : (ch,) float64, s
+        After most of the channels; 0 where none is told.
+    odd : (ch,) bool
+        Of a phase that no delay explains, among channels that agree.
+    """
+
+    known: Bool
+    delay: Float
+    odd: Bool
+
+
+def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
+    """Delays of channels against most of the others, and channels out of phase with the rest.
+
+    Parameters
+    ----------
+    history : TimeHistory
+    derivatives : sequence of int
+        Of the displacement that each channel measures: 2 of an acceleration.
+    """
+    m, samples = len(history.channels), history.data.shape[1]
+    nothing = Phases(np.zeros(m, np.bool_), np.zeros(m), np.zeros(m, np.bool_))
+    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // SEGMENTS, SHORTEST, LONGEST))))
+    if m < 2 or samples < 16 * length:
+        return nothing
+    root, turned, coherence = _against_one(_lines(history.data, length), np.asarray(derivatives))
+    weight = np.where(coherence > COHERENT, coherence**2, 0.0)
+    total = weight.sum(axis=1)
+    known = (total > LINES) & (np.arange(m) != root)
+    if not known.any():
+        return nothing
+    at, best, second = _delays(turned[known] * weight[known] / total[known, None], length)
+    none = (turned[known].real * weight[known]).sum(axis=1) / total[known]
+    told = (best > SURE) & (1 - best < EXPLAINED * (1 - none)) & (best - second > APART)
+    delay, agree = np.zeros(m), np.ones(m)
+    delay[known], agree[known] = np.where(told, at / history.rate, 0.0), np.where(told, best, none)
+    seen = known | (np.arange(m) == root)
+    delay[seen] -= _usual(delay[seen], 0.25 / history.rate)
+    delay[np.abs(delay) < LEAST / history.rate] = 0.0
+    sound = np.median(agree[known]) > AGREED
+    return Phases(seen, delay, np.asarray(seen & (agree < ODD) & sound))
+
+
+def _lines(data: Any_, length: int) -> Any_:
+    """(freq, segment, ch) transforms of segments over the record, by a Hann window."""
+    starts = np.linspace(0, data.shape[1] - length, SEGMENTS).astype(np.int64)
+    win = window("hann", length).astype(np.float32)
+    out = np.empty((length // 2 + 1, starts.size, len(data)), dtype=np.complex64)
+    for i, x in enumerate(data):  # a channel at a time: all segments of all channels are large
+        part = sliding_window_view(x, length)[starts]
+        out[:, :, i] = rfft((part - part.mean(axis=1, keepdims=True)).astype(np.float32) * win, axis=1).T
+    return out
+
+
+def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float]:
+    """The channel, of eight, that most others are coherent and in phase with; squared phase factors of all against it,
+    as of one motion, and squared coherences less the bias of few segments, both (ch, freq).
+    """
+    tried = np.unique(np.linspace(0, lines.shape[2] - 1, ROOTS).astype(np.int64))
+    cross = lines.transpose(0, 2, 1) @ lines[:, :, tried].conj()
+    power = (lines.real**2 + lines.imag**2).sum(axis=1)
+    size = np.maximum(power[:, :, None] * power[:, None, tried], np.finfo(np.float32).tiny)
+    square = cross.real**2 + cross.imag**2
+    coherence = np.clip(square / size - 2 / lines.shape[1], 0, 1)
+    coherence[:2] = coherence[-2:] = 0.0
+    quarters = (-1.0) ** (order[:, None] - order[tried])
+    turned = cross**2 * (quarters / np.maximum(square, np.finfo(np.float32).tiny))
+    k = int((coherence * turned.real).sum(axis=(0, 1)).argmax())
+    return int(tried[k]), turned[:, :, k].T, np.asarray(coherence[:, :, k].T, dtype=np.float64)
+
+
+def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
+    """Delay in samples, J there and the largest J beyond its lobe, each (ch,), of weighted phases z (ch, freq)."""
+    n = FINE * length
+    j = irfft(z, n, axis=1) * n / 2
+    lag = np.where(np.arange(n) < n // 2, np.arange(n), np.arange(n) - n) * length / (2.0 * n)
+    j[:, np.abs(lag) > length / 16] = -1.0
+    top = j.argmax(axis=1)
+    rows = np.arange(len(j))
+    left, mid, right = (j[rows, (top + k) % n] for k in (-1, 0, 1))
+    at = lag[top] + 0.5 * (left - right) / np.minimum(left - 2 * mid + right, -1e-12) * length / (2.0 * n)
+    second = np.array([_beyond(x, int(k)) for x, k in zip(j, top, strict=True)])
+    return at, mid, second
+
+
+def _beyond(j: Float, top: int) -> float:
+    """The largest value outside of the lobe around the `top`."""
+    x = np.roll(j, -top)
+    fall = np.flatnonzero(np.diff(x) > 0)
+    rise = np.flatnonzero(np.diff(x[::-1]) > 0)
+    first, last = int(fall[0]) if fall.size else 0, x.size - 1 - (int(rise[1]) if rise.size > 1 else 0)
+    return float(x[first : last + 1].max())
+
+
+def _usual(delay: Float, near: float) -> float:
+    """The delay that most channels share within `near`."""
+    same = np.abs(delay[:, None] - delay) < near
+    return float(np.median(delay[same[same.sum(axis=1).argmax()]]))
+
+
+def in_step(history: TimeHistory, delay: Float) -> TimeHistory:
+    """The record with its channels moved back by `delay` (ch,) s, without the ends that not all of them have."""
+    data, lag = np.array(history.data), delay * history.rate
+    for i in np.flatnonzero(delay):
+        whole = int(np.floor(lag[i]))
+        data[i] = np.convolve(np.roll(history.data[i], -whole), delayed_by(lag[i] - whole), mode="same")
+    most = int(np.ceil(np.abs(lag).max())) + TAPS
+    return replace(history, data=data[:, most:-most])
+
+
+def delayed_by(part: float) -> Float:
+    """(2 TAPS + 1,) filter that moves a signal back by `part` of a sample, 0 to 1: a windowed sinc."""
+    x = np.arange(-TAPS, TAPS + 1) + part
+    return np.asarray(np.sinc(x) * np.i0(BETA * np.sqrt(np.clip(1 - (x / (TAPS + 1)) ** 2, 0, 1))) / np.i0(BETA))
