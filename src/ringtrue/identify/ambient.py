@@ -66,6 +66,7 @@ from ringtrue.identify.stabilise import (
 )
 from ringtrue.identify.stretches import gathered, steady_sines
 from ringtrue.identify.struck import by_references, even_halves, event_weights
+from ringtrue.identify.wander import wander, widened
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.lines import with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic, block_weights, harmonics, uncut, usable
@@ -214,11 +215,15 @@ def _band(sums: BandSums, settings: AmbientSettings, heard: Heard) -> Found:
     turning = tuple(i for both in pairs for i in both)
     found = _found(sums, poles, table, sure, picked, turning, motion)
     at = np.array([i for _, i in select([found], settings.confidence_min)], dtype=np.int64)
-    if not at.size or heard.driven or not steady(loudness):
+    if not at.size or heard.driven:
         return found
-    bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
-    table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
-    return _found(sums, poles, table, without_echoes(table, sure), picked, turning, motion)
+    wandering = wander(table, at, poles.deviation.shape[1])
+    if steady(loudness):
+        bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
+        table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
+        sure = without_echoes(table, sure)
+    found = _found(sums, poles, widened(table, wandering), sure, picked, turning, motion)
+    return replace(found, wandering=tuple((int(i), float(wandering[i])) for i in np.flatnonzero(wandering)))
 
 
 def _found(

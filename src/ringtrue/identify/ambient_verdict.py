@@ -28,7 +28,8 @@ DOUBTFUL, SURE = 0.2, 0.6  # confidence
 class Found:
     """Candidates of one band with shapes in the channels' units, their confidence, and the pick behind each (-1).
 
-    `turning` are the rows of pairs that the record does not tell apart.
+    `turning` are the rows of pairs that the record does not tell apart, `wandering` rows with the relative standard
+    deviation of their frequency along the record.
     """
 
     table: Candidates
@@ -38,6 +39,7 @@ class Found:
     diagram: StableDiagram
     picked: Int
     turning: tuple[int, ...] = ()
+    wandering: tuple[tuple[int, float], ...] = ()
 
 
 def confidence(c: Candidates, orders: int = 0) -> Float:
@@ -147,11 +149,15 @@ def reason(found: Found, i: int) -> str:
     )
     n, tried = c.orders[i].tolist()
     sharp = "; refined by maximum likelihood" if c.refined[i] else ""
+    moved = dict(found.wandering).get(i, 0.0)
+    wide = (
+        f"; its frequency wanders by {100 * moved:.2g} % along the record, which adds to the damping" if moved else ""
+    )
     thin = "; so little damping may be a machine of unsteady speed" if c.damping[i] < 2.5e-3 else ""
     return (
         f"found at {n} of {tried} orders, std {100 * sf[i] / c.frequencies[i]:.2g} % of frequency and "
         f"{100 * sz[i] / c.damping[i]:.2g} % of damping, MPC {c.mpc[i]:.2f}, halves of the record agree to "
-        f"{c.halves[i]:.2f}{sharp}{thin}{pair if i in found.turning else ''}"
+        f"{c.halves[i]:.2f}{sharp}{wide}{thin}{pair if i in found.turning else ''}"
     )
 
 
