@@ -9,8 +9,7 @@ import pytest
 from scipy.signal import oaconvolve
 
 from ringtrue.identify import variance as var
-from ringtrue.identify.bands import MOST_BLOCKS, begin, more
-from ringtrue.identify.bands import _binned as binned
+from ringtrue.identify.bands import MOST_BLOCKS, begin, joined, of_stretch
 from ringtrue.identify.mixing import unmix
 from ringtrue.identify.ssi import SsiCov
 from ringtrue.identify.whittle import SpectralBins
@@ -18,7 +17,7 @@ from ringtrue.signal import pyramid
 from ringtrue.signal.preprocess import Band, detrend
 from ringtrue.signal.pyramid import Signals, segments
 from ringtrue.signal.stream import decimator, high_passer
-from ringtrue.signal.threads import pool
+from ringtrue.signal.threads import abreast, pool
 
 HIGH, DOWN = high_passer(4.0, 100.0), decimator(4)
 
@@ -43,20 +42,6 @@ def test_a_pass_gives_the_correlations_of_the_filtered_signals(samples):
         direct = np.stack([twice[:, t + k] @ y[refs][:, t].T for k in range(lags + 1)]) / block
         assert np.abs(r[b] - direct).max() < 1e-4 * np.abs(direct).max()
     assert lower == pytest.approx(filtered(y, DOWN.taps)[:, ::4], abs=1e-4)
-
-
-def test_threads_change_no_digit(monkeypatch):
-    y = Signals(np.random.default_rng(2).standard_normal((3, 60_000)), np.zeros(3))
-    monkeypatch.setattr(pyramid, "AT_ONCE", 8192)
-    cut = segments(60_000, 2, 20, HIGH, DOWN)
-    assert cut.each * 3 * cut.size > 2 * pyramid.LANES * pyramid.AT_ONCE  # several batches in each lane
-    got = []
-    for threads in ("1", "2", ""):
-        monkeypatch.setenv("OMP_NUM_THREADS", threads)
-        spectra = binned(y, np.arange(3), Band(6.0, 34.0, 100.0), np.ones(3))
-        got.append((*pyramid.run(y, cut, HIGH, DOWN, np.arange(3)), spectra.cross))
-    for other in got[1:]:
-        assert all((a == b).all() for a, b in zip(got[0], other, strict=True))
 
 
 @pytest.mark.parametrize(("said", "threads"), [("3", 3), ("2,1", 2), ("0", 1), ("", None), ("many", None)])
@@ -88,11 +73,42 @@ def test_many_stretches_keep_few_blocks_of_one_length():
     sums = begin(y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None)
     once = sums[0].r.mean(0)
     for _ in range(22):
-        sums = more(sums, y, 100.0)
+        sums = joined(sums, of_stretch(sums, y, 100.0))
     assert len(sums[0].r) == 23 <= MOST_BLOCKS
     assert sums[0].blocks == 1
     assert np.abs(sums[0].r - once).max() < 0.01
     assert sums[0].stretches == 23
+
+
+def test_a_stretch_that_was_begun_with_shorter_blocks_joins_as_one_with_long_ones():
+    y = np.random.default_rng(2).standard_normal((3, 4000))
+    sums = begin(y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None)
+    early = of_stretch(sums, y, 100.0)
+    for _ in range(8):
+        sums = joined(sums, of_stretch(sums, y, 100.0))
+    assert sums[0].blocks == 2
+    late = of_stretch(sums, y, 100.0)
+    a, b = joined(sums, early)[0].parts[-1], late[0].parts[0]
+    assert a.shape == b.shape
+    assert np.abs(a - b).max() < 0.02  # the blocks end at other samples
+
+
+def test_items_abreast_are_taken_late_and_given_in_order():
+    taken = []
+
+    def items():
+        for k in range(5):
+            taken.append(k)
+            yield k
+
+    seen = [(x, len(taken)) for x in abreast(lambda k: k * k, items())]
+    assert [x for x, _ in seen] == [0, 1, 4, 9, 16]
+    assert [n for _, n in seen] == [2, 3, 4, 5, 5]
+
+
+def test_an_error_abreast_is_raised():
+    with pytest.raises(ZeroDivisionError):
+        list(abreast(lambda k: 1 / k, [1, 2, 0, 3]))
 
 
 def test_deviation_of_a_modulus_near_zero_and_far_from_it():

@@ -6,6 +6,7 @@ Each band is a pass over the signals at its rate, which also gives those of the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
@@ -19,10 +20,9 @@ from ringtrue.signal.events import NONE, Events
 from ringtrue.signal.preprocess import Band
 from ringtrue.signal.pyramid import Signals
 from ringtrue.signal.stream import Fir, decimator, high_passer
-from ringtrue.signal.threads import pool
 
 SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
-IN_STEP = 8  # channels that are transformed together
+IN_STEP = 8  # channels that are transformed together: memory of more is mapped anew each time
 STEP = 4  # from one rate to the next
 MOST_BLOCKS = 32
 NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
@@ -82,22 +82,28 @@ class BandSums:
         return replace(self.spectra, cross=self.spectra.cross / np.float32(self.stretches))
 
 
-def _joined(a: BandSums, b: BandSums) -> BandSums:
+def _added(a: BandSums, b: BandSums) -> BandSums:
     """Both; `a` gives its arrays away. Pairs of blocks are joined when they become many, and later ones are as long."""
-    parts, shares, blocks = (*a.parts, *b.parts), (*a.shares, *b.shares), a.blocks
+    b = _in_pairs(b) if b.blocks > a.blocks else b
+    parts, shares = (*a.parts, *b.parts), (*a.shares, *b.shares)
+    both = replace(a, parts=parts, shares=shares)
     if sum(len(p) for p in parts) > MOST_BLOCKS:
-        r, share, blocks = np.concatenate(parts), np.concatenate(shares), max(blocks // 2, 1)
-        n = len(r) // 2
-        share = share[: 2 * n].reshape(n, 2)
-        each = (share / share.sum(1, keepdims=True)).astype(np.float32)
-        parts = (np.einsum("bpkij,bp->bkij", r[: 2 * n].reshape(n, 2, *r.shape[1:]), each),)
-        shares = (share.mean(1),)
+        both = _in_pairs(both)
     x, y = a.spectra, b.spectra
     if x.freqs.shape != y.freqs.shape or not np.isclose(x.duration, y.duration):
-        return replace(a, parts=parts, shares=shares, blocks=blocks)
+        return both
     np.add(x.cross, y.cross, out=x.cross)  # in place: these are the largest arrays
-    spectra = replace(x, count=x.count + y.count)
-    return replace(a, parts=parts, shares=shares, blocks=blocks, spectra=spectra, stretches=a.stretches + 1)
+    return replace(both, spectra=replace(x, count=x.count + y.count), stretches=a.stretches + 1)
+
+
+def _in_pairs(x: BandSums) -> BandSums:
+    """Half as many blocks, twice as long."""
+    r, share = x.r, x.share
+    n = len(r) // 2
+    share = share[: 2 * n].reshape(n, 2)
+    each = (share / share.sum(1, keepdims=True)).astype(np.float32)
+    r = np.einsum("bpkij,bp->bkij", r[: 2 * n].reshape(n, 2, *r.shape[1:]), each)
+    return replace(x, parts=(r,), shares=(share.mean(1),), blocks=max(x.blocks // 2, 1))
 
 
 def _filters(band: Band, last: bool) -> tuple[Fir, Fir]:
@@ -142,15 +148,19 @@ def begin(
     return out
 
 
-def more(sums: list[BandSums], data: Any_, rate: float, events: Events = NONE) -> list[BandSums]:
-    """The bands with one more stretch `data` (ch, sample) at `rate` Hz."""
-    bands = tuple(x.band for x in sums)
-    y = _at_first_rate(data, rate, bands)
+def of_stretch(sums: list[BandSums], data: Any_, rate: float, events: Events = NONE) -> list[BandSums]:
+    """One more stretch `data` (ch, sample) at `rate` Hz alone, by the references and scales of the `sums`."""
+    y = _at_first_rate(data, rate, tuple(x.band for x in sums))
     out = []
     for x in sums:
         got, y = _pass(x, y, events, x is sums[-1])
-        out.append(_joined(x, got))
+        out.append(got)
     return out
+
+
+def joined(sums: list[BandSums], stretch: list[BandSums]) -> list[BandSums]:
+    """The bands with one more stretch; those of before are used up."""
+    return [_added(a, b) for a, b in zip(sums, stretch, strict=True)]
 
 
 def _at_first_rate(data: Any_, rate: float, bands: tuple[Band, ...]) -> Signals:
@@ -186,15 +196,10 @@ def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:
     edges = [first]
     while edges[-1] <= last:  # sub-bands, with bins of one width each
         edges.append(max(int(edges[-1] * 1.2), edges[-1] + 1))
-
-    def transformed(some: Int) -> None:
-        for k in range(parts):
-            start = k * (y.samples // parts)
-            lines[:, k, some] = rfft(y.part(start, start + n, eyes[some]), axis=1)[:, first : last + 1].T
-
-    with pool() as threads:
-        list(threads.map(transformed, np.array_split(np.arange(eyes.size), -(-eyes.size // IN_STEP))))
-        found = list(threads.map(lambda a, b: _sub_band(lines[a - first : b - first], a, unit), edges, edges[1:]))
+    for k, some in product(range(parts), range(0, eyes.size, IN_STEP)):
+        start, few = k * (y.samples // parts), slice(some, some + IN_STEP)
+        lines[:, k, few] = rfft(y.part(start, start + n, eyes[few]), axis=1)[:, first : last + 1].T
+    found = [_sub_band(lines[a - first : b - first], a, unit) for a, b in pairwise(edges)]
     f, count, cross = (np.concatenate(x) for x in zip(*found, strict=True))
     return SpectralBins(f * band.rate / n, count, cross, n / band.rate)
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identify.bands import BandSums, begin, more
+from ringtrue.identify.bands import BandSums, begin, joined, of_stretch
 from ringtrue.identify.ssi import SsiCov
 from ringtrue.signal.events import NONE, Events, find_events
 from ringtrue.signal.lines import steady_lines, with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic
+from ringtrue.signal.threads import abreast
 
 Progress = Callable[[float, str], None]
 
@@ -44,28 +45,34 @@ def gathered(
     heard = [find_events(good.data, good.rate)]
     sums = begin(good.data, good.rate, bands, ssi, refs, heard[0])
     duration = good.duration
-    for part in coming:
-        tell(0.0, f"filtering into bands, {duration:.4g} s done")
-        sums, events = _continued(sums, good, part, places)
+
+    def told() -> Iterator[tuple[list[BandSums], TimeHistory]]:  # each with the sums so far
+        nonlocal duration
+        for part in coming:
+            tell(0.0, f"filtering into bands, {duration:.4g} s done")
+            yield sums, part
+            duration += part.duration
+
+    for got, events in abreast(lambda x: _one(*x, good, places), told()):
+        sums = sums if got is None else joined(sums, got)
         heard.append(events)
-        duration += part.duration
     return sums, heard
 
 
-def _continued(
-    sums: list[BandSums], first: TimeHistory, coming: TimeHistory, places: list[float]
-) -> tuple[list[BandSums], Events]:
-    """The sums with one more stretch and its events, unless it is too short for the lags of the lowest band."""
+def _one(
+    sums: list[BandSums], coming: TimeHistory, first: TimeHistory, places: list[float]
+) -> tuple[list[BandSums] | None, Events]:
+    """The bands of one more stretch and its events; None if it is too short for the lags of the lowest band."""
     part = coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
     if not np.isclose(part.rate, first.rate):
         raise DataError(f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
     share = part.duration / first.duration
     if share < 0.5:  # edges of the filters would weigh too much
-        return sums, NONE
+        return None, NONE
     part = without_lines(part, places)
     events = find_events(part.data, part.rate)
-    out = more(sums, part.data, part.rate, events)
-    lost = np.asarray(~np.isfinite(out[0].parts[-1]).all((0, 1, 3)))
+    out = of_stretch(sums, part.data, part.rate, events)
+    lost = np.asarray(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))
     if lost.any():
         bad = [c.id for c, x in zip(part.channels, lost, strict=True) if x]
         raise DataError(f"{coming.source}: channels {' '.join(bad[:8])} fail later in the record; leave them out")

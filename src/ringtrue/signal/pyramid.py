@@ -15,12 +15,10 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.signal.stream import Fir
-from ringtrue.signal.threads import pool
 
 AT_ONCE = 1 << 21  # samples of all channels that are transformed together: they stay in the cache
 INVERSE = 10.0  # inverse transforms of a block over transforms of a segment: 8 references
 LONGEST = 5  # samples of a segment that count, over those that overlap
-LANES = 2  # in which the segments of a block are summed, side by side where there are threads
 LOOKS = 48  # segments that `glance` takes
 
 
@@ -212,30 +210,22 @@ def run(
     q, block = cut.factor, cut.each * cut.hop
     lower = np.empty((ch, cut.blocks * block // q if q > 1 else 0), dtype=np.float32)
     r = np.empty((cut.blocks, cut.lags + 1, ch, references.size), dtype=np.float32)
-    batches = LANES * -(-cut.each // (LANES * max(1, AT_ONCE // (ch * cut.size))))
-    batch = -(-cut.each // batches)
-    rooms = np.empty((LANES, ch, (batch - 1) * cut.hop + cut.size), dtype=np.float32)
-    cross, some = np.empty((2, LANES, gain.size, ch, references.size), dtype=np.complex64)
-
-    def summed(lane: int, first: int, end: int) -> None:  # cross spectra of some batches of the segments of a block
-        cross[lane] = 0.0
-        for k in range(first + lane * batch, end, LANES * batch):
-            count = min(batch, end - k)
+    batch = max(1, AT_ONCE // (ch * cut.size))
+    room = np.empty((ch, (batch - 1) * cut.hop + cut.size), dtype=np.float32)
+    cross, some = np.empty((2, gain.size, ch, references.size), dtype=np.complex64)
+    for b in range(cut.blocks):  # in memory one at a time
+        cross[:] = 0.0
+        for k in range(b * cut.each, (b + 1) * cut.each, batch):
+            count = min(batch, (b + 1) * cut.each - k)
             start = k * cut.hop
-            x = _cut_out(signals, cut, start, count, rooms[lane])
+            x = _cut_out(signals, cut, start, count, room)
             y = _spectra(x, cut, count)
             ref = _references(x, cut, count, references, _kept(keep, start, count * cut.hop))
-            cross[lane] += np.matmul(y, ref, out=some[lane])
+            cross += np.matmul(y, ref, out=some)
             if q > 1:
                 lower[:, start // q : (start + count * cut.hop) // q] = _decimated(y, cut, low)
-
-    with pool() as threads:
-        for b in range(cut.blocks):  # in memory one at a time
-            ends = (b * cut.each, (b + 1) * cut.each)
-            list(threads.map(lambda lane, ends=ends: summed(lane, *ends), range(LANES)))
-            total = cross.sum(0)
-            total *= (gain**2)[:, None, None]
-            r[b] = irfft(total, cut.size, axis=0)[cut.lead : cut.lead + cut.lags + 1]
+        cross *= (gain**2)[:, None, None]
+        r[b] = irfft(cross, cut.size, axis=0)[cut.lead : cut.lead + cut.lags + 1]
     r /= pairs(cut, n, keep)[:, :, None, None].astype(np.float32)
     return r, lower[:, : -(-n // q)]
 
