@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import ihfft, irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.signal.stream import Fir
@@ -274,8 +274,7 @@ def _references(x: Any_, cut: Segments, count: int, references: Int, keep: Any_ 
     for row, k in zip(padded[:, :, : cut.hop], references, strict=True):
         inner = x[k, cut.lead : cut.lead + count * cut.hop].reshape(count, cut.hop)
         np.multiply(inner, 1 if keep is None else keep.reshape(count, cut.hop), out=row)
-    y = rfft(padded.transpose(2, 1, 0), axis=0)
-    return np.conj(y, out=y)
+    return ihfft(padded.transpose(2, 1, 0), axis=0, norm="forward")
 
 
 def _decimated(y: Any_, cut: Segments, gain: Any_) -> Any_:
