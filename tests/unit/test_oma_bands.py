@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import pytest
 from scipy.signal import oaconvolve
@@ -17,7 +15,7 @@ from ringtrue.signal import pyramid
 from ringtrue.signal.preprocess import Band, detrend
 from ringtrue.signal.pyramid import Signals, segments
 from ringtrue.signal.stream import decimator, high_passer
-from ringtrue.signal.threads import abreast, pool
+from ringtrue.signal.threads import ABREAST, abreast, threads
 
 HIGH, DOWN = high_passer(4.0, 100.0), decimator(4)
 
@@ -44,11 +42,19 @@ def test_a_pass_gives_the_correlations_of_the_filtered_signals(samples):
     assert lower == pytest.approx(filtered(y, DOWN.taps)[:, ::4], abs=1e-4)
 
 
-@pytest.mark.parametrize(("said", "threads"), [("3", 3), ("2,1", 2), ("0", 1), ("", None), ("many", None)])
-def test_threads_are_as_many_as_the_environment_says(monkeypatch, said, threads):
+@pytest.mark.parametrize(("said", "want"), [("1", 1), ("2,1", 2), ("0", 1), ("40", 2)])
+def test_threads_are_as_many_as_the_environment_says(monkeypatch, said, want):
     monkeypatch.setenv("OMP_NUM_THREADS", said)
-    with pool() as p:
-        assert p._max_workers == (threads or os.cpu_count())
+    assert threads() == want
+
+
+@pytest.mark.parametrize("said", ["", "many"])
+def test_threads_are_as_many_as_the_cores(monkeypatch, said):
+    monkeypatch.setenv("OMP_NUM_THREADS", said)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    assert threads() == 1
+    monkeypatch.setattr("os.cpu_count", lambda: 8)
+    assert threads() == ABREAST
 
 
 def test_a_part_beyond_the_end_is_empty():

@@ -70,7 +70,7 @@ from ringtrue.identify.wander import wander, widened
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.lines import with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic, block_weights, harmonics, uncut, usable
-from ringtrue.signal.threads import pool
+from ringtrue.signal.threads import abreast
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
@@ -328,10 +328,9 @@ def identify_stretches(
     sums, heard = gathered(good, more_to_come, bands, ssi, refs, places, tell)
     found, motion = [], one_motion(good.channels)
     known = Heard(response_slope(good), choice, any(e.driven for e in heard), motion)
-    with pool() as threads:
-        for k, modes_of in enumerate(threads.map(lambda x: _band(x, settings, known), sums)):
-            tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
-            found.append(modes_of)
+    for k, modes_of in enumerate(abreast(lambda x: _band(x, settings, known), sums)):
+        tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
+        found.append(modes_of)
     result = _assemble(good, found, lines, bands, settings, choice, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.reasons)
