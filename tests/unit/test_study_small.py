@@ -224,6 +224,15 @@ def test_one_kind_of_test_is_enough_to_update(tmp_path: Path, ambient: bool, ham
     deliver(run)
 
 
+def test_modes_of_the_deck_reach_well_above_the_test_where_nothing_is_said(tmp_path: Path) -> None:
+    toml = small_study.FULL.replace(f"fmax = {small_study.FMAX}\n", "", 1)
+    run = run_study(small_study.write_study(tmp_path, toml, ambient=False), until="correlate")
+    found = run.results["correlate"]
+    assert run.desk.fmax == pytest.approx(1.5 * found.reference.frequencies.max())
+    assert (found.fe_initial.frequencies <= run.desk.fmax).all()
+    assert not found.gaps  # which would say that the modes of the deck end too low
+
+
 def test_nothing_is_written_when_an_input_is_wrong(tmp_path: Path) -> None:
     out = tmp_path / "out"
     study = small_study.write_study(tmp_path)

@@ -16,9 +16,9 @@ from ringtrue.update.dense import DenseModel
 from ringtrue.update.kfold import discrepancy, folds_of, k_fold, with_discrepancy
 from ringtrue.update.mcmc import autocorrelation_time, ensemble, log_posterior
 from ringtrue.update.objective import Target, Weights
-from ringtrue.update.plausible import plausibility
-from ringtrue.update.posterior import Posterior, as_likelihood, laplace
-from ringtrue.update.several import Configuration, Problem
+from ringtrue.update.plausible import form_flags, kept, plausibility
+from ringtrue.update.posterior import Posterior, around, as_likelihood, laplace
+from ringtrue.update.several import Configuration, Problem, held_to
 from ringtrue.update.trust import solve
 
 N, GROUPS, MODES = 12, 4, 8
@@ -71,6 +71,26 @@ def test_90_percent_intervals_hold_the_truth_85_to_95_percent_of_the_time(case: 
         band = np.log(laplace(problem, end, scale, independent=independent).interval(0.9))
         inside.append((band[:, 0] <= truth) & (truth <= band[:, 1]))
     assert 0.85 <= np.mean(inside) <= 0.95
+
+
+def test_parameters_that_were_not_updated_may_be_off_too() -> None:
+    """Two of four groups are updated, the others off by their priors: the intervals hold the truth all the same."""
+    model, rng, inside = chain(std=0.1), np.random.default_rng(11), []
+    expected = NOISE_SHAPE**2 * (N - 1) / N
+    for _ in range(50):
+        truth = 0.1 * rng.standard_normal(GROUPS)
+        aim = measured(model, truth, rng, weights=Weights(1e-9, expected, 1.0), rule="cost", lost=1e6)
+        full = Problem((as_likelihood(Configuration(model, aim), 0.0, expected),))
+        some = held_to(full, ["k1", "k2"])
+        end = solve(some, start=truth[:2]).end
+        blind = laplace(some, end, np.ones(2), independent=1.0)
+        honest = around(full, full.evaluate(end.x)).take([0, 1])
+        np.testing.assert_allclose(honest.x, blind.x[:2])
+        bands = np.log(np.stack([blind.interval(0.9)[:2], honest.interval(0.9)]))
+        inside.append((bands[..., 0] <= truth[:2]) & (truth[:2] <= bands[..., 1]))
+    before, after = np.mean(inside, axis=(0, 2))
+    assert before < 0.5
+    assert 0.85 <= after <= 0.99  # at least what is said: the step to the mean counts as an error whole
 
 
 def test_a_shape_counted_as_one_datum_does_not_widen_the_truth() -> None:
@@ -134,6 +154,23 @@ def test_left_out_frequencies_of_another_form_lie_in_their_bands() -> None:
     assert 0.8 <= np.mean(np.concatenate(inside)) <= 0.98
 
 
+def test_a_mode_that_is_not_used_counts_as_evidence_and_not_for_itself() -> None:
+    model, rng = chain(), np.random.default_rng(9)
+    aim = measured(model, np.zeros(GROUPS), rng, weights=Weights(0.002, 0.02, 0.0))
+    f = aim.frequencies * np.where(np.arange(MODES) == 3, 1.05, 1.0)
+    aim = replace(aim, frequencies=f, used=np.arange(MODES) != 3)
+    conf, held = with_discrepancy(Configuration(model, aim), folds_of(aim.used, 3))
+    assert held.error[3] == pytest.approx(-0.05, abs=0.01)
+    assert held.fold[3] == -1
+    assert not held.in_turn[3]
+    assert held.in_turn.sum() == MODES - 1
+    assert not held.inside()[3]
+    # one error of 5 % among eight: 1.7 % in the mean square
+    assert conf.target.weights.frequency == pytest.approx(0.05 / np.sqrt(8), rel=0.15)
+    assert held.model_std[3] < 3 * NOISE_F
+    assert held.ends.shape == (3, GROUPS)
+
+
 def test_discrepancy_keeps_the_posterior_from_collapsing() -> None:
     rng = np.random.default_rng(6)
     twin = chain(np.exp(0.1 * rng.standard_normal(N)))
@@ -178,6 +215,21 @@ def test_plausibility_flags() -> None:
     flags = plausibility(names, x, np.array([0.1, 0.1, 0.95, 0.95]))
     assert [(f.parameter, f.kind) for f in flags] == [("a", "bound"), ("a", "prior"), ("b", "prior"), ("c", "silent")]
     assert not plausibility(names, np.zeros(4))
+
+
+def test_changes_that_the_test_does_not_prove() -> None:
+    """a: proven; b: its interval holds 1; c: one fold carries it; d: as the deck has it."""
+    names = ParameterSet(tuple(Parameter(n, (), 0.1, 10.0) for n in "abcd"))
+    x = np.log([0.7, 1.3, 1.5, 1.01])
+    share = kept(x, np.array([x, x * [0.9, 0.8, -0.2, 0.0]]))
+    np.testing.assert_allclose(share, [0.9, 0.8, -0.2, 0.0])
+    reach = np.array([0.1, 0.5, 0.1, 0.5])
+    interval = np.exp(x[:, None] + np.outer(reach, [-1, 1]))
+    flags = form_flags(names, np.exp(x), interval, share)
+    assert [(f.parameter, f.kind) for f in flags] == [("b", "form"), ("c", "form")]
+    assert "holds 1" in flags[0].text
+    assert "turns round" in flags[1].text
+    assert np.isnan(kept(x, np.zeros((0, 4)))).all()
 
 
 def test_input_is_checked() -> None:

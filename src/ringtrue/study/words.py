@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.correlate.pairing import CorrelationTable
-from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage, TuneStage, UpdateStage
+from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage, TuneStage, UncertaintyStage, UpdateStage
 
 MEND = "see its row in the sensor sheet (direction, place, unit); [test] leave_out = [...] leaves it out"
 
@@ -31,6 +31,10 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     if correlate is not None:
         out += [*correlate.gaps, *_pairs(correlate, final)]
     out += [_factor(*row) for row in _factors(r)]
+    known: UncertaintyStage | None = r.get("uncertainty")
+    if known is not None and known.unproven.any():
+        names = [n for n, open_ in zip(known.parameters.names, known.unproven, strict=True) if open_]
+        out.append(f"not proven by the test, may take up an error of the model's form: {', '.join(names)}")
     update, localise = r.get("update"), r.get("localise")
     alone = update is not None and update.sets[update.chosen].name == "proposal"
     if alone and localise is not None and not localise.proposal.members:
@@ -77,7 +81,9 @@ def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
     out: list[tuple[str, float, float]] = []
     if update is not None:
         best = update.sets[update.chosen]
-        out += zip(best.parameters, best.factor.tolist(), (best.factor * best.std).tolist(), strict=True)
+        known: UncertaintyStage | None = r.get("uncertainty")
+        std = best.std if known is None else known.relative
+        out += zip(best.parameters, best.factor.tolist(), (best.factor * std).tolist(), strict=True)
     if tune is not None:
         out += [(n, a, tune.std[n] * a) for n, a in tune.factors.items()]
     return out

@@ -1,4 +1,4 @@
-"""Is an updated parameter physically plausible: flags where a bound is reached or a change is beyond its prior."""
+"""Is an updated parameter plausible: flags at a bound, beyond the prior, and where it may stand for something else."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from typing import Literal
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
 
 EDGE = 0.01  # of the range between the bounds
 BEYOND = 2.0  # prior standard deviations
 SILENT = 0.9  # posterior over prior standard deviation: the data said nothing
+SLIGHT = 0.05  # change of a factor that needs no proof
+KEPT = 0.5  # share of a change that should be there whatever modes are left out
 
-Kind = Literal["bound", "prior", "silent"]
+Kind = Literal["bound", "prior", "silent", "form"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +27,9 @@ class Flag:
     Attributes
     ----------
     parameter : str
-    kind : {"bound", "prior", "silent"}
-        At a bound; changed by more than two prior standard deviations; moved though the data do not determine it.
+    kind : {"bound", "prior", "silent", "form"}
+        At a bound; changed by more than two prior standard deviations; moved though the data do not determine it; not
+        proven, so that it may take up an error of the model's form.
     factor : float
     text : str
     """
@@ -67,4 +70,50 @@ def plausibility(parameters: ParameterSet, x: Float, ratio: Float | None = None)
         if told[i] > SILENT and abs(away[i]) > 0.25:
             text = f"{p.name}: factor {a[i]:.3g}, but the data do not determine it (posterior/prior {told[i]:.2f})"
             flags.append(Flag(p.name, "silent", float(a[i]), text))
+    return tuple(flags)
+
+
+def kept(x: Float, ends: Float) -> Float:
+    """Least share of each change that is there with any fold of modes left out, (p,); below 0 it turns round.
+
+    Parameters
+    ----------
+    x : (p,) float64
+    ends : (fold, p) float64
+        The same without each fold.
+    """
+    if not len(ends):
+        return np.full(x.size, np.nan)
+    return np.asarray((ends / np.where(x == 0.0, 1.0, x)).min(axis=0))
+
+
+def unproven(factor: Float, interval: Float, share: Float) -> Bool:
+    """Changes (p,) that the test does not prove: the interval of the factor holds 1, or few modes carry the change.
+
+    Such a parameter may take up an error of form, or of a region that is no candidate.
+
+    Parameters
+    ----------
+    factor : (p,) float64
+    interval : (p, 2) float64
+        Where the candidates that were not updated may be off, too (`posterior.around`).
+    share : (p,) float64
+        Of `kept`.
+    """
+    open_ = (interval[:, 0] <= 1) & (interval[:, 1] >= 1)
+    return np.asarray((np.abs(factor - 1) > SLIGHT) & (open_ | (share < KEPT)))
+
+
+def form_flags(parameters: ParameterSet, factor: Float, interval: Float, share: Float) -> tuple[Flag, ...]:
+    """A flag for each change that is `unproven`."""
+    flags: list[Flag] = []
+    for i in np.flatnonzero(unproven(factor, interval, share)).tolist():  # over parameters: text for people
+        low, high = interval[i].tolist()
+        why = [f"its interval, {low:.3g} to {high:.3g}, holds 1"] if low <= 1 <= high else []
+        if share[i] < KEPT:
+            turned = "turns round" if share[i] < 0 else f"shrinks to {100 * share[i]:.0f} %"
+            why.append(f"its change {turned} when some of the modes are left out")
+        name = parameters.names[i]
+        text = f"{name}: factor {factor[i]:.3g}, but {' and '.join(why)}; it may take up an error of the model's form"
+        flags.append(Flag(name, "form", float(factor[i]), text))
     return tuple(flags)

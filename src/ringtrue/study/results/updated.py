@@ -13,6 +13,7 @@ from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.study.results.correlated import Evidence
 from ringtrue.update.kfold import Held
 from ringtrue.update.localise import SCARCE
+from ringtrue.update.plausible import kept, unproven
 from ringtrue.update.posterior import Posterior
 from ringtrue.update.predict import RunUp, Unbalance
 from ringtrue.update.proposal import Proposal
@@ -262,6 +263,16 @@ class UncertaintyStage:
     def relative(self) -> Float:
         """Standard deviation of the factors, relative, (p,)."""
         return np.asarray(self.parameters.slope(self.parameters.vector(self.factor)) * self.std / self.factor)
+
+    @property
+    def kept(self) -> Float:
+        """Least share of each change that is there with any fold of modes left out, (p,)."""
+        return kept(self.parameters.vector(self.factor), self.held.ends)
+
+    @property
+    def unproven(self) -> Bool:
+        """Parameters that may take up an error of form, (p,)."""
+        return unproven(self.factor, self.interval, self.kept)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

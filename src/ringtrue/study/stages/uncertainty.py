@@ -23,7 +23,7 @@ from ringtrue.update.identifiable import cosines
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
 from ringtrue.update.objective import Target, Weights, match
-from ringtrue.update.plausible import plausibility
+from ringtrue.update.plausible import form_flags, kept, plausibility
 from ringtrue.update.pool import conflicts, of_parameter
 from ringtrue.update.posterior import Posterior, around, as_likelihood
 from ringtrue.update.residuals import Eigenvalues, Weighted
@@ -201,11 +201,15 @@ def _result(
     parts[:, 1], parts[:, 2] = aim.std, np.where(np.isfinite(held.model_std), held.model_std, likely.weights.frequency)
     reach = float(stdtrit(held.freedom, 0.5 + level / 2)) * np.sqrt((parts**2).sum(axis=1)) * f
     band = np.stack([f - reach, f + reach], axis=1)
+    factor, interval = p.factors(posterior.x), posterior.interval(level)
+    flags = plausibility(p, posterior.x, posterior.ratio) + form_flags(
+        p, factor, interval, kept(posterior.x, held.ends)
+    )
     return UncertaintyStage(
         p,
-        p.factors(posterior.x),
+        factor,
         posterior.std,
-        posterior.interval(level),
+        interval,
         _prior(p, level),
         posterior.ratio,
         posterior.moved,
@@ -220,7 +224,7 @@ def _result(
         aim.used,
         (band[:, 0] <= aim.frequencies) & (aim.frequencies <= band[:, 1]),
         held,
-        tuple(flag.text for flag in plausibility(p, posterior.x, posterior.ratio)),
+        tuple(flag.text for flag in flags),
     )
 
 
