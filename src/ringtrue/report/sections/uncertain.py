@@ -70,7 +70,7 @@ def _lead(s: UncertaintyStage) -> str:
     times = f / max(100 * float(np.median(s.parts[:, 1])), 1e-9)
     exact = f"; the test is about {float(f'{times:.1g}'):.0f} times more exact" if times > 2 else ""
     return (
-        "What no parameter can explain is the discrepancy of the model. Estimated from modes left out in turn it is "
+        "What no parameter can explain is the discrepancy of the model. Estimated from modes predicted unseen it is "
         f"{fixed(f, 2)} % of a frequency and {fixed(m, 1)} % of MAC (the updating assumed {number(assumed[0], 2)} and "
         f"{number(assumed[1], 2)} %){exact}. It is part of every interval and band below."
     )

@@ -19,7 +19,6 @@ from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, Upda
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import as_delivered, others_at
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.identifiable import cosines
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
 from ringtrue.update.objective import Target, Weights, match
@@ -33,7 +32,7 @@ SMALL = 100  # vectors of the model that is updated fold by fold and sampled
 DRAWS = 12  # points around the updated one whose modes it holds, beside those of each parameter by itself
 REACH, LEAST_REACH = 3.0, 0.1  # how far these points lie apart: standard deviations, and x
 FEWEST = 4  # used modes below which none can be left out
-HANDFUL = 5.0  # independent errors in a shape: what the model lacks is smooth over the channels
+ONE = 1.0  # independent error in a shape: what the model lacks is smooth over the channels
 ALIKE = 0.8  # MAC from which on modes of two solvers are the same
 KEPT = 400  # draws that are stored
 BURN = 0.5  # steps that are thrown away, over those kept
@@ -132,8 +131,8 @@ def _posterior(
 ) -> tuple[Posterior, Float]:
     """About the delivered point, with errors as found, where the candidates that were not chosen may be off, too.
 
-    Those that a chosen one stands for are held: the data cannot tell them from it, or both scale one field. The errors
-    of the other configurations are taken to be like those of the first, the deck of the study.
+    Those that scale a field of a chosen one, or a product with it, are held: it stands for them. The errors of the
+    other configurations are taken to be like those of the first, the deck of the study.
 
     Returns
     -------
@@ -146,16 +145,15 @@ def _posterior(
     p, model = problem.parameters, desk.remodelled.model
     at = problem.evaluate(p.vector(np.array([factor[n] for n in p.names])))
     mine = np.isin(p.names, list(chosen))
-    twins = cosines(at.slope * p.std())[:, mine] > desk.config.localise.alike
-    twins |= conflicts(model, [of_parameter(model, one) for one in p.parameters])[:, mine]
-    return around(problem, at, mine | ~twins.any(axis=1), freedom=freedom), at.points[0].now.d_lambda
+    same = conflicts(model, [of_parameter(model, one) for one in p.parameters])[:, mine].any(axis=1)
+    return around(problem, at, mine | ~same, freedom=freedom), at.points[0].now.d_lambda
 
 
 def _likelihood(found: Configuration) -> Configuration:
     """The same with weights that are the inverse covariance of the residuals."""
     w = found.target.weights
     if w.shape > 0:
-        return as_likelihood(found, w.frequency, w.mac, independent=HANDFUL)
+        return as_likelihood(found, w.frequency, w.mac, independent=ONE)
     rest = tuple(t for t in found.terms if isinstance(t, Weighted))
     return replace(found, terms=(Eigenvalues(w.frequency), *rest))
 
