@@ -15,10 +15,10 @@ from scipy.io import wavfile
 from test_ema_frf import FN, PHI, ZETA, pulse, receptance, record
 
 from ringtrue.cli.main import run
-from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify.hammer import HammerModes, identify_hammer
-from ringtrue.io.frfs import read_frfs
+from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.io.records import read_record, read_runs, write_history
 from ringtrue.io.uff.function58 import TIME, write_function
 from ringtrue.signal.frf import estimate_frf
@@ -208,3 +208,85 @@ def test_blows_that_follow_before_the_structure_is_quiet() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(score))) < 2.0
     assert max(error[::2]) < 0.01
     assert np.mean(error[1::2]) > 3 * np.mean(error[::2])
+
+
+def sine_lines() -> np.ndarray:
+    """Fine about the modes and coarse between them, as a sine controller steps."""
+    fine = [f * (1 + z * np.linspace(-4, 4, 60)) for f, z in zip(FN, ZETA, strict=True)]
+    return np.unique(np.concatenate([np.arange(8.0, 70.0, 0.4), *fine]).round(4))
+
+
+def stepped(f: np.ndarray, seed: int, shift: float = 1.0, damped: float = 1.0) -> np.ndarray:
+    """Accelerances (f, out) for a force at point 3; frequencies and damping times a factor."""
+    s, w = 2j * np.pi * f[:, None], 2 * np.pi * FN * shift
+    h = s**2 * ((1 / (s**2 + 2 * ZETA * damped * w * s + w**2) * PHI[2]) @ PHI[RESPONSES].T)
+    rng = np.random.default_rng(seed)
+    return h * (1 + 2e-3 * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)))
+
+
+def write_table(path: Path, f: np.ndarray, h: np.ndarray, *, polar: bool = False) -> Path:
+    names = [f"{o + 1}+Z/3+Z" for o in RESPONSES]
+    one, two = (20 * np.log10(np.abs(h)), np.degrees(np.angle(h))) if polar else (h.real, h.imag)
+    tail = ("mag [dB]", "phase [deg]") if polar else ("real [m/s^2/N]", "imag [m/s^2/N]")
+    head = ",".join(["Frequency [Hz]", *(f"{n} {t}" for n in names for t in tail)])
+    columns = np.stack([one, two], axis=2).reshape(f.size, -1)
+    np.savetxt(path, np.column_stack([f, columns]), delimiter=",", header=head, comments="", fmt="%.8g")
+    return path
+
+
+@pytest.mark.parametrize("polar", [False, True])
+def test_a_stepped_sine_of_uneven_lines(polar: bool, tmp_path: Path, capsys: Capture) -> None:
+    f = sine_lines()
+    path = write_table(tmp_path / "s.csv", f, stepped(f, 0), polar=polar)
+    found = ema(capsys, path)
+    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
+    assert [m["damping"] for m in found["modes"]] == pytest.approx(ZETA, rel=0.02)
+    assert found["scaling"] == "mass"
+    assert run(["ema", str(path)]) == 0
+    assert "uneven lines" in capsys.readouterr().out
+
+
+def test_stepped_sine_in_a_universal_file(tmp_path: Path, capsys: Capture) -> None:
+    f = sine_lines()
+    channels = tuple(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES)
+    none = np.full((f.size, len(channels), 1), np.nan)
+    force = (Channel("3+Z", "force", "N"),)
+    write_frfs(tmp_path / "s.uff", FrfSet(stepped(f, 0)[:, :, None], f, channels, force, none, np.full(1, np.nan)))
+    found = ema(capsys, tmp_path / "s.uff")
+    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
+
+
+def test_force_levels_tell_what_is_not_linear(tmp_path: Path, capsys: Capture) -> None:
+    """The first mode alone is softer by 0.2 % at twice the force."""
+    f, levels = sine_lines(), [10.0, 20.0, 40.0]
+    files = []
+    for k in range(3):
+        shift = np.array([1 - 0.002 * k, 1.0, 1.0, 1.0])
+        files.append(write_table(tmp_path / f"{k}.csv", f, stepped(f, k, shift)))
+    options = [x for level in levels for x in ("--level", level)]
+    found = ema(capsys, *files, *options)
+    assert found["levels"] == levels
+    linear = [m["linear"] for m in found["level_dependence"]]
+    assert linear == [False, True, True, True]
+    assert found["level_dependence"][0]["slope_frequency"] == pytest.approx(-0.002 / np.log(2), rel=0.03)
+    assert run(["ema", *map(str, (*files, *options))]) == 0
+    assert "not linear" in capsys.readouterr().out
+    assert run(["ema", *map(str, (*files, "--level", 3))]) == 2
+
+
+def test_titles_of_tables(tmp_path: Path) -> None:
+    text = "Freq;Re(H 1+Z/3+Z);Im(H 1+Z/3+Z);H(2+Z,3+Z)_mag [mm/s/N];H(2+Z,3+Z)_phase (rad);note\n"
+    (tmp_path / "t.csv").write_text(text + "".join(f"{x},5;1,0;2,0;3,0;0,5;7\n" for x in (3, 1, 2)))
+    with pytest.raises(DataError, match="several kinds"):
+        read_frfs(tmp_path / "t.csv")
+    (tmp_path / "t.csv").write_text(
+        text.replace(" [mm/s/N]", "") + "".join(f"{x},5;{x};2;3;0,5;7\n" for x in (3, 1, 2))
+    )
+    frfs = read_frfs(tmp_path / "t.csv")
+    assert frfs.freqs.tolist() == [1.5, 2.5, 3.5]
+    np.testing.assert_allclose(frfs.data[:, 0, 0], [1 + 2j, 2 + 2j, 3 + 2j])
+    np.testing.assert_allclose(frfs.data[:, 1, 0], 3 * np.exp(0.5j))
+    assert ([c.id for c in frfs.outputs], [c.id for c in frfs.inputs]) == (["1+Z", "2+Z"], ["3+Z"])
+    (tmp_path / "t.csv").write_text("f,a real,b imag\n1,1,1\n2,2,2\n3,3,3\n")
+    with pytest.raises(DataError, match="needed: real and imag"):
+        read_frfs(tmp_path / "t.csv")

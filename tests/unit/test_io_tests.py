@@ -48,7 +48,7 @@ def test_npz_turns_axes_and_refuses(tmp_path: Path) -> None:
         ("none", {"freq": np.arange(1, 10.0), "H1": np.zeros((0, 3, 9), complex)}, "no references"),
         ("key", {"freq": np.arange(9.0)}, "H1 missing"),
         ("shape", {"freq": np.arange(8.0), "H1": H.transpose(2, 1, 0)}, "must be"),
-        ("uneven", {"freq": np.arange(1, 10.0) ** 2, "H1": H.transpose(2, 1, 0)}, "equal steps"),
+        ("falling", {"freq": np.arange(9.0)[::-1], "H1": H.transpose(2, 1, 0)}, "must rise"),
     ):
         np.savez(tmp_path / f"{name}.npz", **arrays)
         with pytest.raises(DataError, match=words):

@@ -29,10 +29,12 @@ from ringtrue.cli.identify import (
     tell,
     write_pages,
 )
+from ringtrue.cli.levels import check_levels, levels_json, print_levels
 from ringtrue.cli.show import progress, write_json
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import ConfigError, about
 from ringtrue.identify.hammer import HammerModes, identify_hammer
+from ringtrue.identify.linearity import level_dependence
 from ringtrue.identify.lsfd import driving_pairs
 from ringtrue.io.frfs import holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
@@ -74,7 +76,7 @@ def ema(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="FRFs (.h5, .npz, .uff), or time records with a force channel (.uff .h5 .csv .mat .wav .tdms .lvm)"
+            help="FRFs (.h5 .npz .uff .csv), or time records with a force channel (.uff .h5 .csv .mat .wav .tdms .lvm)"
         ),
     ],
     fmin: Fmin = None,
@@ -103,6 +105,12 @@ def ema(
     estimator: Annotated[Estimator, typer.Option(help="FRF estimator.")] = Estimator.H1,
     shaker: Annotated[
         float | None, typer.Option(metavar="HZ", help="The force runs all the time: Welch spectra with lines HZ apart.")
+    ] = None,
+    level: Annotated[
+        list[float] | None,
+        typer.Option(
+            metavar="N", help="Force level of each file, in order: each alone, modes followed, linear or not."
+        ),
     ] = None,
     rate: Rate = None,
     group: Group = "",
@@ -140,12 +148,16 @@ def ema(
     how = BlowFiles(force, tuple(struck or ()), tuple(leave_out or ()), quantity.value if quantity else "", rate, group)
     want = HammerSettings(force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end)
     want = replace(want, estimator=estimator.value)
+    band = HammerModes(fmin=fmin, fmax=fmax)
+    if level:
+        check_levels(level, len(files))
+        return _at_levels(level, files, (how, want, shaker, window_decay), band, json)
     with progress("modes from FRFs") as show, about(files[0]):
         measured = _measured(files, how, want, shaker, show)
         frfs = _windowed(measured.frfs, window_decay)
         if frfs_to:
             write_frfs(frfs_to, frfs)
-        found = identify_hammer(frfs, HammerModes(fmin=fmin, fmax=fmax), choice=by_hand, progress=show)
+        found = identify_hammer(frfs, band, choice=by_hand, progress=show)
     write_pages(files[0], (found.modes, found.reasons, found.diagrams), choice_to, diagram)
     title = " ".join(str(f) for f in files)
     if json:
@@ -157,6 +169,33 @@ def ema(
         if not len(found.modes):
             tell(("no mode is believed in this band", *found.rejected[-5:]))
     return 0 if len(found.modes) else 1
+
+
+def _at_levels(
+    levels: Sequence[float],
+    files: Sequence[Path],
+    how: tuple[BlowFiles, HammerSettings, float | None, float | None],
+    band: HammerModes,
+    json: str | None,
+) -> int:
+    """Each file by itself, then the modes of the lowest level followed over all levels."""
+    read, want, shaker, decay = how
+    found, notes = [], list[str]()
+    for k, path in enumerate(files):
+        mine = replace(read, struck=read.struck[k : k + 1] or read.struck[:1])
+        with progress(f"level {levels[k]:g}") as show, about(path):
+            measured = _measured((path,), mine, want, shaker, show)
+            result = identify_hammer(_windowed(measured.frfs, decay), band, progress=show)
+        notes += [f"{path}: {n}" for n in (*measured.notes, *result.notes)]
+        found.append((result.modes, result.uncertainty))
+    lowest = found[int(np.argmin(levels))]
+    table = level_dependence(levels, found)
+    if json:
+        write_json(modes_to_json(*lowest) | levels_json(table), json)
+    if json != "-":
+        print_levels(table)
+        tell(notes)
+    return 0 if len(lowest[0]) else 1
 
 
 def _blows_json(hits: Sequence[HitReport]) -> dict[str, Any]:

@@ -83,7 +83,7 @@ class FrfSet:
     Attributes
     ----------
     data : (freq, out, in) complex128, SI
-    freqs : (freq,) float64, Hz, equally spaced
+    freqs : (freq,) float64, Hz, ascending; of a stepped sine in uneven steps
     outputs, inputs : tuple of Channel
         The id of an input is a point and direction like that of an output: equal ids mark a driving point.
     coherence : (freq, out, in) float64

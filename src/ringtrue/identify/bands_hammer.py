@@ -26,18 +26,22 @@ MOST_PRINCIPAL = 40
 
 def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[tuple[float, float], ...]:
     """Overlapping bands, Hz: none spans more than RATIO, holds too few lines or too many peaks of the CMIF."""
-    step = float(freqs[1] - freqs[0])
     low = max(low, float(freqs[0]))
+    number = np.arange(freqs.size, dtype=np.float64)
+
+    def lines_below(edge: float, lines: float) -> float:
+        return float(np.interp(np.interp(edge, freqs, number) - lines, number, freqs))
+
     all_peaks = np.sort(freqs[count_peaks(curve)])
     most = max(MOST_PEAKS, all_peaks.size // MOST_BANDS)
     edges = [high]
     while edges[-1] > low * 1.05:
-        lower = min(edges[-1] / RATIO, edges[-1] - LEAST_LINES * step)
+        lower = min(edges[-1] / RATIO, lines_below(edges[-1], LEAST_LINES))
         inside = all_peaks[(all_peaks < edges[-1]) & (all_peaks > lower)]
         if inside.size > most:
             cut = 0.5 * (inside[-most] + inside[-most - 1])
-            lower = max(lower, min(float(cut), edges[-1] - LEAST_LINES * step))
-        edges.append(lower if lower - low > LEAST_LINES / 2 * step else low)
+            lower = max(lower, min(float(cut), lines_below(edges[-1], LEAST_LINES)))
+        edges.append(lower if lines_below(lower, LEAST_LINES / 2) > low else low)
     edges = edges[::-1]
     return tuple((_overlap(a, -0.15 * (b - a), freqs), _overlap(b, 0.15 * (b - a), freqs)) for a, b in pairwise(edges))
 
@@ -46,9 +50,10 @@ def _overlap(edge: float, by: float, freqs: Float) -> float:
     return float(np.clip(edge + by, freqs[0], freqs[-1]))
 
 
-def line_step(frfs: FrfSet) -> float:
-    """Distance of two lines, Hz."""
-    return float(frfs.freqs[1] - frfs.freqs[0])
+def line_steps(freqs: Float, at: Complex) -> Float:
+    """(k,) distance of the lines, Hz, around poles `at` (k,), rad/s."""
+    step = np.diff(freqs)
+    return np.asarray(step[np.clip(np.searchsorted(freqs, at.imag / (2 * np.pi)) - 1, 0, step.size - 1)])
 
 
 def band_candidates(
@@ -66,7 +71,7 @@ def band_candidates(
     alone = n_in == 1 and strong.shape[1] > 1 and len(poles) > 0
     responses = pole_shapes(poles, strong, frfs.freqs[at], POWER[frfs.kind]) if alone else None
     poles = replace(poles, shape=poles.shape * sigma.input[:, None])
-    clusters = cluster_poles(poles, line_step(frfs), responses=responses)
+    clusters = cluster_poles(poles, line_steps(frfs.freqs, poles.pole), responses=responses)
     db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
     return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
 
@@ -85,7 +90,7 @@ def principal(data: Complex) -> Complex:
     return np.asarray(vectors[:, -r:].T @ data)
 
 
-def merged(found: Sequence[Clusters], step: float, decay: float) -> Candidates:
+def merged(found: Sequence[Clusters], freqs: Float, decay: float) -> Candidates:
     """Candidates of all bands, the window out of the poles; of those seen twice, the one with less scatter."""
     found = [c for c in found if c.pole.size]
     if not found:
@@ -96,7 +101,7 @@ def merged(found: Sequence[Clusters], step: float, decay: float) -> Candidates:
     band = np.repeat(np.arange(len(found)), [c.pole.size for c in found])
     keep = np.ones(pole.size, dtype=bool)
     rank = scatter + (1 - support)
-    far = _distance(pole, part, step)
+    far = _distance(pole, part, line_steps(freqs, pole))
     for i, j in np.argwhere(np.triu(far < 1.5, 1)):  # a few pairs in the overlaps
         if band[i] != band[j] and keep[i] and keep[j]:
             keep[j if rank[i] <= rank[j] else i] = False
@@ -105,9 +110,9 @@ def merged(found: Sequence[Clusters], step: float, decay: float) -> Candidates:
     return Candidates(true, part, support, scatter).take(order)
 
 
-def _distance(pole: Complex, part: Complex, step: float) -> Float:
+def _distance(pole: Complex, part: Complex, step: Float) -> Float:
     """(c, c) distances in half bandwidths, with 1 − MAC of the participation vectors (inputs above one)."""
-    width = 0.5 * np.sqrt(np.outer(pole.real, pole.real)) + 0.6 * np.pi * step
+    width = 0.5 * np.sqrt(np.outer(pole.real, pole.real)) + 0.6 * np.pi * np.sqrt(np.outer(step, step))
     far = np.abs(pole[:, None] - pole) / width
     if part.shape[1] > 1:
         far = far + (1 - mac(part.T, part.T)) / 0.3

@@ -47,7 +47,7 @@ def _peaks(rest: Complex, lines: Lines, fit: Refined) -> Int:
     """Lines of the peaks, highest first, half a bandwidth apart at least."""
     power = uniform_filter1d((np.abs(rest) ** 2).mean(axis=(0, 2)), 3, mode="nearest")
     total = (np.abs(lines.y * lines.response) ** 2).mean(axis=(0, 2))
-    step = lines.s.imag[1] - lines.s.imag[0]
+    step = np.median(np.diff(lines.s.imag))
     zeta = np.median(-fit.poles.real / np.abs(fit.poles)) if fit.poles.size else 0.01
     half = int(np.ceil(zeta * np.median(lines.s.imag) / step)) + 2
     floor = median_filter(power, size=min(20 * half + 1, power.size), mode="nearest")

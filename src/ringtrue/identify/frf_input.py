@@ -17,6 +17,7 @@ from ringtrue.signal.frf_checks import passive
 _SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite
 _ODD = 100.0  # times the level of the typical response
 _COHERENT = 0.5
+_EVEN = 1e-3  # of the step, that rounded lines differ by
 _TURNED = 0.3  # share of the power at a driving point of the wrong sign; what rings on between hits takes the rest
 _CURED = 0.3  # of the misfit of the residues may be left when one fault is undone
 _MISFIT = 1e-3  # share of the residues that no single shape explains, and that calls for a reason
@@ -76,6 +77,13 @@ def frf_notes(frfs: FrfSet, sound: Sequence[tuple[int, int, float]]) -> tuple[st
         typical = float(np.nanmedian(frfs.coherence[:: max(1, frfs.freqs.size // _LOOKS)]))
         if typical < _COHERENT:
             out.append(f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise")
+    step = np.diff(frfs.freqs)
+    if np.ptp(step) > _EVEN * np.median(step):
+        wide = int(step.argmax())
+        out.append(
+            f"uneven lines: {step.min():.3g} to {step.max():.3g} Hz apart, widest between {frfs.freqs[wide]:.5g} and "
+            f"{frfs.freqs[wide + 1]:.5g} Hz"
+        )
     if len(frfs.inputs) == 1:
         out.append("one reference: two modes of one and the same frequency show as one")
     if turned := [frfs.inputs[i].id for o, i, sign in driving_pairs(frfs) if (o, i, sign) not in sound]:
@@ -96,7 +104,7 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
         ‖H − H_fit‖/‖H‖ there.
     """
     out = []
-    step = float(frfs.freqs[1] - frfs.freqs[0])
+    step = np.interp(modes.frequencies, frfs.freqs[1:], np.diff(frfs.freqs))
     width = (2 * modes.damping * modes.frequencies + frfs.window_decay / np.pi) / step
     cut = [f"{f:.4g}" for f in modes.frequencies[width < _CUT]]
     if cut and np.isinf(frfs.kept):

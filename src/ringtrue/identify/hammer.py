@@ -15,7 +15,7 @@ from ringtrue.core.outcome import Outcome
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
-from ringtrue.identify.bands_hammer import band_candidates, choose_bands, line_step, merged
+from ringtrue.identify.bands_hammer import band_candidates, choose_bands, merged
 from ringtrue.identify.choice_hammer import hand_poles
 from ringtrue.identify.deflate import missed, support
 from ringtrue.identify.frf_input import fit_notes, frf_notes, odd_channel, refuse_bad_frfs, sound_pairs
@@ -150,7 +150,7 @@ def identify_hammer(
         clusters, diagram = band_candidates(used, sigma, curve, band, settings.damping_max)
         found.append(clusters)
         diagrams.append(diagram)
-    candidates = merged(found, line_step(used), used.window_decay)
+    candidates = merged(found, used.freqs, used.window_decay)
     if not candidates.pole.size:
         raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz")
     if 16 * 6 * candidates.pole.size * used.freqs.size > MOST_BYTES:

@@ -203,7 +203,7 @@ def _double(lines: Lines, fit: Refined, c: Candidates, shapes: Complex, total: F
     One that the orders do not show needs the same shape only: setups that disagree about a mode split it that way.
     """
     p = fit.poles
-    width = np.maximum(np.abs(p.real)[:, None], np.abs(p.real)[None]) + (lines.s.imag[1] - lines.s.imag[0])
+    width = np.maximum(np.abs(p.real)[:, None], np.abs(p.real)[None]) + np.median(np.diff(lines.s.imag))
     close = np.abs(p[:, None] - p) / width
     alike = mac(shapes, shapes) * mac(fit.participation.T, fit.participation.T)
     same = mac(shapes, shapes) if shapes.shape[0] > 4 else alike

@@ -59,7 +59,7 @@ def noise(frfs: FrfSet) -> Noise:
         n = np.where(np.isfinite(frfs.averages), np.maximum(frfs.averages, 1), 1)
         var = h2 * (1 - g) / (2 * n * g) + 1e-8 * h2
     else:
-        var = _roughness(frfs.data) + (0.02**2) * h2
+        var = _roughness(frfs.data, frfs.freqs) + (0.02**2) * h2
     var = np.maximum(var, 1e-12 * h2.mean(axis=0) + np.finfo(float).tiny)
     log = np.log(var)
     mean = log.mean()
@@ -70,10 +70,11 @@ def noise(frfs: FrfSet) -> Noise:
     return Noise(np.exp(0.5 * line), np.exp(0.5 * response), np.exp(0.5 * given))
 
 
-def _roughness(h: Complex) -> Float:
+def _roughness(h: Complex, freqs: Float) -> Float:
     """(1, out, in) variance per component from the median of squared second differences over the lines."""
-    d = np.abs(h[2:] - 2 * h[1:-1] + h[:-2]) ** 2
-    return np.asarray(np.median(d, axis=0)[None] / (12 * 0.693))
+    left = ((freqs[2:] - freqs[1:-1]) / (freqs[2:] - freqs[:-2]))[:, None, None]
+    d = np.abs(h[1:-1] - left * h[:-2] - (1 - left) * h[2:]) ** 2 / (1 + left**2 + (1 - left) ** 2)
+    return np.asarray(np.median(d, axis=0)[None] / (2 * 0.693))
 
 
 def _smooth(line: Float, width: int = 5) -> Float:

@@ -49,7 +49,7 @@ def plscf(data: Complex, freqs: Float, settings: Plscf, weights: Float | None = 
     Parameters
     ----------
     data : (freq, out, in) complex128
-    freqs : (freq,) float64, Hz, equally spaced; the band
+    freqs : (freq,) float64, Hz, ascending; the band
     settings : Plscf
     weights : (out,) float64, optional
         Factor on each response.
@@ -69,7 +69,7 @@ def plscf(data: Complex, freqs: Float, settings: Plscf, weights: Float | None = 
         raise InputError(f"{freqs.size} lines in the band for order {settings.ordmax}: widen it or lower ordmax")
     h = data if weights is None else data * weights[:, None]
     scale = np.sqrt(np.mean(np.abs(h) ** 2, axis=(0, 1))) + np.finfo(float).tiny
-    factor = _factor(h / scale, settings.ordmax)
+    factor = _factor(h / scale, (freqs - freqs[0]) / (freqs[-1] - freqs[0]), settings.ordmax)
     found = [_order(factor, n, n_in, freqs) for n in range(settings.ordmin, settings.ordmax + 1)]
     order = np.repeat(np.arange(settings.ordmin, settings.ordmax + 1), [p.size for p, _ in found])
     poles = np.concatenate([p for p, _ in found])
@@ -84,17 +84,19 @@ def _plausible(poles: Complex, freqs: Float, settings: Plscf) -> Bool:
     return np.asarray(inside & (zeta > 1e-5) & (zeta < settings.damping_max))
 
 
-def _factor(h: Complex, n: int) -> Float:
+def _factor(h: Complex, place: Float, n: int) -> Float:
     """Lower Cholesky factor of the reduced normal matrix, highest power of z first, ((n+1) in, (n+1) in).
+
+    `place` (freq,) is that of the lines in the band, 0 to 1.
 
     With z on the upper half circle the blocks Re Σ z^(l-k) (...) hang on l - k alone: trigonometric sums give all.
     """
-    lines, n_out, m = h.shape
+    n_out, m = h.shape[1:]
     k = np.arange(-n, n + 1)
-    wave = np.exp(1j * np.pi * np.outer(k, np.arange(lines) / (lines - 1)))
+    wave = np.exp(1j * np.pi * np.outer(k, place))
     r = toeplitz(wave.real.sum(axis=1)[n:])
-    s = (wave @ h.reshape(lines, -1)).real.reshape(2 * n + 1, n_out, m)
-    t = (wave @ (h.conj().transpose(0, 2, 1) @ h).reshape(lines, -1)).real.reshape(2 * n + 1, m, m)
+    s = (wave @ h.reshape(place.size, -1)).real.reshape(2 * n + 1, n_out, m)
+    t = (wave @ (h.conj().transpose(0, 2, 1) @ h).reshape(place.size, -1)).real.reshape(2 * n + 1, m, m)
     lag = np.arange(n + 1)[None, :] - np.arange(n + 1)[:, None] + n
     size = (n + 1) * m
     big_t = t[lag].transpose(0, 2, 1, 3).reshape(size, size)
@@ -182,7 +184,7 @@ def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Comp
 
 
 def cluster_poles(
-    poles: PoleSet, resolution: float, *, responses: Complex | None = None, least: float = 0.3
+    poles: PoleSet, resolution: float | Float, *, responses: Complex | None = None, least: float = 0.3
 ) -> Clusters:
     """Average-linkage clusters of poles that stay in place over the orders.
 
@@ -191,7 +193,7 @@ def cluster_poles(
     Parameters
     ----------
     poles : PoleSet
-    resolution : float, Hz, the spacing of the lines
+    resolution : float or (k,) float64, Hz, the spacing of the lines at each pole
     responses : (out, k) complex128, optional
         Response shapes, for poles that have one input only; counted in 1 − MAC as well.
     least : float
@@ -200,7 +202,8 @@ def cluster_poles(
     if len(poles) < 2:
         return _clusters(poles, np.full(len(poles), -1, dtype=np.int64), [])
     p, v = poles.pole, poles.shape / np.linalg.norm(poles.shape, axis=0)
-    width = np.sqrt(np.outer(-p.real, -p.real)) * 0.5 + 0.6 * np.pi * resolution
+    near = np.broadcast_to(np.asarray(resolution, dtype=np.float64), p.shape)
+    width = np.sqrt(np.outer(-p.real, -p.real)) * 0.5 + 0.6 * np.pi * np.sqrt(np.outer(near, near))
     far = np.abs(p[:, None] - p) / width
     if v.shape[0] > 1:
         far += (1 - np.minimum(np.abs(v.conj().T @ v) ** 2, 1.0)) / 0.4

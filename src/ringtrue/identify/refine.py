@@ -110,7 +110,7 @@ def refine(
     -------
     Refined
     """
-    reach = REACH * np.abs(poles.real) + (lines.s.imag[1] - lines.s.imag[0])
+    reach = REACH * np.abs(poles.real) + np.diff(lines.s.imag).mean()
     part = participation * lines.input
     part = part / np.linalg.norm(part, axis=1, keepdims=True)
     state = _evaluate(lines, poles, part)
@@ -270,7 +270,7 @@ def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:
     then have the same error, and there are fewer of them than it seems.
     """
     power = (np.abs(np.fft.ifft(rest, axis=1)) ** 2).sum(axis=(0, 2))
-    t = np.arange(power.size) / power.size * 2 * np.pi / (lines.s.imag[1] - lines.s.imag[0])
+    t = np.arange(power.size) / power.size * 2 * np.pi / np.diff(lines.s.imag).mean()
     ringing = np.exp(-2 * t[:, None] * (lines.s[0].real - poles.real))
     both = np.stack([ringing, ringing * t[:, None] ** 2])
     there = (power @ both) / np.maximum(both.sum(axis=1), 1e-300)

@@ -53,18 +53,7 @@ def read_csv(path: Path) -> RawTable:
     A header such as `101+Z [m/s^2]` gives name and unit. Delimiters `, ; tab space`; decimal commas, dates, quotes,
     D exponents and empty cells (not a number) are understood.
     """
-    text = read_text(path).splitlines()
-    told = [x for x in text[:200] if x.startswith("#")]
-    lines = [x for x in text if x.strip() and not x.startswith("#")]
-    if not lines:
-        raise DataError(f"{path}: empty, there are no samples")
-    lines = _without_footer(lines)
-    delimiter, comma = _dialect(lines[-1])
-    if delimiter != " " and lines[-1].rstrip(" ").endswith(delimiter):  # each line ends in a delimiter
-        if not lines[-1].strip(f" {delimiter}"):
-            raise DataError(f"{path}: the last line has no number: the file is empty or cut")
-        if lines[len(lines) // 2].rstrip(" ").endswith(delimiter):
-            lines = [x.rstrip(" ").removesuffix(delimiter) for x in lines]
+    told, lines, delimiter, comma = _opened(path)
     width = len(_cells(lines[-1], delimiter))
     top = _head_rows(lines, delimiter, comma, width)
     head = [_cells(x, delimiter) for x in lines[:top]]
@@ -77,6 +66,38 @@ def read_csv(path: Path) -> RawTable:
     if clock:
         return _named(data, names[clock:], _clock_rate(lines[top:], delimiter, clock, path) or rate)
     return _with_time(data, names, rate, path)
+
+
+def read_columns(path: Path) -> tuple[list[str], Float]:
+    """Titles of the columns of a delimited text, empty where there are none, and numbers (column, row).
+
+    Raises
+    ------
+    DataError
+        If the file is empty, binary or has a cell that is no number.
+    """
+    _, lines, delimiter, comma = _opened(path)
+    width = len(_cells(lines[-1], delimiter))
+    top = _head_rows(lines, delimiter, comma, width)
+    names = _titles([_cells(x, delimiter) for x in lines[:top]], width, path)
+    return names, numbers(lines[top:], delimiter, comma, path)
+
+
+def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
+    """Comments, the other lines without what ends them, the delimiter of the columns and whether commas are decimal."""
+    text = read_text(path).splitlines()
+    told = [x for x in text[:200] if x.startswith("#")]
+    lines = [x for x in text if x.strip() and not x.startswith("#")]
+    if not lines:
+        raise DataError(f"{path}: empty, there are no samples")
+    lines = _without_footer(lines)
+    delimiter, comma = _dialect(lines[-1])
+    if delimiter != " " and lines[-1].rstrip(" ").endswith(delimiter):  # each line ends in a delimiter
+        if not lines[-1].strip(f" {delimiter}"):
+            raise DataError(f"{path}: the last line has no number: the file is empty or cut")
+        if lines[len(lines) // 2].rstrip(" ").endswith(delimiter):
+            lines = [x.rstrip(" ").removesuffix(delimiter) for x in lines]
+    return told, lines, delimiter, comma
 
 
 def _without_footer(lines: list[str]) -> list[str]:

@@ -13,18 +13,20 @@ from typing import get_args
 import h5py
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.arrays import Any_
 from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing
+from ringtrue.io.frf_tables import is_frf_table, read_frf_table
 from ringtrue.io.uff.function58 import FRF
 from ringtrue.io.uff.functions import read_frf_sets, read_functions, write_frf_sets
 
 GROUP = "frfs"
 _UFF = (".uff", ".unv", ".58")
 _HDF5 = (".h5", ".hdf5")
+_TEXT = (".csv", ".txt")
 _DAMAGED = (
     zlib.error,
     struct.error,
@@ -45,12 +47,13 @@ def read_frfs(path: str | Path) -> FrfSet:
     ----------
     path : path
         `.h5` written by `write_frfs`; `.npz` with `freq (f,)` and `H1 (reference, response, f)`,
-        optional `coherence` like H1, `outputs`, `inputs` (ids), `kind`; `.uff` with data sets 58.
+        optional `coherence` like H1, `outputs`, `inputs` (ids), `kind`; `.uff` with data sets 58; `.csv`, `.txt` with
+        columns of frequency, real and imaginary part or magnitude and phase (`read_frf_table`).
 
     Raises
     ------
     DataError
-        If the file has no FRFs, no references, uneven or repeated lines, or values that are not finite.
+        If the file has no FRFs, no references, repeated lines, or values that are not finite.
     """
     path = existing(path)
     ext = path.suffix.lower()
@@ -60,8 +63,10 @@ def read_frfs(path: str | Path) -> FrfSet:
         frfs = _read_npz(path)
     elif ext in _UFF:
         frfs = read_frf_sets(path)
+    elif ext in _TEXT:
+        frfs = read_frf_table(path)
     else:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.npz', *_HDF5, *_UFF])}")
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.npz', *_HDF5, *_UFF, *_TEXT])}")
     _check(frfs, path)
     return frfs
 
@@ -78,6 +83,8 @@ def holds_frfs(path: str | Path) -> bool:
     ext = path.suffix.lower()
     if ext in _UFF:
         return any(f.kind == FRF for f in read_functions(path))
+    if ext in _TEXT:
+        return is_frf_table(path)
     if ext in _HDF5:
         try:
             with h5py.File(path, "r") as file:
@@ -113,20 +120,10 @@ def _check(frfs: FrfSet, path: Path) -> None:
     if frfs.freqs[0] < 0:
         raise DataError(f"{path}: the lines begin at {frfs.freqs[0]:g} Hz; they must be 0 or more")
     step = np.diff(frfs.freqs)
-    if np.isfinite(step).all() and step.min() > 0:
-        _check_gaps(frfs.freqs, step, path)
-    if not np.isfinite(step).all() or step.min() <= 0 or np.ptp(step) > 1e-3 * step.mean():
-        raise DataError(f"{path}: the frequency lines must rise in equal steps ({step.min():g} to {step.max():g} Hz)")
-
-
-def _check_gaps(freqs: Float, step: Float, path: Path) -> None:
-    """Equal steps but for a few multiples of them: lines are missing."""
-    unit = float(np.median(step))
-    wide = np.flatnonzero(step > 1.5 * unit)
-    whole = np.abs(step / unit - np.round(step / unit)).max() < 0.01
-    if whole and 0 < wide.size <= step.size // 10 + 1:
-        told = ", ".join(f"{freqs[i]:g} and {freqs[i + 1]:g}" for i in wide[:5].tolist())
-        raise DataError(f"{path}: FRF with gaps: lines are missing between {told} Hz; cut it there or fill them")
+    if not np.isfinite(step).all() or step.min() <= 0:
+        raise DataError(
+            f"{path}: the frequency lines must rise ({step.min():g} to {step.max():g} Hz from line to line)"
+        )
 
 
 def _read_h5(path: Path) -> FrfSet:

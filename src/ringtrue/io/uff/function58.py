@@ -182,7 +182,7 @@ def write_function(
     text: str = "NONE",
     binary: bool = False,
 ) -> bytes:
-    """A data set 58 of even spacing, double precision.
+    """A data set 58, double precision; with an uneven abscissa as text, its abscissa of six digits.
 
     Parameters
     ----------
@@ -200,16 +200,27 @@ def write_function(
     """
     flat = np.ascontiguousarray(y, dtype=np.complex128 if np.iscomplexobj(y) else np.float64).view(np.float64)
     ordinate = _COMPLEX_DOUBLE if np.iscomplexobj(y) else _REAL_DOUBLE
-    step = float(x[1] - x[0]) if x.size > 1 else 1.0
+    step = float(x[-1] - x[0]) / (x.size - 1) if x.size > 1 else 1.0
+    even = x.size < 2 or bool(np.abs(np.diff(x) - step).max() < 1e-3 * abs(step))
+    binary = binary and even
     names = f"{'NONE':<10}{response[0]:10d}{response[1]:4d} {'NONE':<10}{reference[0]:10d}{reference[1]:4d}"
     head = [text[:80] or "NONE", *("NONE",) * 4, f"{kind:5d}{0:10d}{0:5d}{0:10d} {names}"]
-    head.append(f"{ordinate:10d}{x.size:10d}{1:10d}{float(x[0]):13.5E}{step:13.5E}{0.0:13.5E}")
+    head.append(f"{ordinate:10d}{x.size:10d}{int(even):10d}{float(x[0]):13.5E}{step:13.5E}{0.0:13.5E}")
     head += [f"{c:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}" for c in (*codes, 0)]
     number = f"{58:6d}"
     if binary:
         number += f"b{1:6d}{2:6d}{_HEADER:12d}{flat.nbytes:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
     start = "\n".join(["    -1", number, *head, ""]).encode("latin-1", "replace")
-    return start + (flat.astype("<f8").tobytes() if binary else _ascii(flat)) + b"\n    -1\n"
+    body = flat.astype("<f8").tobytes() if binary else _ascii(flat) if even else _uneven(x, flat)
+    return start + body + b"\n    -1\n"
+
+
+def _uneven(x: Float, flat: Float) -> bytes:
+    """E13.5 and E20.12 or 2E20.12, two of the real pairs a line."""
+    table = np.column_stack([x, flat.reshape(x.size, -1)])
+    lines = ["".join(("%13.5E", *("%20.12E",) * (len(r) - 1))) % tuple(r) for r in table.tolist()]
+    a_line = 1 if table.shape[1] == 3 else 2
+    return "\n".join("".join(lines[k : k + a_line]) for k in range(0, len(lines), a_line)).encode()
 
 
 def _ascii(flat: Float) -> bytes:

@@ -1,0 +1,73 @@
+"""One test at several force levels: is the structure linear, and how do frequency and damping change?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ringtrue.cli.show import rows
+from ringtrue.core.arrays import Float
+from ringtrue.errors import ConfigError
+from ringtrue.identify.linearity import LevelDependence
+
+
+def check_levels(levels: Sequence[float], files: int) -> None:
+    """Refuse force levels that are not one a file, positive and different."""
+    if len(levels) != files or files < 2:
+        raise ConfigError(f"--level: {len(levels)} levels for {files} files; two files or more and one level each")
+    if not all(0 < x < float("inf") for x in levels) or len(set(levels)) != len(levels):
+        raise ConfigError(f"--level {' '.join(f'{x:g}' for x in levels)}: must be positive and different")
+
+
+def print_levels(table: LevelDependence) -> None:
+    """Frequency and damping at each level, the change with the level, and whether a linear structure explains it."""
+    heads = ("#", *(f"f at {x:g} [Hz]" for x in table.levels), *(f"damping at {x:g} [%]" for x in table.levels))
+    body: list[tuple[object, ...]] = []
+    for k in range(table.linear.size):
+        f, z = table.frequency[:, k], 100 * table.damping[:, k]
+        body.append(
+            (
+                k + 1,
+                *(f"{x:.5g}" for x in f),
+                *(f"{x:.3f}" for x in z),
+                _slope(table.slope_frequency[k], table.std_slope_frequency[k]),
+                _slope(table.slope_damping[k], table.std_slope_damping[k]),
+                _verdict(table, k),
+            )
+        )
+    rows("over the force level", (*heads, "f: % a doubling", "damping: % a doubling", ""), body)
+
+
+def _slope(slope: float, std: float) -> str:
+    """Per cent for twice the force, from d ln x / d ln F."""
+    return f"{100 * (2**slope - 1):+.3g} ± {100 * np.log(2) * std:.2g}"
+
+
+def _verdict(table: LevelDependence, k: int) -> str:
+    if np.isfinite(table.frequency[:, k]).sum() < 2:
+        return "found at one level only"
+    chance = min(table.chance_frequency[k], table.chance_damping[k])
+    return "linear" if table.linear[k] else f"not linear: chance {chance:.1g}"
+
+
+def levels_json(table: LevelDependence) -> dict[str, Any]:
+    """The same for JSON; null where a mode was not found."""
+
+    def plain(x: Float) -> list[float | None]:
+        return [float(v) if np.isfinite(v) else None for v in x]
+
+    modes = [
+        {
+            "frequency_hz": plain(table.frequency[:, k]),
+            "damping": plain(table.damping[:, k]),
+            "slope_frequency": plain(table.slope_frequency[k : k + 1])[0],
+            "std_slope_frequency": plain(table.std_slope_frequency[k : k + 1])[0],
+            "slope_damping": plain(table.slope_damping[k : k + 1])[0],
+            "std_slope_damping": plain(table.std_slope_damping[k : k + 1])[0],
+            "linear": bool(table.linear[k]),
+        }
+        for k in range(table.linear.size)
+    ]
+    return {"levels": table.levels.tolist(), "level_dependence": modes}

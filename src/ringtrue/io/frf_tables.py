@@ -1,0 +1,148 @@
+"""Tables of frequency and complex response, as sine controllers and spreadsheets write them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.signals import Channel, FrfKind, FrfSet, Quantity
+from ringtrue.errors import DataError
+from ringtrue.io.delimited import read_columns
+from ringtrue.io.si import known, to_si
+
+_FREQUENCY = re.compile(r"^\W*(freq\w*|f|hz|frequenz|fr[eé]quence|x)\b", re.IGNORECASE)
+_PARTS = {
+    "re": r"real|re",
+    "im": r"imaginary|imag|im",
+    "size": r"magnitude|mag|amplitude|ampl|amp|abs|modulus|gain",
+    "phase": r"phase|phi|arg|angle",
+    "coherence": r"coherence|coh|gamma2",
+}
+_PART = {k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in _PARTS.items()}
+_BRACKETS = re.compile(r"(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*$")
+_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
+_SI = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
+_TURN = 2 * np.pi + 0.1  # a phase beyond is in degrees
+
+
+@dataclass(frozen=True, slots=True)
+class _Title:
+    """What the title of a column says."""
+
+    part: str
+    output: str
+    reference: str
+    unit: str
+
+
+def is_frf_table(path: Path) -> bool:
+    """Whether the first column of a delimited text is named a frequency and others are parts of complex numbers."""
+    try:
+        names = read_columns(path)[0]
+    except DataError:
+        return False
+    return len(names) > 2 and bool(_FREQUENCY.match(names[0])) and any(_title(n) is not None for n in names[1:])
+
+
+def read_frf_table(path: Path) -> FrfSet:
+    """FRFs of a table whose columns are a frequency and the parts of each response.
+
+    Titles name response, reference and part, `1+Z/3+Z real [m/s^2/N]`: real and imag, or magnitude (dB, too) and
+    phase (degrees, or radians where no value passes a turn and no unit tells); coherence as well. Without a reference
+    it is `in1`; without a unit the responses are accelerations. Lines may be uneven and in any order.
+
+    Raises
+    ------
+    DataError
+        If the first column is no frequency, a response lacks a part, or a unit is not motion over force.
+    """
+    names, data = read_columns(path)
+    if len(names) != len(data) or not names or not _FREQUENCY.match(names[0]):
+        raise DataError(f"{path}: the first column must be named a frequency; it is {names[:1]}")
+    titles = [_title(n) for n in names[1:]]
+    parts: dict[tuple[str, str], dict[str, int]] = {}
+    for at, t in enumerate(titles, start=1):
+        if t is not None:
+            parts.setdefault((t.output, t.reference), {})[t.part] = at
+    units = {(t.output, t.reference): t.unit for t in titles if t and t.part in ("re", "size") and t.unit}
+    freqs, order = np.unique(data[0], return_index=True)
+    if freqs.size != data.shape[1]:
+        raise DataError(f"{path}: {data.shape[1] - freqs.size} frequencies occur twice")
+    outputs, inputs = (list(dict.fromkeys(k[i] for k in parts)) for i in (0, 1))
+    shape = (freqs.size, len(outputs), len(inputs))
+    h, coherence = np.full(shape, np.nan, dtype=np.complex128), np.full(shape, np.nan)
+    kinds = {k: _kind(units.get(k, ""), path) for k in parts}
+    if len({kind for kind, _ in kinds.values()}) > 1:
+        raise DataError(f"{path}: responses of several kinds: {', '.join(sorted({k for k, _ in kinds.values()}))}")
+    for key, columns in parts.items():
+        o, i = outputs.index(key[0]), inputs.index(key[1])
+        title = {p: names[at] for p, at in columns.items()}
+        h[:, o, i] = _complex({p: data[at, order] for p, at in columns.items()}, title, key, path) * kinds[key][1]
+        if "coherence" in columns:
+            coherence[:, o, i] = data[columns["coherence"], order]
+    if np.isnan(h).any():
+        o, i = np.argwhere(np.isnan(h))[0][1:]
+        raise DataError(f"{path}: no value, or none at some line, of {outputs[o]} for {inputs[i]}")
+    kind: Quantity = next(iter(kinds.values()))[0]
+    return FrfSet(
+        h,
+        freqs,
+        tuple(Channel(n, kind, _SI[kind]) for n in outputs),
+        tuple(Channel(n, "force", "N") for n in inputs),
+        coherence,
+        np.full(len(inputs), np.nan),
+        _KIND[kind],
+        source=str(path),
+    )
+
+
+def _title(name: str) -> _Title | None:
+    """Part, response and reference of a title; None where it names no part."""
+    found = _BRACKETS.search(name)
+    inside = (found[1] or found[2] or "").strip() if found else ""
+    unit = "" if _points(inside) or any(p.fullmatch(inside) for p in _PART.values()) else inside
+    rest = name[: found.start()] if found and unit else name
+    for part, pattern in _PART.items():
+        if hit := pattern.search(rest):
+            rest = rest[: hit.start()] + rest[hit.end() :]
+            label = re.sub(r"^\W*(?:H|FRF)(?=[\s_:(])", "", rest.strip()).strip(" _:()[]|.,;#=")
+            sides = re.split(r"\s*(?:/|<-|\||,)\s*", label, maxsplit=1)
+            return _Title(part, sides[0] or "out1", sides[1] if len(sides) > 1 else "in1", unit)
+    return None
+
+
+def _points(text: str) -> bool:
+    """Whether brackets hold points such as `1+Z,3+Z` and no unit."""
+    return re.search(r"\d[+-][XYZ]", text) is not None
+
+
+def _complex(columns: Mapping[str, Float], title: Mapping[str, str], key: Sequence[str], path: Path) -> Complex:
+    if {"re", "im"} <= set(columns):
+        return np.asarray(columns["re"] + 1j * columns["im"])
+    if {"size", "phase"} <= set(columns):
+        size, phase = columns["size"], columns["phase"]
+        size = 10 ** (size / 20) if re.search(r"\bdB\b", title["size"], re.IGNORECASE) else size
+        radians = re.search(r"\brad", title["phase"], re.IGNORECASE) is not None
+        degrees = re.search(r"\bdeg|°", title["phase"], re.IGNORECASE) is not None
+        turn = phase if radians or (not degrees and np.abs(phase).max() <= _TURN) else np.radians(phase)
+        return np.asarray(size * np.exp(1j * turn))
+    raise DataError(
+        f"{path}: {'/'.join(key)} has {' and '.join(columns)}; needed: real and imag, or magnitude and phase"
+    )
+
+
+def _kind(unit: str, path: Path) -> tuple[Quantity, float]:
+    """Quantity of the response and the factor to SI of a unit such as `m/s^2/N`, `(mm/s)/lbf`, `g/N`, `dB`."""
+    text = re.sub(r"(?i)\bdB\b(\s*re\b.*)?", "", unit).strip(" ,()")
+    if not text or text.lower() in ("deg", "rad", "°", "-"):
+        return "acceleration", 1.0
+    over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
+    if not known(over) or not known(under) or to_si(under)[0] != "force" or to_si(over)[0] not in _KIND:
+        raise DataError(f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, mm/N")
+    quantity, factor, _ = to_si(over)
+    return quantity, factor / to_si(under)[1]
