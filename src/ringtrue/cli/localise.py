@@ -14,6 +14,7 @@ from ringtrue.cli.show import json_target, out, progress, rows, unit_length, wri
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.observation import Observation
 from ringtrue.eigen.problem import EigenModes
+from ringtrue.fem.dependence import smooth
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import Linearisation, ModesRequest
@@ -22,7 +23,7 @@ from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import LocaliseSection
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates, smooth
+from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import element_errors
 from ringtrue.update.objective import Target, match
@@ -71,7 +72,7 @@ def localise(
         moved, lost = moving(every, strain, kinetic)
         pairs = _paired(analysis, modes, bridge, aim)
         keep = _close(every, moved, 0.5 * (strain - kinetic)[pairs[:, 1]] / aim.weights.frequency, pool)
-        keep = tuple(c for c in keep if smooth(model, c, analysis.system))
+        keep = tuple(c for c in keep if smooth(model, c.parameter, analysis.system))
         reduced = reduced_candidates(
             model,
             analysis.system,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.assembly import System, full_matrices, reduced
 from ringtrue.fem.functions import AffineTerm, Basis, Chebyshev, Function, Powers, power
@@ -57,18 +58,46 @@ def affine_terms(
             progress(i / len(parameters), f"derivatives: {p.name}")
         sums: dict[int, list[Pair]] = {}
         for g in groups_of(model, i, p):
-            try:
-                parts = cubic(m, g)
-                every.append((g, Powers(tuple(parts) or (1,))))
-                for exponent, pair in parts.items():
-                    sums.setdefault(exponent, []).append(pair)
-            except UnsupportedError:
-                every.append((g, _series(g, NODES[0])))
+            parts = _alone(m, g)
+            every.append((g, _series(g, NODES[0]) if parts is None else Powers(tuple(parts) or (1,))))
+            if parts is None:
                 out += _terms(m, every[-1:], g.rows, system)
+            for exponent, pair in (parts or {}).items():
+                sums.setdefault(exponent, []).append(pair)
         out += [_term(power(i, e), _total(sums[e]), system) for e in sorted(sums)]
     for some, rows in _shared(every):
         out += _terms(m, some, rows, system)
     return tuple(out)
+
+
+def smooth(model: Model, parameter: Parameter, system: System) -> bool:
+    """Whether `affine_terms` has parts for a parameter, tried on a sample of its elements.
+
+    Raises
+    ------
+    InputError
+        If a target or element is not in the model.
+    """
+    m = mesh(model)
+    try:
+        some = [replace(g, rows=_few(g.rows)) for g in groups_of(model, 0, parameter)]
+        parts = [_alone(m, g) or _terms(m, [(g, _series(g, NODES[0]))], g.rows, system) for g in some]
+    except UnsupportedError:
+        return False
+    return any(parts)
+
+
+def _alone(m: Mesh, g: Group) -> dict[int, Pair] | None:
+    """The parts of a polynomial; None if it is none."""
+    try:
+        return cubic(m, g)
+    except UnsupportedError:
+        return None
+
+
+def _few(rows: dict[str, Int]) -> dict[str, Int]:
+    """A sample of the rows of each card."""
+    return {card: at[np.unique(np.linspace(0, at.size - 1, SAMPLE).astype(int))] for card, at in rows.items()}
 
 
 def _total(pairs: Sequence[Pair]) -> Pair:
@@ -126,7 +155,7 @@ def _terms(m: Mesh, some: Members, rows: dict[str, Int], system: System) -> list
         If no series holds.
     """
     groups = [g for g, _ in some]
-    few = {card: at[np.unique(np.linspace(0, at.size - 1, SAMPLE).astype(int))] for card, at in rows.items()}
+    few = _few(rows)
 
     @cache
     def sample(a: tuple[float, ...]) -> tuple[Float, Float]:

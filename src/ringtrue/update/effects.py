@@ -11,11 +11,9 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.observation import Observation
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
-from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import System
 from ringtrue.fem.dependence import affine_terms
 from ringtrue.fem.derivatives import bilinear
-from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.model.model import Model
 from ringtrue.reduce.affine import observed_system
 from ringtrue.reduce.basis import Progress
@@ -99,21 +97,10 @@ def reduced_candidates(
     Raises
     ------
     UnsupportedError
-        If one of them is not `smooth`.
+        If one of them is not `fem.dependence.smooth`.
     """
     chosen = parameters(candidates)
     halves = [None if progress is None else (lambda f, t, s=s: progress(s + 0.5 * f, t)) for s in (0.0, 0.5)]
     parts = affine_terms(model, chosen, system, progress=halves[0])
     affine = observed_system(system.stiffness, system.mass, system.transform, chosen, parts, observation)
     return reduced_model(affine, count, options=options, pencil=pencil, modes=modes, progress=halves[1])
-
-
-def smooth(model: Model, candidate: Candidate, system: System) -> bool:
-    """Whether K and M are smooth functions of the factor between its bounds, as a reduced model needs them."""
-    laminated = candidate.kind == "material" and any(card in model for card in LAMINATES)
-    if candidate.kind != "property" and not laminated:
-        return True
-    try:
-        return bool(affine_terms(model, parameters([candidate]), system))
-    except UnsupportedError:
-        return False

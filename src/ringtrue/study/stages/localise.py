@@ -11,6 +11,7 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
+from ringtrue.fem.dependence import smooth
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_reduced
@@ -24,7 +25,7 @@ from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import LEAST, effects, smooth
+from ringtrue.update.effects import LEAST, effects
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import identifiability
 from ringtrue.update.joint import joint_residual
@@ -112,7 +113,9 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     test, fe = table.pairing.a[table.used], table.pairing.b[table.used]
     sigma = np.hypot(aim.weights.frequency, aim.std[test])
     slopes = 0.5 * (strain - kinetic)[fe] / sigma[:, None] * parameters(every).std()
-    first = [i for i in some[screened(slopes[:, some], 2 * asked.pool)].tolist() if smooth(model, every[i], system)]
+    first = [
+        i for i in some[screened(slopes[:, some], 2 * asked.pool)].tolist() if smooth(model, every[i].parameter, system)
+    ]
     close = np.sort(np.array(first, dtype=np.int64)[screened(slopes[:, first], asked.pool)])
     return _Pool(
         tuple(every[i] for i in close.tolist()),
