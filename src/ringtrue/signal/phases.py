@@ -23,7 +23,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.windows import window
 
 SEGMENTS, ROOTS = 64, 8  # of the record that are looked at, and channels that the others are held against
-SHORTEST, LONGEST = 1024, 8192  # samples of each
+SHORTEST, LONGEST = 1024, 4096  # samples of each
 FINE = 8  # values of J between those of the transform
 COHERENT = 0.25  # squared coherence of a line that says something
 LINES = 20.0  # sum of squared coherences that tell a delay
@@ -31,7 +31,7 @@ SURE = 0.93  # J at a delay
 AGREED = 0.8  # median J of channels among which one may be odd
 EXPLAINED = 0.25  # of what is missing to 1 without a delay may be missing with it
 APART = 0.15  # that no other delay comes near
-LEAST = 0.1  # of a sample
+LEAST, FARTHEST = 0.1, 0.25  # samples, and of a segment
 TAPS, BETA = 24, 9.0  # to each side of the interpolation, and of its Kaiser window
 ODD = 0.5  # J of a channel whose phase is neither
 
@@ -120,7 +120,7 @@ def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
     n = FINE * length
     j = irfft(z, n, axis=1) * n / 2
     lag = np.where(np.arange(n) < n // 2, np.arange(n), np.arange(n) - n) * length / (2.0 * n)
-    j[:, np.abs(lag) > length / 16] = -1.0
+    j[:, np.abs(lag) > FARTHEST * length] = -1.0
     top = j.argmax(axis=1)
     rows = np.arange(len(j))
     left, mid, right = (j[rows, (top + k) % n] for k in (-1, 0, 1))
