@@ -13,7 +13,7 @@ from ringtrue.core.parameters import Parameter, Shape
 from ringtrue.errors import DeckError
 from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.elements.patch import on_patch
-from ringtrue.fem.elements.weld import SHEAR
+from ringtrue.fem.elements.weld import SHEAR, build, ends
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
 
@@ -75,8 +75,6 @@ def test_rigid_motions_rank_mass_and_turns(warp: float) -> None:
 
 
 def _length(xyz: Float) -> float:
-    from ringtrue.fem.elements.weld import ends
-
     a, b = ends(mesh(weld(xyz)), "CWELD", np.array([0]))
     return float(np.linalg.norm(b.place - a.place))
 
@@ -97,8 +95,6 @@ def test_shells_by_number_and_a_patch_on_a_point() -> None:
     quad = cards("CQUAD4", EID=[50], PID=9, G1=1, G2=2, G3=3, G4=4)
     tria = cards("CTRIA3", EID=[51], PID=9, G1=5, G2=6, G3=7)
     m = weld(TYPE="ELEMID", SHIDA=50, SHIDB=51, **dict.fromkeys(CORNERS, 0))
-    from ringtrue.fem.elements.weld import build
-
     both = Model({**m.tables, "CQUAD4": quad, "CTRIA3": tria}, m.params)
     K = build(mesh(both), "CWELD", np.array([0])).stiffness
     np.testing.assert_allclose(K, build(mesh(weld()), "CWELD", np.array([0])).stiffness)
@@ -141,6 +137,29 @@ def test_wrong_welds_are_named() -> None:
         assemble(weld(TYPE="ALIGN", GS=0, **dict.fromkeys(CORNERS, 0)))
 
 
-def test_spot_stops() -> None:
-    with pytest.raises(DeckError, match=r"PWELD 5.*TYPE = SPOT is not supported"):
-        assemble(weld(p={"TYPE": "SPOT"}))
+def spot(high: float = H, **p: object) -> Model:
+    """A spot weld between a quadrilateral of thickness 0.004 and a triangle of 0.002, `high` above it."""
+    xyz = XYZ.copy()
+    xyz[4:7, 2] = xyz[9, 2] = high
+    quad = cards("CQUAD4", EID=[50], PID=9, G1=1, G2=2, G3=3, G4=4)
+    tria = cards("CTRIA3", EID=[51], PID=8, G1=5, G2=6, G3=7)
+    skin = cards("PSHELL", PID=[8, 9], MID1=7, T=[2e-3, 4e-3])
+    m = weld(xyz, {"TYPE": "SPOT"} | p, TYPE="ELEMID", SHIDA=50, SHIDB=51, **dict.fromkeys(CORNERS, 0))
+    soft = cards("MAT1", MID=[1, 7], E=[E, 1e-3], NU=NU, RHO=[8000.0, 0.0], GE=[0.02, 0.0])
+    return Model({**m.tables, "CQUAD4": quad, "CTRIA3": tria, "PSHELL": skin, "MAT1": soft}, m.params)
+
+
+@pytest.mark.parametrize("high", [H, 0.003])
+def test_a_spot_weld_is_as_long_as_its_sheets_are_thick(high: float) -> None:
+    s = assemble(spot(high))
+    lift = np.zeros((len(s.xyz), 6))
+    lift[4:7, 2] = 1.0
+    assert lift.ravel() @ s.stiffness @ lift.ravel() == pytest.approx(E * AREA / 3e-3)
+    check_slopes(spot(high), parameter(("PSHELL", 9, "T")))
+
+
+def test_a_spot_weld_on_other_sheets_is_named() -> None:
+    m = spot()
+    other = m["CQUAD4"].with_column("PID", np.array([77]))
+    with pytest.raises(DeckError, match=r"CWELD 3.*sheet A is no PSHELL"):
+        build(mesh(Model({**m.tables, "CQUAD4": other}, m.params)), "CWELD", np.array([0]))

@@ -174,7 +174,14 @@ def rows_of(model: Model, target: Target) -> dict[str, Int]:
         return sharers(model, {}, np.array([target.id]))
     if target.card in ("CBAR", "CBEAM") and target.field.startswith("W"):  # offsets change its length
         return sharers(model, _users(model, target.card, np.array([target.id])))
-    return _users(model, target.card, np.array([target.id]))
+    found = _users(model, target.card, np.array([target.id]))
+    if (
+        target.card == "PSHELL"
+        and {"CWELD", "PWELD"} <= model.tables.keys()
+        and (model["PWELD"]["TYPE"] == "SPOT").any()
+    ):
+        found["CWELD"] = np.arange(len(model["CWELD"]))  # a spot weld is as long as its sheets are thick
+    return found
 
 
 def _users(model: Model, card: str, ids: Int) -> dict[str, Int]:

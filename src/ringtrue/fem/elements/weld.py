@@ -4,7 +4,7 @@ The end on a patch follows its corners: u = Σ N u_I, and the rotation is that o
 n (n·(∇N × u_I))/2 (MSC Nastran Linear Static Analysis User's Guide, connector elements: Kirchhoff shell, only the
 translations of the patch). About its middle a uniform beam is six springs: EA/Le, GJ/Le, EI/Le, and across
 1/(Le/kGA + L² Le/12EI), which holds for a length of 0, too. Le is the length, not less than LDMIN and not more than
-LDMAX diameters (PWELD).
+LDMAX diameters (PWELD); for TYPE SPOT between two sheets it is half the sum of their thicknesses.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.algebra import arm, congruent, rotation
-from ringtrue.fem.elements.patch import SHELLS, End, merged, on_node, on_patch, on_squares
+from ringtrue.fem.elements.patch import SHELLS, End, Skin, merged, on_node, on_patch, on_squares
 from ringtrue.fem.mesh import Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import any_triad, node_dofs
+from ringtrue.model.model import Table
 
 WIDE = ("PARTPAT", "ELPAT")
 SHEAR = 0.9  # shear area of a round section over its area
@@ -80,11 +81,32 @@ def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
     return made[0], made[1]
 
 
-def springs(L: Float, D: Any_, E: Any_, G: Any_, least: Float, most: Float) -> Any_:
+def lengths(L: Float, D: Any_, least: Float, most: Float) -> Any_:
+    """Effective lengths (e,): L, not less and not more than so many diameters."""
+    low, high = least * D, most * D
+    return np.where(np.real(low) > L, low, np.where(np.real(high) < L, high, L))
+
+
+def _sheets(m: Mesh, t: Table, at: Int) -> Any_:
+    """Half the thickness of both sheets (e,) of the rows `at` (e,): the effective length of a spot weld."""
+    skin = Skin.of(m)
+    order = np.argsort(skin.ids, kind="stable")
+    total: Any_ = np.zeros(at.size)
+    for side in "AB":
+        shell = t[f"SHID{side}"][at]
+        named = order[np.searchsorted(skin.ids[order], shell).clip(max=skin.ids.size - 1)]
+        pid = np.where(shell > 0, skin.pid[named], t[f"PID{side}"][at])
+        row = m.model["PSHELL"].find(pid) if "PSHELL" in m.model else np.full(pid.shape, -1)
+        if (bad := row < 0).any():
+            why = f"its sheet {side} is no PSHELL, whose thickness is the length of a weld of TYPE SPOT"
+            raise error(m.model, t, int(at[bad][0]), why)
+        total = total + m.model["PSHELL"]["T"][row] / 2
+    return total
+
+
+def springs(L: Float, length: Any_, D: Any_, E: Any_, G: Any_) -> Any_:
     """Stiffness (e, 6) about the middle: along, across twice, of torsion, of bending twice."""
     area, second = np.pi / 4 * D**2, np.pi / 64 * D**4
-    low, high = least * D, most * D
-    length = np.where(np.real(low) > L, low, np.where(np.real(high) < L, high, L))
     across = 1 / (length / (SHEAR * G * area) + L**2 * length / (12 * E * second))
     bending = E * second / length
     return np.stack([E * area / length, across, across, 2 * G * second / length, bending, bending], axis=1)
@@ -125,12 +147,16 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     t = m.model[card]
     row = lookup(m.model, "PWELD", t["PID"][at], t, at)
     p = m.model["PWELD"]
-    if (spot := p["TYPE"][row] == "SPOT").any():
-        raise error(m.model, p, int(row[spot][0]), "TYPE = SPOT is not supported; leave it blank and give LDMIN, LDMAX")
     iso, D = isotropic(m.model, p["MID"][row], p, row), p["D"][row]
     if (bad := (np.real(D) <= 0) | (np.real(iso.G) == 0)).any():
         raise error(m.model, p, int(row[bad][0]), "D must be greater than 0, and its MAT1 have a shear modulus")
     a, b = ends(m, card, at)
     L, axis = between(a, b)
-    k = springs(L, D, iso.E, iso.G, p["LDMIN"][row], p["LDMAX"][row])
+    length = lengths(L, D, p["LDMIN"][row], p["LDMAX"][row])
+    both = (t.stack("SHIDA", "SHIDB")[at] > 0).all(axis=1) | (t["TYPE"][at] == "PARTPAT")
+    if (spot := both & (p["TYPE"][row] == "SPOT")).any():
+        sheets = _sheets(m, t, at[spot])
+        length = length.astype(np.result_type(length, sheets))
+        length[spot] = sheets
+    k = springs(L, length, D, iso.E, iso.G)
     return joined(a, b, any_triad(axis), k, iso.rho * np.pi / 8 * D**2 * L, iso.loss)
