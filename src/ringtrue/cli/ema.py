@@ -22,17 +22,20 @@ from ringtrue.cli.identify import (
     Rate,
     WriteChoice,
     check_band,
+    check_method,
     choice_of,
     file_target,
     kept_channels,
     print_modes,
     tell,
+    told,
     write_pages,
 )
 from ringtrue.cli.levels import check_levels, levels_json, print_levels
 from ringtrue.cli.show import progress, write_json
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import ConfigError, about
+from ringtrue.identify.frf_methods import identify_frfs_by
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.identify.linearity import level_dependence
 from ringtrue.identify.lsfd import driving_pairs
@@ -53,6 +56,15 @@ class Estimator(StrEnum):
     H1 = "H1"
     H2 = "H2"
     HV = "Hv"
+
+
+class FrfMethod(StrEnum):
+    """How modes are found in FRFs."""
+
+    PLSCF = "plscf"
+    LSCE = "lsce"
+    RFP = "rfp"
+    CMIF = "cmif"
 
 
 class Motion(StrEnum):
@@ -81,6 +93,9 @@ def ema(
     ],
     fmin: Fmin = None,
     fmax: Fmax = None,
+    method: Annotated[
+        FrfMethod, typer.Option(help="Refined pLSCF, or another method for a second opinion.")
+    ] = FrfMethod.PLSCF,
     force: Annotated[
         str, typer.Option(metavar="CHANNEL", help="Force channel; by default that with a unit of force, or so named.")
     ] = "",
@@ -139,7 +154,7 @@ def ema(
 
     In time records the blows are found; double hits, overloads and blows on a structure that still rings are left out
     and listed; the damping of the exponential window is taken out again. Several files are one test: a roving hammer,
-    moved sensors or more blows.
+    moved sensors or more blows. Other methods (--method): LSCE, rational fraction polynomials, CMIF peaks.
 
     Example: ringtrue ema blows-1.csv blows-2.csv --struck 1+Z --struck 5+Z --fmax 400 --write-frfs frfs.h5
     """
@@ -149,6 +164,8 @@ def ema(
     want = HammerSettings(force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end)
     want = replace(want, estimator=estimator.value)
     band = HammerModes(fmin=fmin, fmax=fmax)
+    only = {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram, "--level": level}
+    check_method(method, FrfMethod.PLSCF, only)
     if level:
         check_levels(level, len(files))
         return _at_levels(level, files, (how, want, shaker, window_decay), band, json)
@@ -157,6 +174,9 @@ def ema(
         frfs = _windowed(measured.frfs, window_decay)
         if frfs_to:
             write_frfs(frfs_to, frfs)
+        if method is not FrfMethod.PLSCF:
+            other = identify_frfs_by(method.value, frfs, band, progress=show)
+            return told(" ".join(map(str, files)), other, measured.notes, json)
         found = identify_hammer(frfs, band, choice=by_hand, progress=show)
     write_pages(files[0], (found.modes, found.reasons, found.diagrams), choice_to, diagram)
     title = " ".join(str(f) for f in files)

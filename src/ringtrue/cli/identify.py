@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from ringtrue.cli.show import json_target, out, progress, rows, write_json
@@ -17,7 +18,9 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient
+from ringtrue.identify.ambient_methods import SecondOpinion, identify_ambient_by
 from ringtrue.identify.choice import as_choice
+from ringtrue.identify.frf_methods import FrfOpinion
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
@@ -40,6 +43,20 @@ def file_target(option: str, *endings: str) -> object:
         return value
 
     return check
+
+
+class AmbientMethod(StrEnum):
+    """How modes are found in an ambient record."""
+
+    SSI = "ssi"
+    PLSCF = "plscf"
+    ERA = "era"
+    SSI_DATA = "ssi-data"
+    FDD = "fdd"
+    EFDD = "efdd"
+    FSDD = "fsdd"
+    RANDOM_DECREMENT = "random-decrement"
+    BAYES = "bayes"
 
 
 class Removal(StrEnum):
@@ -91,10 +108,13 @@ def print_modes(title: str, modes: ModeSet, std: Uncertainty | None, reasons: Se
         sf, sz = (std.frequency[i], std.damping[i]) if std is not None else (float("nan"), float("nan"))
         f, z = modes.frequencies[i], modes.damping[i]
         note = reasons[i] if i < len(reasons) else ""
-        body.append(
-            (i + 1, f"{f:.5g}", f"{sf:.1e}", f"{100 * z:.3f}", f"{100 * sz:.3f}", f"{modes.confidence[i]:.2f}", note)
-        )
+        values = (f"{f:.5g}", _known(sf, ".1e"), f"{100 * z:.3f}", _known(100 * sz, ".3f"))
+        body.append((i + 1, *values, f"{modes.confidence[i]:.2f}", note))
     rows(title, ("#", "f [Hz]", "± [Hz]", "damping [%]", "± [%]", "confidence", "why"), body)
+
+
+def _known(x: float, form: str) -> str:
+    return format(x, form) if np.isfinite(x) else "-"
 
 
 def check_band(fmin: float | None, fmax: float | None) -> None:
@@ -172,6 +192,13 @@ def oma(
     group: Group = "",
     fmin: Fmin = None,
     fmax: Fmax = None,
+    method: Annotated[
+        AmbientMethod, typer.Option("--method", help="SSI-cov, or another method for a second opinion.")
+    ] = AmbientMethod.SSI,
+    near: Annotated[
+        list[float] | None,
+        typer.Option("--near", metavar="HZ", help="Peak of the FDD methods, guess of bayes; may be repeated."),
+    ] = None,
     leave_out: LeaveOut = None,
     remove_harmonics: Annotated[
         Removal | None,
@@ -184,14 +211,23 @@ def oma(
 ) -> int:
     """Modes from an ambient record: automatic covariance-driven SSI with standard deviations.
 
+    Other methods (--method): poly-reference LSCF on half spectra, ERA/NExT, SSI-data, FDD with the damping of FSDD, of
+    EFDD or of random decrement, and the Bayesian FFT in a narrow band (--fmin, --fmax).
+
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
     """
     check_band(fmin, fmax)
     by_hand = choice_of(choice, record)
     history = record_without(record, rate, leave_out or [], group)
     settings = AmbientSettings(fmin=fmin, fmax=fmax)
+    check_method(method, AmbientMethod.SSI, {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram})
+    if near and method in (AmbientMethod.SSI, AmbientMethod.PLSCF, AmbientMethod.ERA, AmbientMethod.SSI_DATA):
+        raise ConfigError(f"--near: {method.value} finds its modes in the whole band; give --fmin and --fmax")
     with progress("ambient modes") as show, about(record):
         history, removed = _removed(history, remove_harmonics)
+        if method is not AmbientMethod.SSI:
+            other = identify_ambient_by(method.value, history, settings, near=near or (), progress=show)
+            return told(str(record), other, (*fault_notes(history), *removed), json)
         found = identify_ambient(history, settings, choice=by_hand, progress=show)
     write_pages(record, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
     if json:
@@ -199,6 +235,22 @@ def oma(
     if json != "-":
         print_modes(f"{record}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
         tell((*fault_notes(history), *removed, *_machines(found), *found.notes))
+    return 0 if len(found.modes) else 1
+
+
+def check_method(method: StrEnum, first: StrEnum, options: Mapping[str, object]) -> None:
+    """Refuse options that only the first method has."""
+    if method is not first and (wrong := [k for k, v in options.items() if v is not None]):
+        raise ConfigError(f"{wrong[0]} goes with --method {first.value}; the others have no diagram of judged poles")
+
+
+def told(title: str, found: SecondOpinion | FrfOpinion, notes: Sequence[str], json: str | None) -> int:
+    """Print and write the modes of another method; the exit status."""
+    if json:
+        write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
+    if json != "-":
+        print_modes(f"{title}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
+        tell((*notes, *found.notes))
     return 0 if len(found.modes) else 1
 
 

@@ -138,8 +138,8 @@ def identify_hammer(
     refuse_bad_frfs(frfs)
     frfs, roving = exchanged(frfs)
     tell = progress or (lambda share, text: None)
-    low, high = _limits(frfs, settings)
-    used = _lines(frfs, 0.8 * low, 1.25 * high)
+    low, high = band_limits(frfs, settings)
+    used = lines_between(frfs, 0.8 * low, 1.25 * high)
     sigma = noise(used)
     curve = cmif(used.data / sigma.response[:, None])
     # the refinement sees all the lines: a mode left out at their ends would be patched up by broad terms inside
@@ -173,12 +173,12 @@ def identify_hammer(
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
     odd = odd_channel(used, fit.refined.poles)
     result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
-    said = fit_notes(_lines(used, low, high), result.modes, result.synthesis_error)
+    said = fit_notes(lines_between(used, low, high), result.modes, result.synthesis_error)
     told = (roving,) if roving else ()
     return replace(result, notes=(*told, *frf_notes(frfs, search.pairs), *said, *((odd,) if odd else ()), *notes))
 
 
-def _limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
+def band_limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
     """The reported band, Hz; where not given, the range of lines with a usable coherence."""
     f = frfs.freqs
     low, high = float(f[f > 0][0]), float(f[-1])
@@ -195,7 +195,8 @@ def _limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
     return low, min(high, float(f[-1]))
 
 
-def _lines(frfs: FrfSet, low: float, high: float) -> FrfSet:
+def lines_between(frfs: FrfSet, low: float, high: float) -> FrfSet:
+    """The FRFs of a band, Hz, without the line at 0 Hz."""
     at = (frfs.freqs >= low) & (frfs.freqs <= high) & (frfs.freqs > 0)
     return replace(frfs, data=frfs.data[at], freqs=frfs.freqs[at], coherence=frfs.coherence[at])
 

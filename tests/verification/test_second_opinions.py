@@ -1,0 +1,74 @@
+"""The other methods of `oma` and `ema`, on the systems of the method tests, from the command line to the truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import test_ema_methods as hammer
+import test_oma_methods as ambient
+
+from ringtrue.cli.main import run
+from ringtrue.errors import ConfigError
+from ringtrue.identify.ambient import AmbientSettings
+from ringtrue.identify.ambient_methods import METHODS, identify_ambient_by
+from ringtrue.identify.frf_methods import identify_frfs_by
+from ringtrue.identify.hammer import HammerModes
+from ringtrue.io.frfs import write_frfs
+from ringtrue.io.records import write_history
+
+PEAKS = ("fdd", "efdd", "fsdd", "random-decrement")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_ambient_methods_find_the_modes(method: str) -> None:
+    """Four modes; peaks alone do not part the pair at 5.0 and 5.12 Hz, and the Bayesian FFT is asked for it."""
+    narrow = method == "bayes"
+    which = [1, 2] if narrow else [0, 3] if method in PEAKS else [0, 1, 2, 3]
+    band = AmbientSettings(fmin=4.6, fmax=5.6) if narrow else AmbientSettings()
+    for seed in range(2):
+        found = identify_ambient_by(method, ambient.record(seed), band, near=[5.0, 5.12] if narrow else ())
+        at = ambient.near(found.modes, ambient.F[which], ambient.PHI[:, which])
+        ambient.within(found.modes.frequencies[at], found.modes.damping[at], which, 8.0)
+        stated = np.isfinite(found.uncertainty.frequency).all()
+        assert stated == (method in ("ssi-data", "fdd", "fsdd", "bayes"))
+        assert stated != any("no standard deviations:" in n for n in found.notes)
+        assert len(found.reasons) == len(found.modes) <= len(which) + 2  # ERA is judged by its orders alone
+    with pytest.raises(ConfigError, match="did you mean 'efdd'"):
+        identify_ambient_by("effd", ambient.record(0))
+
+
+@pytest.mark.parametrize("method", ["lsce", "rfp", "cmif"])
+def test_frf_methods_find_the_modes(method: str) -> None:
+    m, k, c = hammer.chain()
+    system = (m, k, c / 4)  # the peaks of the CMIF lie apart
+    s = hammer.poles(*system)[0]
+    data = hammer.frfs(system, np.random.default_rng(1), level=1e-3)
+    found = identify_frfs_by(method, data, HammerModes(3.0, 35.0))
+    assert len(found.modes) == s.size
+    np.testing.assert_allclose(found.modes.frequencies, np.abs(s) / (2 * np.pi), rtol=2e-3)
+    np.testing.assert_allclose(found.modes.damping, -s.real / np.abs(s), rtol=0.1)
+    assert found.modes.norm == "mass"
+    assert np.isnan(found.uncertainty.frequency).all()
+    assert "no standard deviations" in found.notes[0]
+
+
+def test_methods_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_history(tmp_path / "r.h5", ambient.record(0))
+    write_frfs(tmp_path / "h.h5", hammer.frfs(hammer.chain(), np.random.default_rng(1)))
+    words = ["oma", str(tmp_path / "r.h5"), "--method", "bayes", "--fmin", "8", "--fmax", "10"]
+    assert run([*words, "--json", "-"]) == 0
+    (mode,) = json.loads(capsys.readouterr().out)["modes"]
+    assert abs(mode["frequency_hz"] - 9.0) < 5 * mode["std_frequency_hz"]
+    assert run(["ema", str(tmp_path / "h.h5"), "--method", "lsce", "--fmin", "3", "--fmax", "35"]) == 0
+    out = capsys.readouterr().out
+    assert "8 modes" in out
+    assert "no standard deviations: LSCE" in out
+    for wrong in (
+        ["oma", str(tmp_path / "r.h5"), "--method", "bayes"],
+        ["oma", str(tmp_path / "r.h5"), "--method", "era", "--diagram", str(tmp_path / "d.html")],
+        ["oma", str(tmp_path / "r.h5"), "--near", "5"],
+    ):
+        assert run(wrong) == 2
