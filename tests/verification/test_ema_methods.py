@@ -18,7 +18,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, InputError
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.identify.linearity import level_dependence
-from ringtrue.identify.local import identify_batches
+from ringtrue.identify.local import identify_batches, told_apart
 from ringtrue.identify.lsce import Lsce, lsce
 from ringtrue.identify.lsfd import reciprocity
 from ringtrue.identify.normal import niedbal, normal_modes, rotated
@@ -27,6 +27,7 @@ from ringtrue.identify.plscf import cluster_poles
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.rfp import Rfp, orthogonal, rfp
 from ringtrue.shapes.mac import mac
+from ringtrue.signal.frf import join_frfs
 
 MASS = np.array([1.0, 1.2, 0.9, 1.1, 1.0, 0.8, 1.0, 1.1])
 N = MASS.size
@@ -217,6 +218,15 @@ def test_batches_loaded_by_moved_sensors() -> None:
     assert fit.modes.norm is Norm.MASS
     same = identify_batches([frfs(chain(), rng, s) for s in sets], HammerModes(3.0, 35.0))
     assert np.median(same.chance) > 0.02
+    settings = HammerModes(3.0, 35.0)
+    joint = identify_hammer(join_frfs(loaded), settings)
+    apart = told_apart(joint, loaded, settings)
+    assert len(apart.modes) == N
+    assert "the batches disagree" in apart.notes[-1]
+    assert len(apart.modes.channels) == N
+    alike = [frfs(chain(), rng, s) for s in sets]
+    result = identify_hammer(join_frfs(alike), settings)
+    assert told_apart(result, alike, settings) is result
     other = replace(loaded[0], inputs=loaded[0].inputs[::-1])
     with pytest.raises(InputError, match="same inputs"):
         identify_batches([loaded[0], other])

@@ -38,6 +38,7 @@ from ringtrue.errors import ConfigError, about
 from ringtrue.identify.frf_methods import identify_frfs_by
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.identify.linearity import level_dependence
+from ringtrue.identify.local import told_apart
 from ringtrue.identify.lsfd import driving_pairs
 from ringtrue.io.frfs import holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
@@ -82,6 +83,7 @@ class _Measured:
     frfs: FrfSet
     hits: tuple[HitReport, ...] = ()
     notes: tuple[str, ...] = ()
+    batches: tuple[FrfSet, ...] = ()
 
 
 def ema(
@@ -156,6 +158,8 @@ def ema(
     and listed; the damping of the exponential window is taken out again. Several files are one test: a roving hammer,
     moved sensors or more blows. Other methods (--method): LSCE, rational fraction polynomials, CMIF peaks.
 
+    Where sensors were moved and their mass shifts the modes from file to file beyond doubt, each file is fitted alone.
+
     Example: ringtrue ema blows-1.csv blows-2.csv --struck 1+Z --struck 5+Z --fmax 400 --write-frfs frfs.h5
     """
     check_band(fmin, fmax)
@@ -178,6 +182,9 @@ def ema(
             other = identify_frfs_by(method.value, frfs, band, progress=show)
             return told(" ".join(map(str, files)), other, measured.notes, json)
         found = identify_hammer(frfs, band, choice=by_hand, progress=show)
+        if by_hand is None:
+            batches = [_windowed(b, window_decay) for b in measured.batches]
+            found = told_apart(found, batches, band, progress=show)
     write_pages(files[0], (found.modes, found.reasons, found.diagrams), choice_to, diagram)
     title = " ".join(str(f) for f in files)
     if json:
@@ -247,13 +254,17 @@ def _measured(
     if all(given):
         found = [read_frfs(f) for f in files]
         frfs = found[0] if len(found) == 1 else join_frfs(found)
-        return _Measured(_frfs_without(frfs, files[0], how.leave_out))
+        batches = tuple(_frfs_without(f, files[0], how.leave_out) for f in found) if len(found) > 1 else ()
+        return _Measured(_frfs_without(frfs, files[0], how.leave_out), batches=batches)
     records, ranges, notes = read_blows(files, how)
     if shaker is not None:
         parts = [shaker_frfs(r, Welch(shaker), estimator=want.estimator).frfs for r in records]
         return _Measured(join_frfs(parts), (), (*notes, f"{parts[0].averages[0]:.3g} independent averages"))
     frfs, hits = estimate_frf(records, want, full_scale=ranges, progress=lambda f, t: show(0.05 * f, t))
-    return _Measured(frfs, hits, (*notes, *_said(frfs, hits)))
+    rows = dict.fromkeys(tuple(c.id for c in r.channels[1:]) for r in records)
+    setups = [[r for r in records if tuple(c.id for c in r.channels[1:]) == ids] for ids in rows]
+    batches = tuple(estimate_frf(s, want, full_scale=ranges)[0] for s in setups) if len(setups) > 1 else ()
+    return _Measured(frfs, hits, (*notes, *_said(frfs, hits)), batches)
 
 
 def _said(frfs: FrfSet, hits: Sequence[HitReport]) -> tuple[str, ...]:

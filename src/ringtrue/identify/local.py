@@ -18,11 +18,13 @@ from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
-from ringtrue.identify.hammer import HammerModes, identify_hammer, mode_scale
+from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer, mode_scale
 from ringtrue.identify.lsfd import noise, normalise, prepare
 from ringtrue.identify.refine import refine, shape_deviations
 
 Progress = Callable[[float, str], None]
+CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
+SHIFT = 0.1  # half bandwidths that matter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +95,48 @@ def identify_batches(
         found.append(_local(batch, band, first.model))
     at = np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0)
     return _joined(batches, [f.take(at) for f in found], first.model.participation[at], lead)
+
+
+def told_apart(
+    joint: HammerResult,
+    batches: Sequence[FrfSet],
+    settings: HammerModes | None = None,
+    *,
+    progress: Progress | None = None,
+) -> HammerResult:
+    """The result of one fit of all batches, with the modes of local fits where it is clear that the batches disagree.
+
+    That is so where more than half of the modes differ from batch to batch as no chance makes it, by a tenth of their
+    half bandwidth or more: one fit of all then splits modes. Model, diagrams and synthesis stay those of the joint fit.
+
+    Parameters
+    ----------
+    joint : HammerResult
+        Of all batches together.
+    batches : sequence of FrfSet
+        Fewer than two, other inputs, the same responses in all or roving hammers leave the joint result as it is.
+    settings : HammerModes, optional
+    progress : callable, optional
+    """
+    inputs = {tuple(c.id for c in b.inputs) for b in batches}
+    roving = any(b.data.shape[1] < b.data.shape[2] for b in batches)
+    moved = len({tuple(c.id for c in b.outputs) for b in batches}) > 1
+    if not moved or len(inputs) > 1 or roving:
+        return joint
+    fit = identify_batches(batches, settings, progress=progress)
+    half = fit.modes.damping * fit.modes.frequencies
+    clear = (fit.chance < CLEAR) & (np.ptp(fit.frequency, axis=0) > SHIFT * half)
+    if not clear.mean() > 0.5:
+        return joint
+    reasons = tuple(
+        f"in {len(batches)} batches at {' '.join(f'{x:.5g}' for x in f)} Hz; chance of so much scatter {c:.1g}"
+        for f, c in zip(fit.frequency.T, fit.chance, strict=True)
+    )
+    note = (
+        f"the batches disagree in {int(clear.sum())} of {clear.size} modes: each was fitted by itself, frequencies and "
+        "damping are means, shapes are joined (moved sensors load the structure)"
+    )
+    return replace(joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=(*joint.notes, note))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
