@@ -18,6 +18,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
+from ringtrue.identify.local import told_apart
 from ringtrue.identify.merge import Contribution, merge_modes
 from ringtrue.identify.peaks import cmif
 from ringtrue.io.choices import read_choice
@@ -235,8 +236,8 @@ def ambient(
 
 def struck(
     records: Sequence[Logged], sheet: TestModel, lost: Sequence[str], progress: Progress
-) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...]]:
-    """FRFs of all setups, what is shown of the records, and the hits that do not count."""
+) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...], list[FrfSet]]:
+    """FRFs of all setups, what is shown of the records, the hits that do not count, and the FRFs of each setup."""
     histories = [replace(_history(r.path, sheet, lost), source=r.name) for r in records]
     ranges: dict[str, float] = {}
     for r in records:
@@ -250,7 +251,12 @@ def struck(
         mine = [h for h in hits if h.source == record.name]
         first = record.details["setup"] == records[0].details["setup"]  # the others look alike
         shown.append(summary(record, history, [kept_blows(mine)], draw=first))
-    return frfs, shown, refused_blows(hits)
+    setups = [
+        [h for h, r in zip(histories, records, strict=True) if r.details["setup"] == name]
+        for name in dict.fromkeys(r.details["setup"] for r in records)
+    ]
+    batches = [estimate_frf(s, want, full_scale=ranges)[0] for s in setups] if len(setups) > 1 else []
+    return frfs, shown, refused_blows(hits), batches
 
 
 def _lines(test: TestModel) -> Int:
@@ -288,11 +294,14 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
     frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, test.leave_out), tuple[str, ...]()
+    batches: list[FrfSet] = []
     if hits:
-        frfs, more, rejected = struck(hits, model, test.leave_out, lambda f, t: progress(0.5 + 0.2 * f, t))
+        frfs, more, rejected, batches = struck(hits, model, test.leave_out, lambda f, t: progress(0.5 + 0.2 * f, t))
         frfs = exchanged(frfs)[0]
         shown += more
     result = _of_frfs(frfs, desk.config.identify, choice, lambda f, t: progress(0.7 + 0.3 * f, t)) if frfs else None
+    if result is not None and choice.of(HAMMER) is None:
+        result = told_apart(result, batches, _band(desk.config.identify))
     if hits and result is not None:
         at = len(shown) - len(hits)
         shown[at] = replace(shown[at], notes=(*shown[at].notes, *result.notes))
@@ -318,5 +327,8 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
 
 
 def _of_frfs(frfs: FrfSet, settings: IdentifySection, choice: Choice, progress: Progress) -> HammerResult:
-    band = HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax)
-    return identify_hammer(frfs, band, choice=choice.of(HAMMER), progress=progress)
+    return identify_hammer(frfs, _band(settings), choice=choice.of(HAMMER), progress=progress)
+
+
+def _band(settings: IdentifySection) -> HammerModes:
+    return HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax)
