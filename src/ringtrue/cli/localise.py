@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
@@ -18,14 +17,14 @@ from ringtrue.fem.dependence import smooth
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import Linearisation, ModesRequest
-from ringtrue.reduce.parametric import modes_of
+from ringtrue.reduce.parametric import ReducedModel, modes_of
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import LocaliseSection
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
 from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates
 from ringtrue.update.generate import generate
-from ringtrue.update.localise import element_errors
+from ringtrue.update.localise import reduced_errors
 from ringtrue.update.objective import Target, match
 from ringtrue.update.pool import conflicts, screened
 from ringtrue.update.proposal import Proposal, propose
@@ -70,7 +69,7 @@ def localise(
         show(0.2, f"energies of {len(every)} candidates")
         strain, kinetic = effects(model, analysis.system, every, modes.values, modes.vectors)
         moved, lost = moving(every, strain, kinetic)
-        pairs = _paired(analysis, modes, bridge, aim)
+        pairs = _paired(analysis, modes, count, bridge, aim)
         keep = _close(every, moved, 0.5 * (strain - kinetic)[pairs[:, 1]] / aim.weights.frequency, pool)
         keep = tuple(c for c in keep if smooth(model, c.parameter, analysis.system))
         reduced = reduced_candidates(
@@ -83,7 +82,8 @@ def localise(
             modes=modes,
             progress=lambda f, t: show(0.3 + 0.3 * f, t),
         )
-        errors = _errors(analysis, modes, bridge, aim, pairs, keep)
+        show(0.6, "error indicators")
+        errors = _errors(analysis, reduced, aim, pairs, keep)
         words = [c.what for c in keep]
         found = propose(
             reduced,
@@ -101,11 +101,11 @@ def localise(
     return 0
 
 
-def _paired(analysis: EmbeddedAnalysis, modes: EigenModes, bridge: Observation, aim: Target) -> Int:
-    """Modes of the test and of the model that belong together, (k, 2)."""
-    shapes = bridge.matrix @ (analysis.system.transform @ modes.vectors)
-    none = np.zeros((len(modes.values), 0)), np.zeros((*shapes.shape, 0))
-    return match(aim, Linearisation(np.zeros(0), modes.frequencies, shapes, *none))[0]
+def _paired(analysis: EmbeddedAnalysis, modes: EigenModes, count: int, bridge: Observation, aim: Target) -> Int:
+    """Modes of the test and of the lowest `count` of the model that belong together, (k, 2)."""
+    shapes = bridge.matrix @ (analysis.system.transform @ modes.vectors[:, :count])
+    none = np.zeros((shapes.shape[1], 0)), np.zeros((*shapes.shape, 0))
+    return match(aim, Linearisation(np.zeros(0), modes.frequencies[:count], shapes, *none))[0]
 
 
 def _close(
@@ -121,18 +121,14 @@ def _close(
 
 
 def _errors(
-    analysis: EmbeddedAnalysis,
-    modes: EigenModes,
-    bridge: Observation,
-    aim: Target,
-    pairs: Int,
-    keep: tuple[Candidate, ...],
+    analysis: EmbeddedAnalysis, reduced: ReducedModel, aim: Target, pairs: Int, keep: tuple[Candidate, ...]
 ) -> dict[str, Any]:
     """Concentration of the local errors on each candidate."""
     if not len(pairs):
         return {}
-    seen = sparse.csr_array(bridge.matrix @ analysis.system.transform)
-    found = element_errors(analysis.model, analysis.system, seen, aim.frequencies, aim.shapes, modes.vectors, pairs)
+    f, shapes = aim.frequencies[pairs[:, 0]], aim.shapes[:, pairs[:, 0]]
+    rows = np.arange(len(reduced.basis.observe))
+    found, _ = reduced_errors(analysis.model, analysis.system, reduced, rows, f, shapes, pairs[:, 1])
     return dict(found.concentration(membership(analysis.model, keep)))
 
 

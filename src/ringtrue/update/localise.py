@@ -21,7 +21,8 @@ from ringtrue.fem.change import affected_cards
 from ringtrue.fem.kinds import batches
 from ringtrue.fem.mesh import Mesh, mesh
 from ringtrue.model.model import Model
-from ringtrue.reduce.expand import expand_hybrid
+from ringtrue.reduce.expand import expand_hybrid, expand_reduced
+from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.reduce.tam import StaticShapes
 from ringtrue.update.objective import Residual, Target
 
@@ -124,6 +125,30 @@ def element_errors(
     found = expanded_errors(model, system, f, u, modes[:, fe], static.solve)
     static.close()
     return found
+
+
+def reduced_errors(
+    model: Model, system: System, reduced: ReducedModel, rows: Int, frequencies: Float, shapes: Float, partners: Int
+) -> tuple[ElementErrors, Float]:
+    """All indicators with the test shapes expanded in a reduced basis, and their misfit (m,): no factorisation.
+
+    Parameters
+    ----------
+    rows : (channel,) int64
+        Channels of the reduced model.
+    frequencies : (m,) float64, Hz
+    shapes : (channel, m) float64
+    partners : (m,) int64
+        The model's mode of each.
+    """
+    b = reduced.basis
+    energy = b.stiffness - reduced.shift * b.mass
+    found = expand_reduced(b.stiffness, b.mass, energy, b.observe[rows], shapes, frequencies, noise=NOISE)
+    _, own = reduced.coordinates(np.zeros(len(reduced.active)))
+    u = b.vectors @ np.hstack([found.shapes, own[:, partners]])
+    solve = reduced.pencil.at(reduced.shift).solve
+    full, mine = u[:, : frequencies.size], u[:, frequencies.size :]
+    return expanded_errors(model, system, frequencies, full, mine, solve), found.misfit
 
 
 def expanded_errors(

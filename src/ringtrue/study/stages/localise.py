@@ -14,7 +14,6 @@ from ringtrue.fem.change import affected_cards
 from ringtrue.fem.dependence import smooth
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
-from ringtrue.reduce.expand import expand_reduced
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.expansion import expanded
 from ringtrue.study.measured import flexible
@@ -29,7 +28,7 @@ from ringtrue.update.effects import LEAST, effects
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import identifiability
 from ringtrue.update.joint import joint_residual
-from ringtrue.update.localise import NOISE, ElementErrors, expanded_errors, variation
+from ringtrue.update.localise import ElementErrors, expanded_errors, reduced_errors, variation
 from ringtrue.update.objective import Target, match, residual
 from ringtrue.update.pool import conflicts, of_parameter, screened
 from ringtrue.update.proposal import Proposal, propose
@@ -139,20 +138,14 @@ def _errors(desk: Workbench, model: AtChannels, aim: Target, pairs: Int) -> tupl
     """Indicators by element, and the misfit (m,) of the expanded test shapes: in the reduced basis, or as asked for."""
     test, fe = pairs.T
     reduced: ReducedModel = model.model
-    _, own = reduced.coordinates(np.zeros(len(reduced.active)))
-    b, method, opened = reduced.basis, desk.config.correlate.expand, desk.remodelled
-    f, shapes = aim.frequencies[test], aim.shapes[:, test]
+    method, opened = desk.config.correlate.expand, desk.remodelled
+    f, shapes, system = aim.frequencies[test], aim.shapes[:, test], opened.analysis.system
     if method in ("", "hybrid"):
-        energy = b.stiffness - reduced.shift * b.mass
-        found = expand_reduced(b.stiffness, b.mass, energy, b.observe[model.rows], shapes, f, noise=NOISE)
-        u = b.vectors @ np.hstack([found.shapes, own[:, fe]])
-        full, mine = u[:, : f.size], u[:, f.size :]
-    else:
-        part = desk.reference(OWN).take(test)
-        found = expanded(method, opened, desk.bridge(opened), part, desk.fmax, quiet)
-        full, mine = found.shapes, b.vectors @ own[:, fe]
-    solve = reduced.pencil.at(reduced.shift).solve
-    return expanded_errors(opened.model, opened.analysis.system, f, full, mine, solve), found.misfit
+        return reduced_errors(opened.model, system, reduced, model.rows, f, shapes, fe)
+    _, own = reduced.coordinates(np.zeros(len(reduced.active)))
+    found = expanded(method, opened, desk.bridge(opened), desk.reference(OWN).take(test), desk.fmax, quiet)
+    mine, solve = reduced.basis.vectors @ own[:, fe], reduced.pencil.at(reduced.shift).solve
+    return expanded_errors(opened.model, system, f, found.shapes, mine, solve), found.misfit
 
 
 def _proposal(
