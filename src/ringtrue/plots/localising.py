@@ -9,6 +9,7 @@ from ringtrue.plots.scene import View, painted
 from ringtrue.plots.style import FE, MUTED, TEST, axis, f32, figure
 from ringtrue.study.results import LocaliseStage, Scene
 
+BARS = 40  # regions
 COLD, WARM, HOT = "#d9e0e6", "#e9a95f", "#a8320a"
 EVEN, MOST = 1.0, 4.0  # times the share of strain energy: an error that is spread evenly, and the end of the colours
 
@@ -27,9 +28,9 @@ def _mix(a: str, b: str, t: float) -> str:
 
 
 def regions(stage: LocaliseStage) -> go.Figure:
-    """Bars of the concentration of error by region, the largest on top."""
+    """Bars of the concentration of error by region, the largest on top; `BARS` at most."""
     value = stage.concentration
-    order = [i for i in np.argsort(np.nan_to_num(value), kind="stable").tolist() if np.isfinite(value[i])]
+    order = [i for i in np.argsort(np.nan_to_num(value), kind="stable").tolist() if np.isfinite(value[i])][-BARS:]
     names = [stage.regions[i] for i in order]
     fig = figure(
         max(220, 70 + 19 * len(order)),

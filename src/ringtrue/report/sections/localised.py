@@ -36,6 +36,7 @@ EXPANSIONS = {
     "dynamic": "the dynamic shapes of the sensors",
 }
 SHOWN = 30  # names of candidates that were not looked at closely
+REGIONS = 6  # of a candidate that are named
 FEW = 14  # candidates that are not folded away
 
 
@@ -44,7 +45,8 @@ def section(data: Stages) -> Section | None:
     s = data.localise
     if s is None:
         return None
-    bars = Plot(plots.regions(s), "Concentration of error by region; dotted: an error that is spread evenly.")
+    which = f", the {plots.BARS} largest of {len(s.regions)}" if len(s.regions) > plots.BARS else ""
+    bars = Plot(plots.regions(s), f"Concentration of error by region{which}; dotted: an error that is spread evenly.")
     blocks: list[Block] = [Text(LEAD.format(EXPANSIONS[s.expansion]), "lead"), bars]
     if data.model is not None:
         view = Scene3D(
@@ -122,9 +124,15 @@ def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
     factor = fixed(m.factor, 3)
     shown = Cell(factor, "warn", "at its bound") if min(x - low, high - x) < 1e-6 else factor
     lost = ", ".join((*m.alike, *m.rivals)) or "–"
-    what = Cell(s.what[m.index], "muted", s.elements[m.index])
-    where = [s.elements[m.index]] if s.made else []
+    what = Cell(s.what[m.index], "muted", _few(s.elements[m.index]))
+    where = [_few(s.elements[m.index])] if s.made else []
     return [str(rank), m.name, *where, what, shown, number(100 * m.std, 2), fixed(m.worth, 1), lost]
+
+
+def _few(regions: str) -> str:
+    """The first of the regions that a candidate is in, where there are many."""
+    names = regions.split(", ")
+    return regions if len(names) <= REGIONS else f"{', '.join(names[:REGIONS])} and {len(names) - REGIONS} more"
 
 
 def _candidates(s: LocaliseStage) -> Block:
@@ -145,7 +153,7 @@ def _candidates(s: LocaliseStage) -> Block:
             [
                 name,
                 Cell(s.what[i], "muted"),
-                s.elements[i],
+                _few(s.elements[i]),
                 number(float(s.effect[i]), 3),
                 explains,
                 *known,
