@@ -103,8 +103,9 @@ def test_intervals_hold_the_truth_and_bands_the_modes(given: StudyRun) -> None:
     assert (np.abs(np.log(found.factor / truth)) < 2.5 * found.std).all()
     assert found.moved.all()
     assert (found.ratio < 0.2).all()
-    used = np.isfinite(found.held.predicted)
-    assert used.sum() == found.used.sum()
+    assert (found.held.in_turn == found.used).all()
+    assert np.isfinite(found.held.predicted).all()  # those that the updating did not see, too
+    assert not found.unproven.any()
     assert found.held.coverage(found.level) > 0.5
     assert found.discrepancy[0] < 2e-3  # the twin has the form of the model
     np.testing.assert_allclose(found.predicted, found.test, rtol=0.01)
