@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -54,11 +55,22 @@ class Chebyshev:
         mid, half = self._range
         u = (np.log([a, 1.0]) - mid) / half
         t = chebyshev.chebvander(u, self.n - 1)
-        slope = chebyshev.chebval(u[0], chebyshev.chebder(np.eye(self.n)))
-        return (t[0] - t[1])[1:], slope[1:] / (half * a)
+        return (t[0] - t[1])[1:], t[0, :-1] @ _derivatives(self.n)[:, 1:] / (half * a)
+
+
+@cache
+def _derivatives(n: int) -> Float:
+    """Chebyshev coefficients (n - 1, n) of the derivatives of T_0 .. T_(n-1)."""
+    return np.asarray(chebyshev.chebder(np.eye(n)))
 
 
 Basis = Powers | Chebyshev
+
+
+@lru_cache(maxsize=4096)
+def _at(basis: Basis, a: float) -> tuple[Float, Float]:
+    """Values and slopes; the terms of a parameter share its bases."""
+    return basis(a)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,11 +96,11 @@ class Function:
 
     def value(self, own: Sequence[float]) -> float:
         """At its own factors."""
-        return self._contracted([b(x)[0] for b, x in zip(self.bases, own, strict=True)])
+        return self._contracted([_at(b, x)[0] for b, x in zip(self.bases, own, strict=True)])
 
     def slope(self, own: Sequence[float]) -> tuple[float, ...]:
         """The derivative to each of its own factors."""
-        both = [b(x) for b, x in zip(self.bases, own, strict=True)]
+        both = [_at(b, x) for b, x in zip(self.bases, own, strict=True)]
         return tuple(self._contracted([x[int(i == j)] for i, x in enumerate(both)]) for j in range(len(both)))
 
     def _contracted(self, vectors: Sequence[Float]) -> float:

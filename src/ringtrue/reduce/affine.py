@@ -60,12 +60,6 @@ def values(functions: Sequence[Function], factors: Float) -> Iterator[float]:
         yield 0.0 if 1.0 in own else f.value(own)
 
 
-def slopes(functions: Sequence[Function], factors: Float, which: int) -> Iterator[float]:
-    """The derivative of each function to the factor of one parameter, by position; 0 where it has no part in it."""
-    for f in functions:
-        yield f.slope(f.own(factors))[f.which.index(which)] if which in f.which else 0.0
-
-
 def observed_system(
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg, sparse
@@ -30,6 +30,8 @@ class Projection:
         At a = 1.
     terms : tuple of (function, stiffness (r, r), mass (r, r))
     observe : (channel, r) float64
+    of : dict
+        Positions of the terms that depend on each parameter.
     """
 
     vectors: Float
@@ -37,11 +39,14 @@ class Projection:
     mass: Float
     terms: tuple[tuple[Function, Float, Float], ...]
     observe: Float
+    of: dict[int, list[int]] = field(init=False)
 
-    @property
-    def functions(self) -> list[Function]:
-        """The function of each term."""
-        return [f for f, _, _ in self.terms]
+    def __post_init__(self) -> None:
+        of: dict[int, list[int]] = {}
+        for i, (function, _, _) in enumerate(self.terms):
+            for which in function.which:
+                of.setdefault(which, []).append(i)
+        object.__setattr__(self, "of", of)
 
     @property
     def size(self) -> int:

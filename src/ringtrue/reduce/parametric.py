@@ -21,7 +21,7 @@ from ringtrue.eigen.problem import EigenModes, frequencies
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduce.affine import AffineSystem, slopes, values
+from ringtrue.reduce.affine import AffineSystem, values
 from ringtrue.reduce.basis import (
     Progress,
     Projection,
@@ -154,7 +154,7 @@ class ReducedModel:
     def projected(self, a: Float) -> tuple[Float, Float]:
         """K and M (r, r) in the basis at the factors a of all parameters."""
         k, m = self.basis.stiffness.copy(), self.basis.mass.copy()
-        for value, (_, kt, mt) in zip(values(self.basis.functions, a), self.basis.terms, strict=True):
+        for value, (_, kt, mt) in zip(values([f for f, _, _ in self.basis.terms], a), self.basis.terms, strict=True):
             if value:
                 k += value * kt
                 m += value * mt
@@ -163,10 +163,11 @@ class ReducedModel:
     def derivative(self, a: Float, which: int, slope: float = 1.0) -> tuple[Float, Float]:
         """∂K/∂a and ∂M/∂a (r, r) of one parameter, by position, times da/dx, at the factors a of all."""
         dk, dm = np.zeros_like(self.basis.stiffness), np.zeros_like(self.basis.mass)
-        for own, (_, kt, mt) in zip(slopes(self.basis.functions, a, which), self.basis.terms, strict=True):
-            if own:
-                dk += own * slope * kt
-                dm += own * slope * mt
+        for i in self.basis.of.get(which, ()):
+            f, kt, mt = self.basis.terms[i]
+            weight = f.slope(f.own(a))[f.which.index(which)] * slope
+            dk += weight * kt
+            dm += weight * mt
         return dk, dm
 
     def _solve(self, everything: Float, *, all_modes: bool) -> tuple[Float, Float]:
