@@ -195,11 +195,14 @@ def test_the_scatter_of_a_mode_is_no_second_mode():
     f = np.array([1.2, 1.34, 1.4])
     blank = np.zeros((3, 4))
     table = Candidates(
-        2j * np.pi * f, blank + 0j, shape, np.zeros((3, 4, 4), complex), blank[:, 0], np.ones((3, 2), np.int64),
+        2 * np.pi * f * (-0.01 + 1j), np.array([[0.0], [0.04], [0.04]]) + blank + 0j, shape,
+        np.zeros((3, 4, 4), complex), blank[:, 0], np.ones((3, 2), np.int64),
         np.array([7.0, 4.4, 4.4]), np.ones(3), np.ones(3), np.zeros(0, np.int64), np.zeros(0, bool),
         np.array([True, False, False]),
     )  # fmt: skip
     sure = np.array([0.94, 0.39, 0.39])
     assert without_echoes(table, sure) == pytest.approx([0.94, 0.195, 0.39])
+    known = replace(table, deviation=0.1 * table.deviation)
+    assert without_echoes(known, sure) == pytest.approx(sure)
     few = replace(table, shape=shape[:3])
     assert without_echoes(few, sure) == pytest.approx(sure)

@@ -19,7 +19,7 @@ PAIRED = 0.3  # share of the orders
 STRONG = 10.0  # signal-to-noise ratio in the correlations, that poles of noise do not reach
 OVERTONE = 3e-3  # relative distance
 FEW = 4  # channels: with three any shape is like any other
-ECHO, LIKE = 1.5, 0.9  # ratio of frequencies and MAC
+ECHO, LIKE, ROUGH = 1.25, 0.9, 0.2  # ratio of frequencies, MAC, and deviation of the damping over it
 STEADY = 2.5  # deviations of the logarithm of a fourth moment
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
 
@@ -95,13 +95,15 @@ def without_echoes(c: Candidates, sure: Float) -> Float:
     """(m,) confidence, halved for candidates that are the scatter of a mode of the same shape, stronger and surer.
 
     The correlations of a mode of few cycles, and those of its motion with noise, have poles near it that both halves of
-    a record may show, all of its shape; their own spectrum has no peak that could be fitted. Four channels or more.
+    a record may show, all of its shape; their damping is hardly known, and their spectrum has no peak to fit. Four
+    channels or more.
     """
     if len(c.shape) < FEW:
         return sure
     f, less = c.frequencies, (c.strength[:, None] < 1.2 * c.strength) & (sure[:, None] < sure)
     near = np.abs(np.log(f[:, None] / f)) < np.log(ECHO)
-    echo = less & near & (mac(c.shape, c.shape) > LIKE) & ~c.refined[:, None] & c.refined
+    rough = ~c.refined & (c.stds()[1] > ROUGH * c.damping)
+    echo = less & near & (mac(c.shape, c.shape) > LIKE) & rough[:, None] & c.refined
     return np.where(echo.any(axis=1), 0.5 * sure, sure)
 
 
