@@ -36,6 +36,7 @@ EXPANSIONS = {
     "dynamic": "the dynamic shapes of the sensors",
 }
 SHOWN = 30  # names of candidates that were not looked at closely
+FALLS = 10.0  # % of mean MAC, from which on a proposal is doubted
 REGIONS = 6  # of a candidate that are named
 FEW = 14  # candidates that are not folded away
 
@@ -84,11 +85,14 @@ def _proposal(s: LocaliseStage) -> list[Block]:
     if not p.members:
         told = "No change of a candidate explains the test better than the model as it is."
         return [Text(f"{origin} {told}"), _candidates(s)]
+    before, after = (100 * float(x) for x in p.mac[:2])
     gain = (
         f"With {_count(len(p.members))} of them mean |Δf| of the used modes falls from {fixed(100 * p.before, 2)} to "
-        f"{fixed(100 * p.after, 2)} %, mean MAC rises from {fixed(100 * float(p.mac[0]), 1)} to "
-        f"{fixed(100 * float(p.mac[1]), 1)} %."
+        f"{fixed(100 * p.after, 2)} %, mean MAC {'rises' if after >= before else 'falls'} from {fixed(before, 1)} to "
+        f"{fixed(after, 1)} %."
     )
+    if after < before - FALLS:
+        gain += " The frequencies are reached with partners that look otherwise: check the pairs before it is used."
     where = ("|Region",) if s.made else ()  # those that are given have names
     heads = ("#", "|Parameter", *where, "|Changes", "Factor", "σ, %", "Worth, AICc", "|Not told from it")
     rows = [_row(s, i, m) for i, m in enumerate(p.members, start=1)]
@@ -110,7 +114,8 @@ def _made(s: LocaliseStage) -> str:
         f"{s.made} candidates are made from the deck; {len(s.what)} that can move the measured frequencies most, each "
     )
     text += "in a way of its own, are looked at closely."
-    return text + (f" {_count(len(s.dropped)).capitalize()} change no mode." if s.dropped else "")
+    lost = f" {_count(len(s.dropped)).capitalize()} change{'s' if len(s.dropped) == 1 else ''} no mode."
+    return text + (lost if s.dropped else "")
 
 
 def _count(n: int) -> str:
