@@ -49,7 +49,9 @@ def test_the_right_model_passes_the_gates_of_the_trade_and_the_wrong_one_does_no
     assert all(c.verdict.passed for c in final(done).measures.checks)
     before = done.results["correlate"].evidence
     least = [[c.verdict.least_diagonal for c in e.measures.checks if c.kind == "cross"] for e in (before, final(done))]
-    assert all(a < b for a, b in zip(*least, strict=True))
+    (irs_before, serep_before), (irs, serep) = least
+    assert irs_before < irs
+    assert min(serep_before, serep) > 0.99  # its mass is made of the modes that it judges: it tells little
     assert np.diag(final(done).auto_mac) == pytest.approx(1)
 
 

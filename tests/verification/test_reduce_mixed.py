@@ -10,7 +10,7 @@ import pytest
 from scipy import linalg, sparse
 
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.fem.derivatives import PowerTerm
+from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.reduce import basis, parametric
 from ringtrue.reduce.affine import AffineSystem
 
@@ -35,7 +35,7 @@ def net() -> AffineSystem:
     ground = sparse.csr_array(1e2 * sparse.eye_array(n))
     names = ParameterSet(tuple(Parameter(f"field {f}", (), 0.2, 5.0) for f in range(FIELDS**2)))
     none = sparse.csr_array((n, n))
-    terms = tuple((PowerTerm(1, k, none),) for k in parts)
+    terms = tuple(AffineTerm(power(i), k, none) for i, k in enumerate(parts))
     mass = sparse.csr_array(sparse.diags_array(1 + 0.1 * np.cos(np.arange(n))))
     return AffineSystem(sparse.csr_array(sum(parts[1:], parts[0]) + ground), mass, names, terms, none[:3])
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.cli.show import rows
+from ringtrue.cli.show import out, rows
 from ringtrue.core.arrays import Float
 from ringtrue.errors import ConfigError
 from ringtrue.identify.linearity import LevelDependence
@@ -23,21 +23,23 @@ def check_levels(levels: Sequence[float], files: int) -> None:
 
 def print_levels(table: LevelDependence) -> None:
     """Frequency and damping at each level, the change with the level, and whether a linear structure explains it."""
-    heads = ("#", *(f"f at {x:g} [Hz]" for x in table.levels), *(f"damping at {x:g} [%]" for x in table.levels))
+    levels = " ".join(f"{x:g}" for x in table.levels)
+    heads = ("#", "f [Hz]", "% a doubling", "damping [%]", "% a doubling")
     body: list[tuple[object, ...]] = []
     for k in range(table.linear.size):
         f, z = table.frequency[:, k], 100 * table.damping[:, k]
         body.append(
             (
                 k + 1,
-                *(f"{x:.5g}" for x in f),
-                *(f"{x:.3f}" for x in z),
+                " ".join(f"{x:.5g}" for x in f),
                 _slope(table.slope_frequency[k], table.std_slope_frequency[k]),
+                " ".join(f"{x:.3f}" for x in z),
                 _slope(table.slope_damping[k], table.std_slope_damping[k]),
-                _verdict(table, k),
             )
         )
-    rows("over the force level", (*heads, "f: % a doubling", "damping: % a doubling", ""), body)
+    rows(f"at force levels {levels}", heads, body)
+    for k in range(table.linear.size):
+        out.print(f"{k + 1}: {_verdict(table, k)}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _slope(slope: float, std: float) -> str:
