@@ -26,6 +26,7 @@ from ringtrue.model.model import Model
 
 NODES = (6, 12, 24, 48)  # of a function that is no polynomial; more where fewer do not hold
 SAMPLE = 40  # elements of a kind that tell its functions
+KEPT = 5000  # elements of which the matrices at all points fit into memory
 RANK, HOLDS, NOISE = 1e-12, 1e-9, 1e-12  # relative: functions kept, error allowed, no such part below
 MARGIN = 1.05  # by which the range of a series exceeds the bounds
 Members = Sequence[tuple[Group, Basis]]
@@ -162,8 +163,10 @@ def _terms(m: Mesh, some: Members, rows: dict[str, Int], system: System) -> list
         parts = built(m, groups, few, a)
         return np.concatenate([p.stiffness.ravel() for p in parts]), np.concatenate([p.mass.ravel() for p in parts])
 
-    def whole(a: tuple[float, ...]) -> Pair:
+    def every(a: tuple[float, ...]) -> Pair:
         return full_matrices(m, built(m, groups, rows, a))
+
+    whole = cache(every) if sum(at.size for at in rows.values()) < KEPT else every
 
     noise = [NOISE * size(x) for x in sample((1.0,) * len(groups))]
     try:
@@ -173,9 +176,10 @@ def _terms(m: Mesh, some: Members, rows: dict[str, Int], system: System) -> list
         with np.errstate(all="ignore"):  # a pole between the bounds is found by what does not hold
             for bases in _tries(some):
                 functions, nodes = _functions(sample, tuple(g.which for g in groups), bases)
-                for at in (sample, whole):
+                checks = _checks(bases)
+                for at, points in ((sample, checks), (whole, checks[:1])):
                     parts = _parts(at, functions, nodes, noise)
-                    if not all(_miss(at, functions, parts, a) < HOLDS for a in _checks(bases)):
+                    if not all(_miss(at, functions, parts, a) < HOLDS for a in points):
                         break
                 else:
                     return [_term(f, p, system) for f, p in zip(functions, parts, strict=True)]
@@ -251,7 +255,7 @@ def _checks(bases: tuple[Basis, ...]) -> list[tuple[float, ...]]:
     def inside(b: Basis, share: float) -> float:
         return CHECK + share if isinstance(b, Powers) else b.lower * (b.upper / b.lower) ** share
 
-    return [tuple(inside(b, abs(s - 0.07 * i)) for i, b in enumerate(bases)) for s in (0.13, 0.41, 0.87)]
+    return [tuple(inside(b, abs(s - 0.07 * i)) for i, b in enumerate(bases)) for s in (0.41, 0.13, 0.87)]
 
 
 def _miss(at: At, functions: Sequence[Function], parts: Sequence[tuple[Any, Any]], a: tuple[float, ...]) -> float:
