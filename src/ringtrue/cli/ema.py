@@ -26,7 +26,6 @@ from ringtrue.cli.identify import (
     choice_of,
     file_target,
     kept_channels,
-    print_modes,
     tell,
     told,
     write_pages,
@@ -42,7 +41,7 @@ from ringtrue.identify.local import told_apart
 from ringtrue.identify.lsfd import driving_pairs
 from ringtrue.io.frfs import holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
-from ringtrue.signal.frf import estimate_frf, join_frfs
+from ringtrue.signal.frf import estimate_columns, join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings, HitReport
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
@@ -173,6 +172,7 @@ def ema(
     if level:
         check_levels(level, len(files))
         return _at_levels(level, files, (how, want, shaker, window_decay), band, json)
+    title = " ".join(map(str, files))
     with progress("modes from FRFs") as show, about(files[0]):
         measured = _measured(files, how, want, shaker, show)
         frfs = _windowed(measured.frfs, window_decay)
@@ -180,22 +180,14 @@ def ema(
             write_frfs(frfs_to, frfs)
         if method is not FrfMethod.PLSCF:
             other = identify_frfs_by(method.value, frfs, band, progress=show)
-            return told(" ".join(map(str, files)), other, measured.notes, json)
+            return told(title, other, measured.notes, json)
         found = identify_hammer(frfs, band, choice=by_hand, progress=show)
         if by_hand is None:
             batches = [_windowed(b, window_decay) for b in measured.batches]
             found = told_apart(found, batches, band, progress=show)
     write_pages(files[0], (found.modes, found.reasons, found.diagrams), choice_to, diagram)
-    title = " ".join(str(f) for f in files)
-    if json:
-        value = modes_to_json(found.modes, found.uncertainty, reasons=found.reasons)
-        write_json(value | _blows_json(measured.hits), json)
-    if json != "-":
-        print_modes(f"{title}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
-        tell((*measured.notes, *found.notes))
-        if not len(found.modes):
-            tell(("no mode is believed in this band", *found.rejected[-5:]))
-    return 0 if len(found.modes) else 1
+    none = ("no mode is believed in this band", *found.rejected[-5:])
+    return told(title, found, measured.notes, json, more=_blows_json(measured.hits), if_none=none)
 
 
 def _at_levels(
@@ -259,12 +251,11 @@ def _measured(
     records, ranges, notes = read_blows(files, how)
     if shaker is not None:
         parts = [shaker_frfs(r, Welch(shaker), estimator=want.estimator).frfs for r in records]
-        return _Measured(join_frfs(parts), (), (*notes, f"{parts[0].averages[0]:.3g} independent averages"))
-    frfs, hits = estimate_frf(records, want, full_scale=ranges, progress=lambda f, t: show(0.05 * f, t))
-    rows = dict.fromkeys(tuple(c.id for c in r.channels[1:]) for r in records)
-    setups = [[r for r in records if tuple(c.id for c in r.channels[1:]) == ids] for ids in rows]
-    batches = tuple(estimate_frf(s, want, full_scale=ranges)[0] for s in setups) if len(setups) > 1 else ()
-    return _Measured(frfs, hits, (*notes, *_said(frfs, hits)), batches)
+        notes = (*notes, f"{parts[0].averages[0]:.3g} independent averages")
+        return _Measured(join_frfs(parts), (), notes, setups_of(parts))
+    columns, hits = estimate_columns(records, want, full_scale=ranges, progress=lambda f, t: show(0.05 * f, t))
+    frfs = join_frfs(columns)
+    return _Measured(frfs, hits, (*notes, *_said(frfs, hits)), setups_of(columns))
 
 
 def _said(frfs: FrfSet, hits: Sequence[HitReport]) -> tuple[str, ...]:

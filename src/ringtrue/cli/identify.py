@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -18,9 +18,10 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient
-from ringtrue.identify.ambient_methods import SecondOpinion, identify_ambient_by
+from ringtrue.identify.ambient_methods import identify_ambient_by
 from ringtrue.identify.choice import as_choice
-from ringtrue.identify.frf_methods import FrfOpinion
+from ringtrue.identify.hammer import HammerResult
+from ringtrue.identify.opinion import SecondOpinion
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
@@ -230,12 +231,7 @@ def oma(
             return told(str(record), other, (*fault_notes(history), *removed), json)
         found = identify_ambient(history, settings, choice=by_hand, progress=show)
     write_pages(record, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
-    if json:
-        write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
-    if json != "-":
-        print_modes(f"{record}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
-        tell((*fault_notes(history), *removed, *_machines(found), *found.notes))
-    return 0 if len(found.modes) else 1
+    return told(str(record), found, (*fault_notes(history), *removed, *_machines(found)), json)
 
 
 def check_method(method: StrEnum, first: StrEnum, options: Mapping[str, object]) -> None:
@@ -244,13 +240,21 @@ def check_method(method: StrEnum, first: StrEnum, options: Mapping[str, object])
         raise ConfigError(f"{wrong[0]} goes with --method {first.value}; the others have no diagram of judged poles")
 
 
-def told(title: str, found: SecondOpinion | FrfOpinion, notes: Sequence[str], json: str | None) -> int:
-    """Print and write the modes of another method; the exit status."""
+def told(
+    title: str,
+    found: AmbientResult | HammerResult | SecondOpinion,
+    notes: Sequence[str],
+    json: str | None,
+    *,
+    more: dict[str, Any] | None = None,
+    if_none: Sequence[str] = (),
+) -> int:
+    """Print the modes that were found and what is to be said of them, write them with `more`; the exit status."""
     if json:
-        write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons), json)
+        write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons) | (more or {}), json)
     if json != "-":
         print_modes(f"{title}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
-        tell((*notes, *found.notes))
+        tell((*notes, *found.notes, *(() if len(found.modes) else if_none)))
     return 0 if len(found.modes) else 1
 
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.motions import POWER
 from ringtrue.core.signals import Channel, FrfKind
-
-_POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +60,7 @@ class ModalModel:
         right = self.shapes.conj()[None] / (s[:, None, None] - self.poles.conj())
         h = left @ self.participation + right @ self.participation.conj()
         h += self.lower / (s**2)[:, None, None] + self.upper
-        return np.asarray(h * (s ** _POWER[self.kind])[:, None, None])
+        return np.asarray(h * (s ** POWER[self.kind])[:, None, None])
 
     def to_modes(self, source: str = "") -> ModeSet:
         """The modes, complex shapes."""

@@ -8,16 +8,15 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.motions import POWER
 from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.errors import InputError, did_you_mean
 
-_POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
-
 
 def _power(kind: str) -> int:
-    if kind not in _POWER:
-        raise InputError(f"kind {kind!r}{did_you_mean(kind, _POWER)}")
-    return _POWER[kind]
+    if kind not in POWER:
+        raise InputError(f"kind {kind!r}{did_you_mean(kind, POWER)}")
+    return POWER[kind]
 
 
 def frf(

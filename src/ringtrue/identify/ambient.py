@@ -339,7 +339,7 @@ def identify_stretches(
         return identify_stretches((first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady))
     result = replace(result, harmonics=(*sines, *result.harmonics))
     tell(1.0, f"{len(result.modes)} modes")
-    notes = tuple(f"channel {s.id}: {s.why}{'' if s.usable else '; left out'}" for s in states) + late
+    notes = tuple(s.note for s in states) + late
     if whole is None:
         notes += ("every channel is clipped: machines are not told from modes",)
     if motion:

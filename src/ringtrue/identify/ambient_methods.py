@@ -7,7 +7,7 @@ analysis", IOMAC: the correlations at positive lags under an exponential window,
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -23,6 +23,7 @@ from ringtrue.identify.bayes import bayes_fft
 from ringtrue.identify.era import next_era
 from ringtrue.identify.fdd import FddSettings, fdd
 from ringtrue.identify.fdd import Method as FddMethod
+from ringtrue.identify.opinion import SecondOpinion
 from ringtrue.identify.pick import modes_of
 from ringtrue.identify.plscf import Plscf, cluster_poles, plscf, pole_shapes
 from ringtrue.identify.poles import PoleSet, unit
@@ -62,24 +63,6 @@ ORDERS = {"era": 60, "ssi-data": 40}
 SAME_F, SAME_MAC = 0.01, 0.8  # one mode in two overlapping bands
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SecondOpinion:
-    """Modes by one method.
-
-    Attributes
-    ----------
-    modes : ModeSet
-    uncertainty : Uncertainty
-        NaN where the method states none.
-    reasons, notes : tuple of str
-    """
-
-    modes: ModeSet
-    uncertainty: Uncertainty
-    reasons: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
 def identify_ambient_by(
     method: str,
     history: TimeHistory,
@@ -111,7 +94,7 @@ def identify_ambient_by(
         raise ConfigError(f"method {method!r}{did_you_mean(method, METHODS)}")
     s, tell = settings or AmbientSettings(), progress or (lambda share, text: None)
     good, states = usable(history)
-    notes = tuple(f"channel {c.id}: {c.why}{'' if c.usable else '; left out'}" for c in states)
+    notes = tuple(c.note for c in states)
     tell(0.0, NAMES[method])
     if method == "bayes":
         modes, std = _bayes(good, s, near)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.choice import Choice
+from ringtrue.core.motions import DERIVATIVE
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.whittle import SpectralBins
@@ -21,7 +22,7 @@ FEW = 8  # events
 EDGE, LAST = 0.35, 0.49  # of the rate: where filters of recorders begin to end the spectrum, and where it is looked at
 BROAD = 0.02  # damping that the edge of a filter may have
 FALL = 0.4  # of the fall of a mode
-DERIVATIVE = {"acceleration": 2, "velocity": 1, "displacement": 0, "strain": 0}
+ORDER = {**DERIVATIVE, "strain": 0}
 
 
 def spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) -> tuple[Float, Float]:
@@ -40,7 +41,7 @@ def response_slope(history: TimeHistory) -> tuple[float, float]:
     """Exponent of the frequency in the responses' spectrum under a flat force, and its standard deviation."""
     kinds = {c.quantity for c in history.channels}
     kind = kinds.pop() if len(kinds) == 1 else "unknown"
-    return (2.0 * DERIVATIVE[kind], 1.5) if kind in DERIVATIVE else (2.0, 3.0)
+    return (2.0 * ORDER[kind], 1.5) if kind in ORDER else (2.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,18 +99,18 @@ class Heard:
 
 def one_motion(channels: Sequence[Channel]) -> Motion | None:
     """How channels of different kinds become one motion; None where all are of one kind, or not known."""
-    kinds = [str(c.quantity) for c in channels if c.quantity in DERIVATIVE]
+    kinds = [str(c.quantity) for c in channels if c.quantity in ORDER]
     if len(set(kinds)) < 2:
         return None
-    kind = max(DERIVATIVE, key=lambda k: kinds.count(k))
-    order = np.array([DERIVATIVE.get(c.quantity, DERIVATIVE[kind]) - DERIVATIVE[kind] for c in channels])
+    kind = max(ORDER, key=lambda k: kinds.count(k))
+    order = np.array([ORDER.get(c.quantity, ORDER[kind]) - ORDER[kind] for c in channels])
     strain = np.array([c.quantity == "strain" for c in channels])
     return Motion(kind, np.asarray((-1j) ** order, dtype=np.complex128), np.where(strain, 0, -order))
 
 
 def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[str, ...]]:
     """The record with channels that lag the others moved back, and notes on them and on channels of odd phase."""
-    kind = np.array([DERIVATIVE.get(c.quantity, -1) for c in history.channels])
+    kind = np.array([ORDER.get(c.quantity, -1) for c in history.channels])
     kind[kind < 0] = np.bincount(kind[kind >= 0], minlength=1).argmax()
     found = channel_phases(history, kind.tolist())
     ids, notes = np.array([c.id for c in history.channels]), []

@@ -8,13 +8,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 from ringtrue.identify.judge import Candidates
-from ringtrue.identify.lsfd import POWER, Noise
+from ringtrue.identify.lsfd import Noise
 from ringtrue.identify.peaks import count_peaks
 from ringtrue.identify.plscf import Clusters, Plscf, cluster_poles, order_range, plscf, pole_shapes
-from ringtrue.identify.poles import StableDiagram
+from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.shapes.mac import mac
 
 RATIO = 1.8  # upper to lower edge of a band
@@ -68,12 +69,20 @@ def band_candidates(
     white = frfs.data[at] / (np.median(sigma.line[at]) * sigma.response[:, None] * sigma.input)
     strong = principal(white)
     poles = plscf(strong, frfs.freqs[at], estimator)
-    alone = n_in == 1 and strong.shape[1] > 1 and len(poles) > 0
-    responses = pole_shapes(poles, strong, frfs.freqs[at], POWER[frfs.kind]) if alone else None
-    poles = replace(poles, shape=poles.shape * sigma.input[:, None])
-    clusters = cluster_poles(poles, line_steps(frfs.freqs, poles.pole), responses=responses)
+    poles, clusters = grouped(poles, strong, sigma, frfs, at)
     db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
     return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
+
+
+def grouped(poles: PoleSet, white: Complex, sigma: Noise, frfs: FrfSet, at: Bool) -> tuple[PoleSet, Clusters]:
+    """Poles of whitened lines `at` in the units of the inputs, and those that stay in place over the orders.
+
+    With one input the responses tell modes apart.
+    """
+    alone = white.shape[2] == 1 and white.shape[1] > 1 and len(poles) > 0
+    responses = pole_shapes(poles, white, frfs.freqs[at], POWER[frfs.kind]) if alone else None
+    poles = replace(poles, shape=poles.shape * sigma.input[:, None])
+    return poles, cluster_poles(poles, line_steps(frfs.freqs, poles.pole), responses=responses)
 
 
 def principal(data: Complex) -> Complex:

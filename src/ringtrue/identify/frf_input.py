@@ -9,9 +9,10 @@ from scipy.linalg import lstsq
 
 from ringtrue.core.arrays import Bool, Complex, Float
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
-from ringtrue.identify.lsfd import POWER, driving_pairs
+from ringtrue.identify.lsfd import driving_pairs
 from ringtrue.signal.frf_checks import passive
 
 _SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite

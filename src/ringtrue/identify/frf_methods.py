@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
 from scipy.linalg import qr
 
-from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.identify.bands_hammer import choose_bands, line_steps, merged, principal
+from ringtrue.identify.bands_hammer import choose_bands, grouped, merged, principal
 from ringtrue.identify.frf_input import frf_notes, refuse_bad_frfs, sound_pairs
 from ringtrue.identify.hammer import HammerModes, band_limits, lines_between, mode_scale
 from ringtrue.identify.judge import judge
 from ringtrue.identify.lsce import Lsce, lsce
-from ringtrue.identify.lsfd import POWER, lsfd, noise, prepare
+from ringtrue.identify.lsfd import lsfd, noise, prepare
+from ringtrue.identify.opinion import SecondOpinion
 from ringtrue.identify.peaks import CmifPeaks, cmif, cmif_modes, count_peaks
-from ringtrue.identify.plscf import Clusters, cluster_poles, pole_shapes
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.refine import refine
 from ringtrue.identify.rfp import Rfp, rfp
@@ -36,23 +36,13 @@ SPARE = 8  # orders above twice the peaks
 MOST_RESPONSES = 8  # that the polynomials are fitted to
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrfOpinion:
-    """Modes by one method; none of them states deviations, which are NaN."""
-
-    modes: ModeSet
-    uncertainty: Uncertainty
-    reasons: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
 def identify_frfs_by(
     method: str,
     frfs: FrfSet,
     settings: HammerModes | None = None,
     *,
     progress: Callable[[float, str], None] | None = None,
-) -> FrfOpinion:
+) -> SecondOpinion:
     """Modes of FRFs by one of `METHODS`.
 
     Poles of LSCE and of the polynomials that stay in place over the orders, shapes by one global LSFD, and the verdict
@@ -86,7 +76,7 @@ def identify_frfs_by(
     none = np.full(len(modes), np.nan)
     std = Uncertainty.independent(none, none, np.full(modes.shapes.shape, np.nan))
     notes = (*((roving,) if roving else ()), *frf_notes(frfs, sound_pairs(frfs)))
-    return FrfOpinion(modes, std, reasons, (f"no standard deviations: {NAMES[method]} states none here", *notes))
+    return SecondOpinion(modes, std, reasons, (f"no standard deviations: {NAMES[method]} states none here", *notes))
 
 
 def _modes(model: ModalModel, sure: Float, source: str) -> ModeSet:
@@ -111,7 +101,7 @@ def _stable(
         poles = _poles(method, white, used.freqs[wide], count_peaks(curve[wide]).size, used.window_decay)
         f = poles.frequencies
         poles = poles.take((f >= a) & (f <= b))
-        found.append(_clusters(poles, white, used, wide, sigma.input))
+        found.append(grouped(poles, white, sigma, used, wide)[1])
     c = merged(found, used.freqs, used.window_decay)
     lines, pairs = prepare(used, sigma), sound_pairs(used)
     while c.pole.size:  # a verdict hangs on the other modes: the worst goes, and it is taken again
@@ -143,11 +133,3 @@ def _poles(method: str, white: Complex, freqs: Float, peaks: int, decay: float) 
         raise ConfigError("LSCE works on impulse responses, which take lines in equal steps; take plscf or rfp")
     top = max(min(int(np.ceil((4 * peaks + 2 * SPARE) / n_in)), lines // 4), 3)
     return lsce(white, freqs, Lsce(max(1, top // 4), top, most))
-
-
-def _clusters(poles: PoleSet, white: Complex, used: FrfSet, at: Bool, given: Float) -> Clusters:
-    """Groups of poles over the orders; with one input the responses tell modes apart."""
-    alone = white.shape[2] == 1 and white.shape[1] > 1 and len(poles) > 0
-    responses = pole_shapes(poles, white, used.freqs[at], POWER[used.kind]) if alone else None
-    scaled = replace(poles, shape=poles.shape * given[:, None])
-    return cluster_poles(scaled, line_steps(used.freqs, poles.pole), responses=responses)

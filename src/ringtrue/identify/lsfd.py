@@ -18,13 +18,13 @@ from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import Norm
+from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
 
 _AROUND = 31  # lines at least, that tell the noise beside a mode
 _SMOOTHED, _VALUES = 5, 40  # lines that their noise is averaged over, and values at least
 _LEAST = 1e-4  # of the squared noise of a typical line
-POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 Pairs = Sequence[tuple[int, int, float]]
 
 

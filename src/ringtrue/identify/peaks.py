@@ -14,9 +14,10 @@ from scipy.signal import find_peaks
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modal import ModalModel
+from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
-from ringtrue.identify.lsfd import POWER, lsfd
+from ringtrue.identify.lsfd import lsfd
 
 LEAST = 0.1  # of the response at its frequency: less is the flank of a stronger mode
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.signals import Channel, FrfKind, FrfSet, Quantity
+from ringtrue.core.motions import FRF_KIND, SI_UNIT
+from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError
 from ringtrue.io.delimited import read_columns
 from ringtrue.io.si import known, to_si
@@ -25,8 +26,6 @@ _PARTS = {
 }
 _PART = {k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in _PARTS.items()}
 _BRACKETS = re.compile(r"(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*$")
-_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
-_SI = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
 _TURN = 2 * np.pi + 0.1  # a phase beyond is in degrees
 
 
@@ -92,11 +91,11 @@ def read_frf_table(path: Path) -> FrfSet:
     return FrfSet(
         h,
         freqs,
-        tuple(Channel(n, kind, _SI[kind]) for n in outputs),
+        tuple(Channel(n, kind, SI_UNIT[kind]) for n in outputs),
         tuple(Channel(n, "force", "N") for n in inputs),
         coherence,
         np.full(len(inputs), np.nan),
-        _KIND[kind],
+        FRF_KIND[kind],
         source=str(path),
     )
 
@@ -142,7 +141,7 @@ def _kind(unit: str, path: Path) -> tuple[Quantity, float]:
     if not text or text.lower() in ("deg", "rad", "°", "-"):
         return "acceleration", 1.0
     over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
-    if not known(over) or not known(under) or to_si(under)[0] != "force" or to_si(over)[0] not in _KIND:
+    if not known(over) or not known(under) or to_si(under)[0] != "force" or to_si(over)[0] not in FRF_KIND:
         raise DataError(f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, mm/N")
     quantity, factor, _ = to_si(over)
     return quantity, factor / to_si(under)[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import get_args
 
+from ringtrue.core.motions import SI_UNIT
 from ringtrue.core.signals import Quantity
 from ringtrue.errors import DataError, did_you_mean
 
@@ -70,8 +71,7 @@ def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
         raise DataError(f"quantity {quantity!r}{did_you_mean(quantity, allowed)}")
     text = unit.strip().lower().replace("²", "^2").replace("µ", "u").replace("μ", "u")
     if not text:
-        default = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m", "force": "N"}
-        return quantity or "unknown", 1.0, default.get(quantity, "")  # type: ignore[return-value]
+        return quantity or "unknown", 1.0, {**SI_UNIT, "force": "N"}.get(quantity, "")  # type: ignore[return-value]
     text = _SAME.get(text, text[:-1] + "^2" if text.endswith("/s2") else text)
     if text not in _UNITS:
         raise DataError(f"unit {unit!r}{did_you_mean(text, _UNITS)}")

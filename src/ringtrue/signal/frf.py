@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
-from ringtrue.core.signals import Channel, FrfKind, FrfSet, TimeHistory
+from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.hits import (
     Estimator,
@@ -26,9 +27,6 @@ from ringtrue.signal.hits import (
 log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 
-_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
-_DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}
-_UNIT = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
 _SAME_END = 2e-3  # of the block, by which pulses of other width move its end
 _ENDS_AT = 0.01  # of its start, a response under an automatic exponential window
 
@@ -76,8 +74,20 @@ def estimate_frf(
     DataError
         If a record has no hits or none can be used, rates differ, or a pair of response and input is absent.
     """
+    records = [records] if isinstance(records, TimeHistory) else records
+    columns, reports = estimate_columns(records, settings, full_scale=full_scale, progress=progress)
+    return join_frfs(columns), reports
+
+
+def estimate_columns(
+    records: Sequence[TimeHistory],
+    settings: HammerSettings | None = None,
+    *,
+    full_scale: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> tuple[tuple[FrfSet, ...], tuple[HitReport, ...]]:
+    """The FRFs of each input with each set of responses, on the same lines, before `estimate_frf` joins them."""
     settings = settings or HammerSettings()
-    records = [records] if isinstance(records, TimeHistory) else list(records)
     cuts = [_cut(r, settings) for r in records]
     settings = _with_room(cuts, settings)
     length = min(c.length for c in cuts)
@@ -97,8 +107,16 @@ def estimate_frf(
         key = (new.input, *(c.id for c in new.outputs))
         sums[key] = sums[key].plus(new) if key in sums else new
     source = ", ".join(dict.fromkeys(r.source for r in records if r.source))
-    columns = [_column(s, decay, settings, source) for s in sums.values()]
-    return join_frfs(columns), tuple(r for rep in reports for r in rep)
+    columns = tuple(_column(s, decay, settings, source) for s in sums.values())
+    return columns, tuple(r for rep in reports for r in rep)
+
+
+def setups_of(columns: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
+    """Those with the same responses joined: a set for each place that the sensors had."""
+    outputs = [tuple(c.id for c in f.outputs) for f in columns]
+    return tuple(
+        join_frfs([f for f, o in zip(columns, outputs, strict=True) if o == s]) for s in dict.fromkeys(outputs)
+    )
 
 
 def _with_room(cuts: Sequence[_Cut], settings: HammerSettings) -> HammerSettings:
@@ -230,7 +248,7 @@ def frf_variance(frfs: FrfSet) -> Float:
 
 def _column(s: _Sums, decay: float, settings: HammerSettings, source: str) -> FrfSet:
     kinds = [c.quantity for c in s.outputs]
-    if not kinds or not set(kinds) <= set(_KIND):
+    if not kinds or not set(kinds) <= set(FRF_KIND):
         raise DataError(
             f"{source}: responses measure {', '.join(sorted(set(kinds)))}; all must be motions: leave the others out"
         )
@@ -239,7 +257,7 @@ def _column(s: _Sums, decay: float, settings: HammerSettings, source: str) -> Fr
     if s.count < 2:
         coherence = np.full(coherence.shape, np.nan)  # one hit has coherence 1 whatever its noise
     freqs = np.fft.rfftfreq(s.length, 1 / s.rate)
-    power = np.array([_DERIVATIVE[kind] - _DERIVATIVE[k] for k in kinds])
+    power = np.array([DERIVATIVE[kind] - DERIVATIVE[k] for k in kinds])
     keep = (freqs <= (settings.fmax or np.inf)) & ((freqs > 0) | (decay > 0) | (power == 0).all())
     freqs, h, coherence = freqs[keep], h[keep], coherence[keep]
     if power.any():  # under the window the FRF stands at s + decay
@@ -247,11 +265,11 @@ def _column(s: _Sums, decay: float, settings: HammerSettings, source: str) -> Fr
     return FrfSet(
         h[:, :, None],
         np.asarray(freqs, dtype=np.float64),
-        tuple(c if c.quantity == kind else replace(c, quantity=kind, unit=_UNIT[kind]) for c in s.outputs),
+        tuple(c if c.quantity == kind else replace(c, quantity=kind, unit=SI_UNIT[kind]) for c in s.outputs),
         (Channel(s.input, "force", "N"),),
         coherence[:, :, None],
         np.array([float(s.count)]),
-        _KIND[kind],
+        FRF_KIND[kind],
         decay,
         source,
         s.kept,

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 
-_POWER = {"receptance": 1, "mobility": 0, "accelerance": -1}
 _SURE, _FLIPPED = 0.8, -0.3
 
 
@@ -53,7 +53,7 @@ class Reciprocity:
 def mobility(frfs: FrfSet) -> Complex:
     """(freq, out, in) velocity over force, m/s/N; 0 at 0 Hz."""
     s = 2j * np.pi * frfs.freqs + frfs.window_decay
-    factor = np.where(frfs.freqs > 0, s, 1.0) ** float(_POWER[frfs.kind])
+    factor = np.where(frfs.freqs > 0, s, 1.0) ** float(1 - POWER[frfs.kind])
     return np.asarray(frfs.data * np.where(frfs.freqs > 0, factor, 0.0)[:, None, None])
 
 

@@ -49,6 +49,11 @@ class ChannelState:
     usable: bool
     why: str
 
+    @property
+    def note(self) -> str:
+        """A line for the reader."""
+        return f"channel {self.id}: {self.why}{'' if self.usable else '; left out'}"
+
 
 @dataclass(frozen=True, slots=True)
 class Harmonic:

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from ringtrue.core.arrays import Complex, Float, freeze_fields
+from ringtrue.core.motions import DERIVATIVE, SI_UNIT, Motion
 from ringtrue.core.signals import Channel, Quantity, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.signal.preprocess import detrend
 from ringtrue.signal.windows import step
-
-_ORDER: dict[str, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
-_UNIT: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
-Motion = Literal["displacement", "velocity", "acceleration"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +190,7 @@ def deconvolve(history: TimeHistory, sensor: Sensor, *, low: float, high: float 
     if not isinstance(sensor, Geophone):
         quantity = "acceleration" if isinstance(sensor, Accelerometer) else sensor.quantity
     scaled = isinstance(sensor, Calibration) or sensor.sensitivity != 1.0
-    channels = _renamed(history, quantity, _UNIT[quantity] if scaled else "")
+    channels = _renamed(history, quantity, SI_UNIT[quantity] if scaled else "")
 
     def gain(f: Float) -> Complex:
         return np.asarray(1 / sensor.response(np.maximum(f, low / 4)))
@@ -211,17 +207,17 @@ def convert(history: TimeHistory, to: Motion, *, low: float, high: float | None 
         If the channels are not all of one quantity of motion.
     """
     here = {c.quantity for c in history.channels}
-    if len(here) != 1 or not here <= set(_ORDER):
+    if len(here) != 1 or not here <= set(DERIVATIVE):
         raise DataError(
             f"{history.source}: quantities {sorted(here)}: must be one of displacement, velocity, acceleration"
         )
-    power = _ORDER[to] - _ORDER[here.pop()]
+    power = DERIVATIVE[to] - DERIVATIVE[here.pop()]
     top = _edge(history, low, high)
 
     def gain(f: Float) -> Complex:
         return np.asarray((2j * np.pi * np.maximum(f, low / 4)) ** power)
 
-    return replace(history, data=_filtered(history, gain, low, top), channels=_renamed(history, to, _UNIT[to]))
+    return replace(history, data=_filtered(history, gain, low, top), channels=_renamed(history, to, SI_UNIT[to]))
 
 
 def _edge(history: TimeHistory, low: float, high: float | None) -> float:

@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.signals import Channel, FrfKind, FrfSet, TimeHistory
+from ringtrue.core.motions import FRF_KIND
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.hits import input_id
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.windows import window
 
-_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 _ESTIMATORS = ("H1", "H2", "Hv")
 
 
@@ -85,7 +85,7 @@ def shaker_frfs(
     forces = list(inputs) or [c.id for c in history.channels if c.quantity == "force"]
     others = [c for c in history.channels if c.id not in forces and c.quantity != "force"]
     kinds = {c.quantity for c in others}
-    if not forces or len(kinds) != 1 or not kinds <= set(_KIND):
+    if not forces or len(kinds) != 1 or not kinds <= set(FRF_KIND):
         raise DataError(
             f"{history.source}: {len(forces)} forces and responses of {', '.join(sorted(kinds)) or 'no kind'}; "
             "there must be a force and one kind of motion"
@@ -109,7 +109,7 @@ def shaker_frfs(
         tuple(_input(c) for c in ordered.channels[:q]),
         partial,
         np.full(q, n),
-        _KIND[kinds.pop()],
+        FRF_KIND[kinds.pop()],
         0.0,
         history.source,
     )

@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
-from ringtrue.core.signals import Channel, Quantity, TimeHistory
+from ringtrue.core.motions import SI_UNIT, Motion
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
 from ringtrue.signal.hits import HammerSettings, HitReport, force_channel
 
 OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
-_MOTION: dict[str, tuple[Quantity, str]] = {
-    "acceleration": ("acceleration", "m/s^2"),
-    "velocity": ("velocity", "m/s"),
-    "displacement": ("displacement", "m"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +120,9 @@ def _prepared(record: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHist
     at = force_channel(record, HammerSettings(force=how.force))
     force, notes = record.channels[at], list[str]()
     rest = [i for i in range(len(record.channels)) if i != at]
-    motions = [i for i in rest if record.channels[i].quantity in _MOTION]
+    motions = [i for i in rest if record.channels[i].quantity in SI_UNIT]
     unknown = [i for i in rest if record.channels[i].quantity == "unknown"]
-    quantity, unit = _MOTION[how.quantity or "acceleration"]
+    quantity = cast(Motion, how.quantity or "acceleration")
     if not motions and unknown:
         motions = unknown
         if not how.quantity:
@@ -135,6 +132,8 @@ def _prepared(record: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHist
     if not motions:
         raise DataError(f"{record.source}: no channel but the force {force.id} is a motion")
     named = Channel(f"F:{point}" if point else force.id, "force", "N", force.sensor)
-    channels = [c if c.quantity in _MOTION else Channel(c.id, quantity, unit, c.sensor) for c in record.channels]
+    channels = [
+        c if c.quantity in SI_UNIT else Channel(c.id, quantity, SI_UNIT[quantity], c.sensor) for c in record.channels
+    ]
     data = np.asarray(record.data[[at, *motions]])
     return TimeHistory(data, record.rate, (named, *(channels[i] for i in motions)), record.source), notes

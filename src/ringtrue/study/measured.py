@@ -12,6 +12,7 @@ from scipy import sparse
 from ringtrue.checks.mass import unconstrained
 from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.motions import POWER
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -32,7 +33,6 @@ from ringtrue.update.residuals_frf import AntiResonances, Frf
 from ringtrue.update.residuals_static import MassProperties, RigidMass, StaticDeflections
 
 LENGTH = {"SI": 1.0, "mm-t-s": 1e-3}  # m a unit of length
-ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 DECIBEL = 20 / np.log(10)
 BAND = (0.8, 1.2)  # of the lowest and the highest mode of the test: where FRFs are compared if nothing is said
 WEIGHED = ("mass", "x", "y", "z", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx")
@@ -272,7 +272,7 @@ def _frf_data(found: Measured, s: FrfResidual, at: Mapping[str, int], units: str
     assert found.damping is not None
     out, into = (np.array([at[c] for c in side]) for side in (found.outputs, found.inputs))
     h = frfs.data * MASS[units]
-    term = Frf(frfs.freqs, h, out, into, found.damping, ORDER[frfs.kind], s.form, s.error)
+    term = Frf(frfs.freqs, h, out, into, found.damping, POWER[frfs.kind], s.form, s.error)
     labels = tuple(f"{o} / {i}" for o in found.outputs for i in found.inputs)
     n, log = len(labels), s.form == "log"
     scale = s.error * (DECIBEL if log else 100 * np.sqrt(2))

@@ -8,18 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from scipy import fft
 
 from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.modal import ModalModel
+from ringtrue.core.motions import DERIVATIVE, Motion
 from ringtrue.errors import InputError
 
-Motion = Literal["displacement", "velocity", "acceleration"]
 MOTIONS: tuple[Motion, ...] = ("displacement", "velocity", "acceleration")
-POWER: dict[Motion, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 _CHUNK = 1 << 11  # lines at a time: the modal coordinates of 130 modes take 4 MB and stay in cache
 
 
@@ -48,12 +46,12 @@ def response_spectrum(
     """
     if forces.shape != (model.participation.shape[1], freqs.size):
         raise InputError(f"forces {forces.shape}: must be (in, line) = {(model.participation.shape[1], freqs.size)}")
-    if quantity not in POWER:
-        raise InputError(f"quantity {quantity!r}: allowed are {', '.join(POWER)}")
+    if quantity not in DERIVATIVE:
+        raise InputError(f"quantity {quantity!r}: allowed are {', '.join(DERIVATIVE)}")
     out = np.empty((model.shapes.shape[0], freqs.size), dtype=np.complex128)
     for at in range(0, freqs.size, _CHUNK):  # bounds the memory of the modal coordinates
         part = slice(at, at + _CHUNK)
-        out[:, part] = _motion(model, forces[:, part], np.asarray(2j * np.pi * freqs[part]), POWER[quantity])
+        out[:, part] = _motion(model, forces[:, part], np.asarray(2j * np.pi * freqs[part]), DERIVATIVE[quantity])
     return out
 
 

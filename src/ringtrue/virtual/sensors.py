@@ -8,10 +8,11 @@ import numpy as np
 from scipy import fft
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.motions import Motion
 from ringtrue.core.signals import Quantity
 from ringtrue.errors import InputError
 from ringtrue.virtual.noise import NoiseFloor, anti_alias, coloured, hum, hum_lines
-from ringtrue.virtual.response import MOTIONS, Motion, lines
+from ringtrue.virtual.response import MOTIONS, lines
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modal import ModalModel
+from ringtrue.core.motions import DERIVATIVE, POWER, Motion
 from ringtrue.virtual.noise import power
-from ringtrue.virtual.response import POWER, Motion
 
 
 def resonance_power(spectrum: Complex, poles: Complex, samples: int, rate: float) -> Float:
@@ -46,6 +46,6 @@ def ratio_db(signal: Float, noise: Float) -> Float:
 def expected_power(model: ModalModel, poles: Complex, input_psd: Float, quantity: Motion) -> Float:
     """(out, m) spectral density at the resonances, inputs uncorrelated with `input_psd` (in, m) there."""
     f = np.abs(poles) / (2 * np.pi)
-    power_of_s = POWER[quantity] - {"receptance": 0, "mobility": 1, "accelerance": 2}[model.kind]
+    power_of_s = DERIVATIVE[quantity] - POWER[model.kind]
     h = np.moveaxis(model.synthesise(f), 0, -1)  # (out, in, m)
     return np.asarray(np.einsum("oim,im->om", np.abs(h) ** 2, input_psd) * (2 * np.pi * f) ** (2 * power_of_s))

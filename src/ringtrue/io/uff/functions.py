@@ -10,7 +10,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import NAMES, DofSet
-from ringtrue.core.signals import Channel, FrfKind, FrfSet, Quantity, TimeHistory
+from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT
+from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.plain import RawTable
@@ -27,9 +28,7 @@ _QUANTITY: dict[int, Quantity] = {
     12: "acceleration",
     13: "force",
 }
-_SI = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
-_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
-_DERIVATIVE = {"acceleration": 2, "velocity": 1, "displacement": 0}
+_SI = {**SI_UNIT, "force": "N"}
 _CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 _TIME_AXIS, _FREQUENCY_AXIS = 17, 18
 
@@ -157,7 +156,7 @@ def read_frf_sets(path: str | Path) -> FrfSet:
         inputs,
         np.ascontiguousarray(coherence),
         np.full(len(inputs), np.nan),
-        _KIND.get(kind, "accelerance"),
+        FRF_KIND.get(kind, "accelerance"),
         source=str(path),
     )
 
@@ -172,9 +171,7 @@ def _one_kind(outputs: Sequence[Channel], path: str | Path) -> Quantity:
 
 def _as_kind(data: Complex, freqs: Float, outputs: Sequence[Channel], kind: str) -> Complex:
     """The FRFs (f, out, in) as those of one kind of motion; the line at 0 Hz is lost where that is an integral."""
-    order = np.array(
-        [_DERIVATIVE.get(kind, 0) - _DERIVATIVE.get(c.quantity, _DERIVATIVE.get(kind, 0)) for c in outputs]
-    )
+    order = np.array([DERIVATIVE.get(kind, 0) - DERIVATIVE.get(c.quantity, DERIVATIVE.get(kind, 0)) for c in outputs])
     if not order.any():
         return data
     s = 2j * np.pi * freqs[:, None]

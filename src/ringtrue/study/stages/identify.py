@@ -26,7 +26,7 @@ from ringtrue.io.records import read_record
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
-from ringtrue.signal.frf import estimate_frf
+from ringtrue.signal.frf import estimate_columns, join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.reciprocal import exchanged
@@ -236,7 +236,7 @@ def ambient(
 
 def struck(
     records: Sequence[Logged], sheet: TestModel, lost: Sequence[str], progress: Progress
-) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...], list[FrfSet]]:
+) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...], tuple[FrfSet, ...]]:
     """FRFs of all setups, what is shown of the records, the hits that do not count, and the FRFs of each setup."""
     histories = [replace(_history(r.path, sheet, lost), source=r.name) for r in records]
     ranges: dict[str, float] = {}
@@ -245,18 +245,13 @@ def struck(
     rate, d = histories[0].rate, records[0].details
     block, pre = d["block_samples"] / rate, d["pretrigger_samples"] / rate
     want = HammerSettings(block=block - pre, pretrigger=pre)  # the peak comes a little after the trigger
-    frfs, hits = estimate_frf(histories, want, full_scale=ranges, progress=progress)
+    columns, hits = estimate_columns(histories, want, full_scale=ranges, progress=progress)
     shown = []
     for record, history in zip(records, histories, strict=True):
         mine = [h for h in hits if h.source == record.name]
         first = record.details["setup"] == records[0].details["setup"]  # the others look alike
         shown.append(summary(record, history, [kept_blows(mine)], draw=first))
-    setups = [
-        [h for h, r in zip(histories, records, strict=True) if r.details["setup"] == name]
-        for name in dict.fromkeys(r.details["setup"] for r in records)
-    ]
-    batches = [estimate_frf(s, want, full_scale=ranges)[0] for s in setups] if len(setups) > 1 else []
-    return frfs, shown, refused_blows(hits), batches
+    return join_frfs(columns), shown, refused_blows(hits), setups_of(columns)
 
 
 def _lines(test: TestModel) -> Int:
@@ -294,7 +289,7 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
     frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, test.leave_out), tuple[str, ...]()
-    batches: list[FrfSet] = []
+    batches: tuple[FrfSet, ...] = ()
     if hits:
         frfs, more, rejected, batches = struck(hits, model, test.leave_out, lambda f, t: progress(0.5 + 0.2 * f, t))
         frfs = exchanged(frfs)[0]

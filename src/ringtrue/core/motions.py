@@ -1,0 +1,13 @@
+"""Motions that sensors measure: orders of derivative, SI units, and the kinds of FRF that they give."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from ringtrue.core.signals import FrfKind
+
+Motion = Literal["displacement", "velocity", "acceleration"]
+DERIVATIVE: dict[str, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
+SI_UNIT: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
+FRF_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
+POWER: dict[str, int] = {FRF_KIND[motion]: n for motion, n in DERIVATIVE.items()}  # of s, over the receptance
