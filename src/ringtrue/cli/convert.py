@@ -35,12 +35,7 @@ def convert(
     write_modes(target, writable(modes, target))
     f = modes.frequencies
     span = f"{f.min():.5g} to {f.max():.5g} Hz"
-    out.print(
-        f"{target}: {len(modes)} modes, {span}, {len(modes.labels)} rows, scale {modes.norm}",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
+    out.print(f"{target}: {len(modes)} modes, {span}, {len(modes.labels)} rows, scale {modes.norm}")
     return 0
 
 

@@ -158,7 +158,7 @@ def fault_notes(history: TimeHistory) -> tuple[str, ...]:
 def tell(notes: Sequence[str]) -> None:
     """Print notes, a line each."""
     for note in notes:
-        out.print(note, markup=False, highlight=False, soft_wrap=True)
+        out.print(note)
 
 
 def write_pages(

@@ -39,7 +39,7 @@ def print_levels(table: LevelDependence) -> None:
         )
     rows(f"at force levels {levels}", heads, body)
     for k in range(table.linear.size):
-        out.print(f"{k + 1}: {_verdict(table, k)}", markup=False, highlight=False, soft_wrap=True)
+        out.print(f"{k + 1}: {_verdict(table, k)}")
 
 
 def _slope(slope: float, std: float) -> str:

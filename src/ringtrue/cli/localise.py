@@ -170,4 +170,4 @@ def _print(deck: Path, found: Proposal, every: int, lost: int, aside: int) -> No
     heads = ("#", "parameter", "factor", "± [%]", "worth (AICc)", "not told from it")
     told = f", {aside} tell less than those looked at closely" if aside else ""
     rows(f"{deck}: {every} candidates, {lost} of them change no mode{told}", heads, body)
-    out.print(found.text(), markup=False, highlight=False, soft_wrap=True)
+    out.print(found.text())

@@ -72,21 +72,21 @@ def run(arguments: list[str] | None = None) -> int:
         return int(e.exit_code)
     except TyperException as e:
         show = getattr(e, "show", None)  # usage errors draw themselves
-        show() if show else err.print(f"error: {e}", markup=False)
+        show() if show else err.print(f"error: {e}")
         return 2
     except (typer.Abort, KeyboardInterrupt):
-        err.print("stopped", markup=False)
+        err.print("stopped")
         return 1
     except (InputError, UnsupportedError) as e:
-        err.print(f"error: {e}", markup=False, highlight=False, soft_wrap=True)
+        err.print(f"error: {e}")
         return 2
     except RingtrueError as e:
-        err.print(f"error: {e}", markup=False, highlight=False, soft_wrap=True)
+        err.print(f"error: {e}")
         return 1
     except OSError as e:  # a file that cannot be read or written
         if e.filename is None:
             raise
-        err.print(f"error: {e.filename}: {e.strerror}", markup=False, highlight=False, soft_wrap=True)
+        err.print(f"error: {e.filename}: {e.strerror}")
         return 2
 
 

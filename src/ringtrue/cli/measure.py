@@ -83,7 +83,7 @@ def _reasons(unpaired: Sequence[dict[str, Any]]) -> list[str]:
 
 def _show_complete(c: CompleteCorrelation) -> None:
     def line(text: str) -> None:
-        out.print(text, markup=False, highlight=False, soft_wrap=True)
+        out.print(text)
 
     for check in c.checks:
         line(f"{check.name}: {check.verdict}")
@@ -171,7 +171,7 @@ def correlate(
         ]
         rows(f"{a} against {b}", ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
         for line in _reasons(value["unpaired"]):
-            out.print(line, markup=False, highlight=False, soft_wrap=True)
+            out.print(line)
         if full is not None:
             _show_complete(full)
     return 0 if value["pairs"] else 1

@@ -69,7 +69,7 @@ def modes(
             for i, (f, r) in enumerate(zip(result.modes.frequencies, result.residuals, strict=True))
         ]
         rows(f"{deck}: {len(body)} modes", ("#", "f [Hz]", "residual"), body)
-        out.print(result.proof, markup=False, highlight=False, soft_wrap=True)
+        out.print(result.proof)
     unproved = bool(np.isnan(result.residuals).all())  # a program that hands back no matrices, and may count nothing
     return 0 if result.complete or unproved else 1
 
@@ -131,20 +131,18 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
     rows(f"{deck}: cards", ("card", "number"), sorted(summary["cards"].items()))
     if "mass" in summary:
         cg = ", ".join(f"{x:.4g}" for x in summary["centre_of_gravity"])
-        out.print(
-            f"mass {summary['mass']:.6g}, centre of gravity ({cg})", markup=False, highlight=False, soft_wrap=True
-        )
+        out.print(f"mass {summary['mass']:.6g}, centre of gravity ({cg})")
         for row in np.asarray(summary["inertia"]):
-            out.print("inertia  " + "  ".join(f"{x: .5e}" for x in row), markup=False, highlight=False, soft_wrap=True)
+            out.print("inertia  " + "  ".join(f"{x: .5e}" for x in row))
         if summary["ground_check"]["ok"]:
-            out.print("ground check: rigid-body motion takes no strain energy", highlight=False)
+            out.print("ground check: rigid-body motion takes no strain energy")
         if summary["free_edges"]:
-            out.print(f"edges    {summary['free_edges']}", markup=False, highlight=False, soft_wrap=True)
+            out.print(f"edges    {summary['free_edges']}")
     for card, place in summary["unsupported"].items():
-        out.print(f"unsupported {card}: {place}", markup=False, highlight=False, soft_wrap=True)
+        out.print(f"unsupported {card}: {place}")
     for f in summary["findings"]:
         line = f":{f['line']}" if f["line"] else ""
         place = f"{f['file']}{line}: " if f["file"] else ""
-        out.print(f"{f['severity']}: {place}{f['text']}", markup=False, highlight=False, soft_wrap=True)
+        out.print(f"{f['severity']}: {place}{f['text']}")
     if not summary["findings"] and not summary["unsupported"]:
-        out.print("no findings", highlight=False)
+        out.print("no findings")

@@ -288,4 +288,4 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     lines += told.get("virtual_test", {}).get("doubtful", [])
     lines.append("test sheet: " + " ".join(told["files"]))
     for line in lines:
-        out.print(line, markup=False, highlight=False, soft_wrap=True)
+        out.print(line)

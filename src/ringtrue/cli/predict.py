@@ -154,9 +154,9 @@ def _print(found: PredictStage) -> None:
     rows(f"Run-up to {r.freqs[-1]:g} Hz, unbalance {found.unbalance.moment:.4g} kg m", heads, body)
     low, high = r.validated
     text = f"validated band: {low:.4g} to {high:.4g} Hz; beyond it no test has checked the model"
-    out.print(text, markup=False, highlight=False, soft_wrap=True)
+    out.print(text)
     for flag in found.flags:
-        err.print(f"warning: {flag}", markup=False, highlight=False, soft_wrap=True)
+        err.print(f"warning: {flag}")
 
 
 def _write(r: RunUp, path: Path) -> None:

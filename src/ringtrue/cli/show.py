@@ -17,8 +17,8 @@ from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.update.catalogue import LENGTH
 
-out = Console(soft_wrap=False)
-err = Console(stderr=True)
+out = Console(markup=False, highlight=False, soft_wrap=True)  # names in brackets stay, lines are the terminal's to wrap
+err = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -31,12 +31,12 @@ def progress(label: str) -> Iterator[Callable[[float, str], None]]:
             nonlocal last
             if text != last:
                 last = text
-                err.print(f"[{100 * fraction:3.0f} %] {text}", markup=False, highlight=False, soft_wrap=True)
+                err.print(f"[{100 * fraction:3.0f} %] {text}")
 
         yield line
         return
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
@@ -48,14 +48,14 @@ def progress(label: str) -> Iterator[Callable[[float, str], None]]:
 
 def rows(title: str, heads: Sequence[str], body: Sequence[Sequence[object]]) -> None:
     """A table; numbers to the right."""
-    out.print(title, style="italic", markup=False, highlight=False, soft_wrap=True)
+    out.print(title, style="italic")
     table = Table(header_style="bold", box=None, pad_edge=False)
     for i, head in enumerate(heads):
         number = any(isinstance(r[i], (int, float)) for r in body)
         table.add_column(head, justify="right" if number else "left")
     for r in body:
         table.add_row(*(str(x) for x in r))
-    out.print(table)
+    out.print(table, soft_wrap=False)
 
 
 def listed(numbers: Sequence[int]) -> str:

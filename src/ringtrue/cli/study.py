@@ -58,8 +58,8 @@ def demo(
     if json == "-":
         return _status(result.checks)
     for line in result.lines:
-        out.print(line, markup=False, highlight=False, soft_wrap=True)
-    out.print(f"report: {result.report}", markup=False, soft_wrap=True)
+        out.print(line)
+    out.print(f"report: {result.report}")
     return _verdict(result.checks)
 
 
@@ -83,7 +83,7 @@ def run(
             result = run_study(study, out=folder, first=first, until=until, progress=show)
             path = deliver(result)
     except KeyboardInterrupt:
-        err.print("stopped: the stages that were finished are stored, the same command resumes", markup=False)
+        err.print("stopped: the stages that were finished are stored, the same command resumes")
         return 1
     outcome, stated = _outcome(result), limits(result.config, result.results)
     if json:
@@ -91,15 +91,15 @@ def run(
     if json != "-":
         for name, seconds in result.timings.items():
             took = "up to date" if name in result.loaded else f"{seconds:.1f} s"
-            out.print(f"{name}: {took}", markup=False, highlight=False)
+            out.print(f"{name}: {took}")
         for line in told(result.results):
-            out.print(line, markup=False, highlight=False, soft_wrap=True)
-        out.print(f"report: {path}", markup=False, soft_wrap=True)
+            out.print(line)
+        out.print(f"report: {path}")
         _verdict(stated)
     for line in missed_words(result.config, result.results):
-        err.print(f"not accepted: {line}", markup=False, highlight=False, soft_wrap=True)
+        err.print(f"not accepted: {line}")
     if outcome:
-        err.print(f"the updating did not converge: {outcome}", markup=False, highlight=False, soft_wrap=True)
+        err.print(f"the updating did not converge: {outcome}")
     return 1 if outcome else _status(stated)
 
 
@@ -125,5 +125,5 @@ def report(
     if json:
         write_json({"report": str(path)} | finite(summarise(load_study(store))), json)
     if json != "-":
-        out.print(f"report: {path}", markup=False, soft_wrap=True)
+        out.print(f"report: {path}")
     return 0

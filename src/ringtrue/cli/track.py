@@ -342,7 +342,7 @@ def _show(tracked: Tracked, fits: Mapping[str, EnvironmentFit], notes: Sequence[
     heads = ("mode", "f [Hz]", "from .. to", "damping [%]", "stretches", "environment")
     rows(f"{len(tracked.tracks)} modes through {tracked.times.size} stretches", heads, body)
     for note in notes:
-        out.print(note, markup=False, highlight=False, soft_wrap=True)
+        out.print(note)
 
 
 def _words(t: ModeTrack, tracked: Tracked, fit: EnvironmentFit | None) -> str:

@@ -114,7 +114,7 @@ def update(
     solver_name: Annotated[
         str | None,
         typer.Option(
-            "--solver", help="That of [model], or embedded, mystran, nastran, slepc, a plug-in: solved at each point."
+            "--solver", help="That of the study, or embedded, mystran, nastran, slepc, a plug-in: solved at each point."
         ),
     ] = None,
     json: Annotated[
@@ -124,7 +124,7 @@ def update(
 ) -> int:
     """Update a model to test modes: factors with their uncertainty, deviations before and after, the deck edited.
 
-    What is compared beside modes comes from the \\[[residual]] sections of the study and --frf, --static, --mass.
+    What is compared beside modes comes from the residual tables of the study and --frf, --static, --mass.
 
     Example: ringtrue update study.toml modes.json --leave-out 3,7 --out updated
     """
@@ -159,7 +159,7 @@ def update(
         _print(study, summary)
     good = done.solution.outcome.ok and done.error <= AGREE
     if not good:
-        err.print(f"not to be trusted: {summary['why']}", markup=False, highlight=False, soft_wrap=True)
+        err.print(f"not to be trusted: {summary['why']}")
     return 0 if good else 1
 
 
@@ -376,13 +376,13 @@ def _print(study: Path, summary: dict[str, Any]) -> None:
         body = [(m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES)) for m in summary["measured"]]
         rows("beside the modes", ("", "what", "unit", *SIDES), body)
     for line in (summary["why"], *summary["flags"], *(f"deck: {p}" for p in summary["deck"])):
-        out.print(line, markup=False, highlight=False, soft_wrap=True)
+        out.print(line)
     if summary["solver"] == EMBEDDED:
         error = summary["basis_error"]
         told = f"{summary['full_solutions']} full solutions; the reduced model is off by {error:.1e} at most"
     else:
         told = f"{summary['full_solutions']} runs of {summary['solver']}"
-    out.print(told, markup=False, highlight=False, soft_wrap=True)
+    out.print(told)
 
 
 def _cell(value: float | None) -> str:
