@@ -18,6 +18,7 @@ from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.elements import bar, rod, shear, shell3, shell4, shell8
 from ringtrue.fem.mesh import error
+from ringtrue.fem.rows import Rows, union
 from ringtrue.model.model import Model, Table
 
 if TYPE_CHECKING:
@@ -146,14 +147,14 @@ def _joined(mine: Int, able: Bool, lists: Lists) -> tuple[Int, Int]:
     return unique[:, 0], unique[:, 1]
 
 
-def sharers(model: Model, rows: dict[str, Int], sid: Int | None = None) -> dict[str, Int]:
+def sharers(model: Model, rows: Rows, sid: Int | None = None) -> Rows:
     """Rows of element cards, and those that share a whole mass (NSML, NSML1) with them and feel their sizes.
 
     With `sid` (s,): all that stand on the lists of these sets.
     """
     if not model.case.nsm:
         return rows
-    out = dict(rows)
+    out = [rows]
     for lists in chosen(model):
         found = members(model, lists)
         hit = np.zeros(lists.row.size, dtype=bool)
@@ -165,8 +166,8 @@ def sharers(model: Model, rows: dict[str, Int], sid: Int | None = None) -> dict[
         for part in found:
             at = part.at[hit[part.of]]
             if at.size:
-                out[part.card] = np.union1d(out.get(part.card, at), at)
-    return out
+                out.append({part.card: at})
+    return union(out)
 
 
 def added_mass(m: Mesh) -> dict[str, Any_]:

@@ -17,6 +17,7 @@ from ringtrue.fem.added_mass import CARDS, sharers
 from ringtrue.fem.elements.shell_normals import with_neighbours
 from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.fem.kinds import ELEMENTS
+from ringtrue.fem.rows import Rows, union
 from ringtrue.model.dimensions import MADE, resectioned
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged, Table
@@ -166,7 +167,7 @@ def moved(model: Model, shape: Shape, amount: float) -> Model:
     return replace(model, tables={**model.tables, "GRID": grid.with_column("CP", frame)})
 
 
-def rows_of(model: Model, target: Target) -> dict[str, Int]:
+def rows_of(model: Model, target: Target) -> Rows:
     """Rows of each element card that the target changes; all users of the card where no elements are named."""
     if target.card == "GRID":
         return users_of_nodes(model, np.array([target.id]))
@@ -184,20 +185,16 @@ def rows_of(model: Model, target: Target) -> dict[str, Int]:
     return found
 
 
-def _users(model: Model, card: str, ids: Int) -> dict[str, Int]:
+def _users(model: Model, card: str, ids: Int) -> Rows:
     """Rows of each element card that name one of these cards, themselves or through a property."""
     card = MADE.get(card, card)
-    elements, found = set(affected_cards(model)), dict[str, Int]()
-    if card in elements:
-        found[card] = np.flatnonzero(np.isin(model[card].ids, ids))
+    elements = set(affected_cards(model))
+    found: list[Rows] = [{card: np.flatnonzero(np.isin(model[card].ids, ids))}] if card in elements else []
     for r in [r for r in REFERENCES if card in r.of and r.card in model]:
         rows = _naming(model[r.card], r.field, ids)
-        if not rows.size:
-            continue
-        more = {r.card: rows} if r.card in elements else _users(model, r.card, model[r.card].ids[rows])
-        for c, at in more.items():
-            found[c] = np.union1d(found[c], at) if c in found else at
-    return {c: at for c, at in found.items() if at.size}
+        if rows.size:
+            found.append({r.card: rows} if r.card in elements else _users(model, r.card, model[r.card].ids[rows]))
+    return {c: at for c, at in union(found).items() if at.size}
 
 
 def _naming(table: Table, field: str, ids: Int) -> Int:
@@ -211,7 +208,7 @@ def _naming(table: Table, field: str, ids: Int) -> Int:
     return np.unique(of[np.isin(column.values, ids)])
 
 
-def within(model: Model, rows: dict[str, Int], elements: Sequence[int]) -> dict[str, Int]:
+def within(model: Model, rows: Rows, elements: Sequence[int]) -> Rows:
     """Those of the rows whose element id is listed; all if the list is empty."""
     if not elements:
         return rows
@@ -219,7 +216,7 @@ def within(model: Model, rows: dict[str, Int], elements: Sequence[int]) -> dict[
     return {card: at for card, at in picked.items() if at.size}
 
 
-def rows_of_elements(model: Model, name: str, elements: Sequence[int]) -> dict[str, Int]:
+def rows_of_elements(model: Model, name: str, elements: Sequence[int]) -> Rows:
     """Rows of each element card with these ids.
 
     Raises
@@ -244,7 +241,7 @@ def _node_fields() -> dict[str, list[str]]:
 _NODES = _node_fields()
 
 
-def users_of_nodes(model: Model, nodes: Int) -> dict[str, Int]:
+def users_of_nodes(model: Model, nodes: Int) -> Rows:
     """Rows of each element card that stand on any of the nodes; every row if a frame hangs on one.
 
     With them the shells whose node normals (PARAM,SNORM) those decide, and all that share a whole mass (NSML).
@@ -332,7 +329,7 @@ def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh:
     return replace(model, tables={**model.tables, card: table.with_column(field, out)})
 
 
-def _by_property(model: Model, card: str, field: str, rows: dict[str, Int], old: int, fresh: int) -> Model:
+def _by_property(model: Model, card: str, field: str, rows: Rows, old: int, fresh: int) -> Model:
     """Copies of the properties `card` that name material `old`, naming `fresh`, for the element rows."""
     for r in [r for r in REFERENCES if card in r.of and r.card in rows]:
         for pid in np.unique(model[r.card][r.field][rows[r.card]]).tolist():

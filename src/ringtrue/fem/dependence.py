@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from scipy import linalg, sparse
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.assembly import System, full_matrices, reduced
 from ringtrue.fem.functions import AffineTerm, Basis, Chebyshev, Function, Powers, power
 from ringtrue.fem.mesh import Mesh, mesh
-from ringtrue.fem.powers import CHECK, Group, Pair, built, common, cubic, groups_of, size
+from ringtrue.fem.powers import CHECK, Group, Pair, built, cubic, groups_of, size
+from ringtrue.fem.rows import Rows, common
 from ringtrue.model.model import Model
 
 NODES = (6, 12, 24, 48)  # of a function that is no polynomial; more where fewer do not hold
@@ -96,7 +97,7 @@ def _alone(m: Mesh, g: Group) -> dict[int, Pair] | None:
         return None
 
 
-def _few(rows: dict[str, Int]) -> dict[str, Int]:
+def _few(rows: Rows) -> Rows:
     """A sample of the rows of each card."""
     return {card: at[np.unique(np.linspace(0, at.size - 1, SAMPLE).astype(int))] for card, at in rows.items()}
 
@@ -116,12 +117,12 @@ def _series(g: Group, n: int) -> Chebyshev:
     return Chebyshev(g.parameter.lower / MARGIN, g.parameter.upper * MARGIN, n)
 
 
-def _shared(every: Members) -> Iterator[tuple[Members, dict[str, Int]]]:
+def _shared(every: Members) -> Iterator[tuple[Members, Rows]]:
     """Groups of two and more parameters that act on the same elements, and the rows of these."""
     near = _overlap([g for g, _ in every])
-    sets: list[tuple[tuple[int, ...], dict[str, Int]]] = [((i,), g.rows) for i, (g, _) in enumerate(every)]
+    sets: list[tuple[tuple[int, ...], Rows]] = [((i,), g.rows) for i, (g, _) in enumerate(every)]
     while sets:
-        larger: list[tuple[tuple[int, ...], dict[str, Int]]] = []
+        larger: list[tuple[tuple[int, ...], Rows]] = []
         for at, rows in sets:
             taken = {every[i][0].which for i in at}
             for j in np.flatnonzero(near[list(at)].all(axis=0)).tolist():
@@ -147,7 +148,7 @@ def _overlap(groups: Sequence[Group]) -> Bool:
     return np.asarray((member @ member.T).toarray() > 0.0)
 
 
-def _terms(m: Mesh, some: Members, rows: dict[str, Int], system: System) -> list[AffineTerm]:
+def _terms(m: Mesh, some: Members, rows: Rows, system: System) -> list[AffineTerm]:
     """What the groups do together, beyond what fewer of them do.
 
     Raises

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Int
+from ringtrue.core.arrays import Any_
 from ringtrue.core.parameters import Parameter, Target
 from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.assembly import full_matrices
 from ringtrue.fem.change import changed, rows_of, rows_of_elements, within
 from ringtrue.fem.kinds import batches
 from ringtrue.fem.mesh import Matrices, Mesh
+from ringtrue.fem.rows import Rows, common, union
 from ringtrue.fem.slopes import is_place
 from ringtrue.model.model import Model
 
@@ -41,7 +42,7 @@ class Group:
 
     which: int
     parameter: Parameter
-    rows: dict[str, Int]
+    rows: Rows
     targets: tuple[Target, ...] = ()
     matrix: str = ""
 
@@ -81,11 +82,8 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
         by_elements.setdefault(t.elements, []).append(t)
     found = []
     for elements, targets in by_elements.items():
-        rows: dict[str, Int] = {}
         changed(model, parameter.name, targets, 1.0)  # names a target that is not there
-        for t in targets:
-            for card, at in within(model, rows_of(model, t), elements).items():
-                rows[card] = np.union1d(rows[card], at) if card in rows else at
+        rows = within(model, union(rows_of(model, t) for t in targets), elements)
         found.append(Group(which, parameter, rows, tuple(targets)))
     for s in parameter.substructures:
         rows = rows_of_elements(model, parameter.name, s.elements)
@@ -97,13 +95,7 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
     return found
 
 
-def common(a: dict[str, Int], b: dict[str, Int]) -> dict[str, Int]:
-    """Rows that are in both."""
-    both = {card: np.intersect1d(at, b[card]) for card, at in a.items() if card in b}
-    return {card: at for card, at in both.items() if at.size}
-
-
-def built(m: Mesh, groups: Sequence[Group], rows: dict[str, Int], factors: Sequence[float | complex]) -> list[Matrices]:
+def built(m: Mesh, groups: Sequence[Group], rows: Rows, factors: Sequence[float | complex]) -> list[Matrices]:
     """Element matrices of the rows, all of which belong to each of the groups, at their factors."""
     model = m.model
     for g, a in zip(groups, factors, strict=True):

@@ -8,7 +8,7 @@ with a step of half a percent of the smallest element, whose error is that of ro
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from ringtrue.core.parameters import Parameter, Target
 from ringtrue.fem.change import changed, moved, rows_of, rows_of_elements, users_of_nodes, within
 from ringtrue.fem.kinds import MATERIAL, PROPERTY, batches
 from ringtrue.fem.mesh import Matrices, Mesh, mesh
+from ringtrue.fem.rows import Rows, union
 from ringtrue.model.model import Model
 
 STEP = 1e-40  # of the complex step; nothing is subtracted, so it costs no digits
@@ -60,7 +61,7 @@ class _Sweep:
     """Targets stepped together, with the rows that each parameter owns; no row feels a step that is not its own."""
 
     targets: tuple[Target, ...]
-    rows: list[tuple[int, dict[str, Int]]] = field(default_factory=list)
+    rows: list[tuple[int, Rows]] = field(default_factory=list)
     taken: dict[str, Bool] = field(default_factory=dict)
 
 
@@ -133,13 +134,13 @@ class _Reach:
         Flags of all rows of each card: the targets are all moduli of the one material that the element is made of.
     """
 
-    rows: dict[str, Int]
+    rows: Rows
     order: dict[str, tuple[Int, Int]]
     moduli: dict[str, Bool]
 
     @classmethod
     def of(cls, model: Model, targets: tuple[Target, ...]) -> _Reach:
-        rows, order = _union(rows_of(model, t) for t in targets), {}
+        rows, order = union(rows_of(model, t) for t in targets), {}
         for card, at in rows.items():
             ids = model[card].ids[at]
             by_id = np.argsort(ids, kind="stable")
@@ -147,11 +148,11 @@ class _Reach:
         mids = _moduli(model, targets)
         return cls(rows, order, {c: np.isin(sole_material(model, c), mids) for c in rows} if mids else {})
 
-    def within(self, elements: tuple[int, ...]) -> dict[str, Int]:
+    def within(self, elements: tuple[int, ...]) -> Rows:
         """The rows of those elements; all if none are named."""
         if not elements:
             return self.rows
-        wanted, out = np.unique(np.array(elements, dtype=np.int64)), dict[str, Int]()
+        wanted, out = np.unique(np.array(elements, dtype=np.int64)), Rows()
         for card, (ids, at) in self.order.items():
             place = np.searchsorted(ids, wanted).clip(max=ids.size - 1)
             picked = at[place[ids[place] == wanted]]
@@ -159,7 +160,7 @@ class _Reach:
                 out[card] = np.sort(picked)
         return out
 
-    def proportional(self, rows: dict[str, Int]) -> bool:
+    def proportional(self, rows: Rows) -> bool:
         """Whether the stiffness of these rows is proportional to what the targets are."""
         return bool(self.moduli) and all(self.moduli[c][at].all() for c, at in rows.items())
 
@@ -186,7 +187,7 @@ def _owners(s: _Sweep) -> dict[str, Int]:
     return owner
 
 
-def _join(model: Model, bundle: list[_Sweep], targets: tuple[Target, ...], i: int, rows: dict[str, Int]) -> None:
+def _join(model: Model, bundle: list[_Sweep], targets: tuple[Target, ...], i: int, rows: Rows) -> None:
     for s in bundle:
         if not any(s.taken[c][at].any() for c, at in rows.items() if c in s.taken):
             break
@@ -227,15 +228,7 @@ def sole_material(model: Model, card: str) -> Int:
     return out
 
 
-def _union(parts: Iterable[dict[str, Int]]) -> dict[str, Int]:
-    out: dict[str, Int] = {}
-    for rows in parts:
-        for card, at in rows.items():
-            out[card] = np.union1d(out[card], at) if card in out else at
-    return out
-
-
-def _mask(model: Model, rows: dict[str, Int]) -> dict[str, Bool]:
+def _mask(model: Model, rows: Rows) -> dict[str, Bool]:
     out = {}
     for card, at in rows.items():
         out[card] = np.zeros(len(model[card]), dtype=bool)
@@ -270,7 +263,7 @@ def _proportional(layer: dict[str, Int], card: str, at: Int, p: Matrices) -> Ite
     yield ElementSlopes(owner, p.dofs[pick], K, structural, np.zeros(K.shape[:2]), _NONE)
 
 
-def _parts(m: Mesh, rows: dict[str, Int]) -> Iterator[tuple[str, Int, Matrices]]:
+def _parts(m: Mesh, rows: Rows) -> Iterator[tuple[str, Int, Matrices]]:
     for card, build, every in batches(m.model, rows):
         for start in range(0, every.size, SPAN):
             at = every[start : start + SPAN]
@@ -311,7 +304,7 @@ def _value(model: Model, name: str, t: Target) -> float:
 
 
 def _differences(
-    m: Mesh, i: int, p: Parameter, rows: dict[str, Int], size: float, *, target: Target | None = None, shape: int = 0
+    m: Mesh, i: int, p: Parameter, rows: Rows, size: float, *, target: Target | None = None, shape: int = 0
 ) -> Iterator[ElementSlopes]:
     if size == 0 or not rows:
         return
@@ -340,7 +333,7 @@ def _added(old: ElementSlopes | None, new: ElementSlopes, c: float) -> ElementSl
     return replace(old, **{n: getattr(old, n) + c * getattr(new, n) for n in names})
 
 
-def difference_step(m: Mesh, rows: dict[str, Int], size: float) -> float:
+def difference_step(m: Mesh, rows: Rows, size: float) -> float:
     """Step of a for a place that moves by `size` (a − 1): a share of the shortest edge of the elements of `rows`."""
     shortest = float(np.linalg.norm(np.ptp(m.xyz, axis=0))) or 1.0
     for _, _, part in _parts(m, rows):

@@ -16,12 +16,12 @@ from ringtrue.core.arrays import Int
 from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Target
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.fem.change import affected_cards
+from ringtrue.fem.rows import Rows
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.update.catalogue import QUANTITIES, SPREAD, UNITS
 
 Kind = Literal["property", "material", "region", "spring", "mass"]
 KINDS: tuple[Kind, ...] = ("property", "material", "region", "spring", "mass")
-Rows = dict[str, Int]  # card -> rows of its table
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,12 +14,13 @@ from typing import Literal
 import numpy as np
 from scipy import linalg
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet, Target
 from ringtrue.errors import InputError
 from ringtrue.fem.change import rows_of
 from ringtrue.fem.kinds import batches
 from ringtrue.fem.mesh import mesh
+from ringtrue.fem.rows import union
 from ringtrue.model.edit import FieldChange, resolve_target
 from ringtrue.model.model import Model, Table
 from ringtrue.update.damping import Mechanism
@@ -208,11 +209,7 @@ def seen(model: Model, targets: Sequence[Target], shapes: Float) -> tuple[Float,
     shapes : (full, n) float64
         Motion of all nodes, basic frame.
     """
-    rows: dict[str, Int] = {}
-    for t in targets:
-        for card, at in rows_of(model, t).items():
-            rows[card] = np.union1d(rows[card], at) if card in rows else at
-    m, n = mesh(model), shapes.shape[1]
+    rows, m, n = union(rows_of(model, t) for t in targets), mesh(model), shapes.shape[1]
     piece = max(64, PIECE // n)
     motion = np.concatenate([shapes, np.zeros((1, n))])  # DOF -1 is the row of zeros
     d, h = np.zeros((n, n)), np.zeros((n, n))

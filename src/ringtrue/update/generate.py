@@ -11,12 +11,12 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import Target
 from ringtrue.errors import InputError
 from ringtrue.fem.change import rows_of
+from ringtrue.fem.rows import union
 from ringtrue.model.model import Model, Table
 from ringtrue.update.candidates import (
     Candidate,
     CandidateSettings,
     Kind,
-    Rows,
     amount,
     counted,
     given_fields,
@@ -133,10 +133,7 @@ def _group(
 ) -> Candidate:
     ids = table.ids[at]
     targets = [Target(table.card, int(table.ids[r]), f) for r in at.tolist() for f in given_fields(table, r, fields)]
-    rows: Rows = {}
-    for i in ids.tolist():
-        for c, more in rows_of(model, Target(table.card, i, "")).items():
-            rows[c] = np.union1d(rows.get(c, more), more)
+    rows = union(rows_of(model, Target(table.card, i, "")) for i in ids.tolist())
     lead = fields.split("+")[0]
     field_name = "K" if fields.startswith("K1+") else lead
     value = amount(float(table[lead][at[0]]), quantity, s)

@@ -10,6 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import Parameter
 from ringtrue.fem.change import rows_of, within
+from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
 from ringtrue.update.candidates import Candidate, Kind, counted, membership
 
@@ -49,10 +50,7 @@ def screened(slopes: Float, most: int) -> Int:
 
 def of_parameter(model: Model, parameter: Parameter) -> Candidate:
     """A parameter that was given as a candidate: its elements and, in words, what it changes."""
-    rows: dict[str, Int] = {}
-    for t in parameter.targets:
-        for card, at in within(model, rows_of(model, t), t.elements).items():
-            rows[card] = np.union1d(rows.get(card, at), at)
+    rows = union(within(model, rows_of(model, t), t.elements) for t in parameter.targets)
     ids = [i for card, at in rows.items() for i in model[card].ids[at].tolist()]
     ids += [i for s in parameter.substructures for i in s.elements]
     elements = tuple(sorted(set(ids)))

@@ -14,6 +14,7 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.fem.algebra import unit
 from ringtrue.fem.mesh import Mesh
+from ringtrue.fem.rows import Rows, union
 from ringtrue.model.model import Model
 
 SNORM = 20.0  # degrees
@@ -70,16 +71,16 @@ def _corners(model: Model, card: str, k: int) -> Int:
     return np.asarray(model[card].stack(*(f"G{i + 1}" for i in range(k))))
 
 
-def with_neighbours(model: Model, rows: dict[str, Int]) -> dict[str, Int]:
+def with_neighbours(model: Model, rows: Rows) -> Rows:
     """Rows of element cards, and the quadrilaterals whose node normals depend on the flat shells among them."""
     if model.param("SNORM", SNORM) <= 0 or not any(c in rows for c in FLAT):
         return rows
     touched = np.unique(
         np.concatenate([_corners(model, c, FLAT[c])[at].ravel() for c, at in rows.items() if c in FLAT])
     )
-    out = dict(rows)
+    found = [rows]
     for card in ("CQUAD4", "CQUADR"):
         if card in model:
             also = np.flatnonzero(np.isin(_corners(model, card, 4), touched).any(axis=1))
-            out[card] = np.union1d(rows.get(card, np.empty(0, dtype=np.int64)), also)
-    return out
+            found.append({card: also})
+    return union(found)
