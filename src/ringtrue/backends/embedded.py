@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from types import TracebackType
 from typing import Literal, Self
@@ -14,6 +14,7 @@ from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.eigen import damped
 from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
 from ringtrue.eigen.dynamic import DynamicStiffness
@@ -31,7 +32,6 @@ from ringtrue.fem.spins import without_spins
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
-Progress = Callable[[float, str], None]
 Kind = Literal["receptance", "mobility", "accelerance"]
 STILL = 12  # modes that do not oscillate, for which the basis of complex modes is widened
 LOCAL = 200  # DOFs with dashpots, up to which each gets a residual vector
@@ -49,6 +49,7 @@ class EmbeddedAnalysis:
     spins : DofSet or None
         DOFs of the system that are held, see `fem.spins`.
     progress : callable or None
+        Told of each answer for which no other is named.
     """
 
     capabilities = frozenset({"modes", "derivatives", "frf", "static", "complex_modes"})
@@ -72,22 +73,21 @@ class EmbeddedAnalysis:
         free = self.system.free
         return list(DofSet(free.node[rows], free.direction[rows]).labels())
 
-    def eigen(self, request: ModesRequest) -> EigenModes:
+    def eigen(self, request: ModesRequest, progress: Progress | None = None) -> EigenModes:
         """Modes in the free DOFs: the lowest `count` (and a few above), or the band."""
+        told = progress or self.progress
         if request.band is not None:
-            found = solve_modes(self.pencil, band=request.band, shift=self._shift, progress=self.progress)
+            found = solve_modes(self.pencil, band=request.band, shift=self._shift, progress=told)
         else:
             if self._lowest is None or self._lowest.values.size < request.count:
-                self._lowest = solve_modes(
-                    self.pencil, request.count + BUFFER, shift=self._shift, progress=self.progress
-                )
+                self._lowest = solve_modes(self.pencil, request.count + BUFFER, shift=self._shift, progress=told)
             found = self._lowest
         self._shift = found.shift if found.shift < 0 else self._shift
         return found
 
-    def modes(self, request: ModesRequest) -> ModesResult:
+    def modes(self, request: ModesRequest, progress: Progress | None = None) -> ModesResult:
         """Natural modes; those asked for and no more."""
-        found = self.eigen(request)
+        found = self.eigen(request, progress)
         n = found.values.size if request.band is not None else min(request.count, found.values.size)
         modes = ModeSet(
             found.frequencies[:n],
@@ -111,7 +111,7 @@ class EmbeddedAnalysis:
         lowest = self._lowest_up_to(top, len(modes))
         turn = lowest.vectors.T @ (self.system.mass @ phi)  # signs and rotations of the given modes
         count = int(np.flatnonzero(np.abs(turn).max(axis=1) > 1e-3).max(initial=-1)) + 1
-        d_phi = eigenvector_derivatives(self.pencil, lowest, slopes, count=count)
+        d_phi = eigenvector_derivatives(self.pencil, lowest, slopes, count=count, progress=self.progress)
         d_phi = np.einsum("fnp,nm->fmp", d_phi, turn[:count])
         lam = np.array([eigenvalue(f) for f in modes.frequencies])
         columns = [np.einsum("fm,fm->m", phi, s.stiffness @ phi - (s.mass @ phi) * lam) for s in slopes]

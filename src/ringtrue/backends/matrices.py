@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from ringtrue.backends.embedded import EmbeddedAnalysis, Progress
+from ringtrue.backends.embedded import EmbeddedAnalysis
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.progress import Progress
 from ringtrue.eigen.derivatives import Slope
 from ringtrue.eigen.engines import Method
 from ringtrue.errors import InputError, did_you_mean

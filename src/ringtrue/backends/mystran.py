@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.backends.runner import Finished
-from ringtrue.backends.runner_deck import DeckAnalysis, Progress
+from ringtrue.backends.runner_deck import DeckAnalysis
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.errors import SolverMissing, UnsupportedCard
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest

@@ -13,10 +13,11 @@ import numpy as np
 
 from ringtrue.backends.nastran_design import SET, design_cards, response_cards, spread
 from ringtrue.backends.runner import Finished, tail
-from ringtrue.backends.runner_deck import METHOD, DeckAnalysis, Progress, bulk, case_control
+from ringtrue.backends.runner_deck import METHOD, DeckAnalysis, bulk, case_control
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, DataError, SolverFailed, SolverMissing, UnsupportedError, did_you_mean
 from ringtrue.io.nastran.writer import format_card
 from ringtrue.io.nastran_results.f06 import sturm_counts

@@ -12,6 +12,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.change import scaled
@@ -20,7 +21,6 @@ from ringtrue.fem.spins import without_spins
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest
 from ringtrue.reduce.affine import AffineSystem, observed_system
-from ringtrue.reduce.basis import Progress
 from ringtrue.reduce.parametric import BasisOptions, ReducedModel, reduced_model
 from ringtrue.shapes.mac import unit
 from ringtrue.shapes.subspace import close_groups, rotation

@@ -9,6 +9,7 @@ from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.backends.mystran import MystranSolver
 from ringtrue.backends.nastran import NastranSolver
 from ringtrue.backends.slepc import SlepcSolver
+from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.model.ports import ModalSolver
 
@@ -27,9 +28,7 @@ def names() -> tuple[str, ...]:
     return tuple(sorted({*BUILT_IN, *_plugins()}))
 
 
-def solver(
-    name: str = EMBEDDED, *, ranks: int | None = None, progress: Callable[[float, str], None] | None = None
-) -> ModalSolver:
+def solver(name: str = EMBEDDED, *, ranks: int | None = None, progress: Progress | None = None) -> ModalSolver:
     """The solver of that name, with its default settings.
 
     Parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -17,6 +17,7 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.errors import DataError, SolverFailed, UnsupportedError
 from ringtrue.fem.mesh import mesh
 from ringtrue.io.nastran.bulk import NOT_MODEL, write_bulk
@@ -27,7 +28,6 @@ from ringtrue.io.nastran_results.modes import read_nastran_modes
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
-Progress = Callable[[float, str], None]
 DECK = "model.bdf"
 METHOD = 1
 _OWN_PARAMS = frozenset(("POST", "OUGCORD", "OPTEXIT", "GRDPNT", "POSTEXT", "PRTMAXIM"))

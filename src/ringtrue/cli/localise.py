@@ -12,6 +12,7 @@ from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.observation import Observation
+from ringtrue.core.progress import part
 from ringtrue.eigen.problem import EigenModes
 from ringtrue.fem.dependence import smooth
 from ringtrue.io.modes_json import read_modes
@@ -60,7 +61,7 @@ def localise(
         show(0.0, f"reading {deck}")
         model, seen = read_deck(deck), realise_modes(read_modes(test))
         seen = seen.take(np.flatnonzero(seen.frequencies > 0))
-        analysis = EmbeddedSolver(progress=lambda f, t: show(0.1 + 0.1 * f, t)).open(model)
+        analysis = EmbeddedSolver(progress=part(show, 0.1, 0.2)).open(model)
         bridge = placed(model, analysis.dofs, seen.channels, sensors, unit=metres, tolerance=tolerance)
         aim = Target(seen.frequencies, seen.shapes, np.zeros(len(seen)), np.ones(len(seen), dtype=bool))
         count = int(EXTRA * len(seen)) + 4
@@ -80,7 +81,7 @@ def localise(
             count,
             pencil=analysis.pencil,
             modes=modes,
-            progress=lambda f, t: show(0.3 + 0.3 * f, t),
+            progress=part(show, 0.3, 0.6),
         )
         show(0.6, "error indicators")
         errors = _errors(analysis, reduced, aim, pairs, keep)
@@ -92,7 +93,7 @@ def localise(
             apart=conflicts(model, keep),
             errors=errors,
             words=words,
-            progress=lambda f, t: show(0.6 + 0.4 * f, t),
+            progress=part(show, 0.6, 1.0),
         )
     if json:
         write_json(_table(found, keep, lost, moved), json)

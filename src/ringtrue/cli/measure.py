@@ -12,6 +12,7 @@ from scipy import sparse
 
 from ringtrue.cli.show import json_target, listed, out, progress, rows, unit_length, write_json
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.progress import part
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
 from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
@@ -48,7 +49,7 @@ def _of_deck(deck: Path, test: ModeSet, sensors: Path | None, units: str, tolera
         model = read_deck(deck)
         opened = Opened(model, unit)
         look = placed(model, opened.analysis.dofs, test.channels, sensors, unit=unit, tolerance=tolerance)
-        modes = opened.modes(ABOVE * top, lambda f, t: show(0.3 + 0.7 * f, t)).modes
+        modes = opened.modes(ABOVE * top, part(show, 0.3, 1.0)).modes
     return ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
 
 

@@ -16,6 +16,7 @@ from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
 from ringtrue.checks.mass import mass_properties, unconstrained
 from ringtrue.cli.convert import writable
 from ringtrue.cli.show import json_file, json_target, out, progress, rows, write_json
+from ringtrue.core.progress import part
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes_json import dump_modes, write_modes
@@ -51,7 +52,7 @@ def modes(
     if band is not None and not band[0] < band[1]:
         raise ConfigError(f"--band {band[0]} {band[1]}: must be F0 < F1")
     with progress("modes") as show:
-        engine = solver(solver_name, ranks=ranks, progress=lambda f, t: show(0.2 + 0.8 * f, t))
+        engine = solver(solver_name, ranks=ranks, progress=part(show, 0.2, 1.0))
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
         show(0.2, "solving")

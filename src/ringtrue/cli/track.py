@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,6 +16,7 @@ import typer
 from ringtrue.cli.identify import Fmax, Fmin, Json, LeaveOut, Rate, check_band, file_target
 from ringtrue.cli.show import out, progress, rows, write_json
 from ringtrue.core.arrays import Float
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
@@ -158,7 +159,7 @@ def _collect(
     begin: Sequence[float | None],
     cut: tuple[float | None, float],
     how: tuple[AmbientSettings, _Environment, _Given | None, Sequence[str]],
-    show: Callable[[float, str], None],
+    show: Progress,
 ) -> tuple[list[Stretch], list[list[float]], list[str]]:
     """The modes of all stretches, their environment, and what is to be said; `cut` is the rate and hours."""
     (rate, hours), (settings, env, given, lost) = cut, how

@@ -16,6 +16,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
+from ringtrue.core.progress import Progress, part
 from ringtrue.correlate.assign import PairingSettings
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -58,7 +59,6 @@ ABOVE = 1.5  # modes of the model up to here over the highest test mode
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
 STARTED = 30  # iterations of each of several starts
 SIDES = ("measured", "before", "after")
-Progress = Any
 
 
 Json = Annotated[
@@ -150,7 +150,7 @@ def update(
         else:
             problem, extra = _problem(model, config, target, modes, study.parent)
         before = problem.evaluate(np.zeros(problem.size)).points[0]
-        done = _solved(replace(problem, loss=LOSSES[loss]), asked, lambda f, t: show(0.3 + 0.7 * f, t))
+        done = _solved(replace(problem, loss=LOSSES[loss]), asked, part(show, 0.3, 1.0))
     written = _edited(model, config, done, folder)
     summary = _summary(config, target, before, done, written, asked) | _measured(extra, before, done)
     if json:

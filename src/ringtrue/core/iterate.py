@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 from typing import Generic, Protocol, TypeVar
 
 from ringtrue.core.outcome import Outcome
+from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError
 
 S = TypeVar("S")
@@ -46,9 +46,7 @@ class Iteration(Generic[S]):
         return self.states[-1]
 
 
-def iterate(
-    algorithm: Algorithm[S], *, limit: int, progress: Callable[[float, str], None] | None = None
-) -> Iteration[S]:
+def iterate(algorithm: Algorithm[S], *, limit: int, progress: Progress | None = None) -> Iteration[S]:
     """Run `algorithm` until it terminates, at most `limit` steps.
 
     Raises

@@ -17,6 +17,7 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.assembly import System, full_matrices, reduced
 from ringtrue.fem.functions import AffineTerm, Basis, Chebyshev, Function, Powers, power
@@ -39,7 +40,7 @@ def affine_terms(
     parameters: ParameterSet,
     system: System,
     *,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[AffineTerm, ...]:
     """The parts of K(a) = K(1) + Σ g_t(a) K_t, M likewise, in the free degrees of freedom.
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.motions import POWER
+from ringtrue.core.progress import Progress
 from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.errors import InputError, did_you_mean
 
@@ -116,7 +115,7 @@ def direct(
     rows_in: sparse.csr_array,
     *,
     kind: str = "accelerance",
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Complex:
     """H(ω) = (iω)^n C_out Q(iω)⁻¹ C_inᵀ, one factorisation a frequency on one analysis.
 

@@ -7,13 +7,14 @@ submodular, so that the greedy choice reaches at least 1 - 1/e of the best gain 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError
 from ringtrue.model.ports import ObservedModel
 from ringtrue.shapes.mac import mac
@@ -121,7 +122,7 @@ def greedy_logdet(
     fixed: Bool | None = None,
     cost: Float | None = None,
     budget: float = np.inf,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Int:
     """Points that add most to the weighted sum of log-determinants, one at a time, per unit of cost.
 

@@ -5,7 +5,7 @@ What comes out are the modes that will be found, with which probability and whic
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.pairing import Pairing
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.correlate.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError, InputError
@@ -28,7 +29,6 @@ from ringtrue.virtual.noise import coloured
 from ringtrue.virtual.response import decay_time, lines, response_spectrum
 from ringtrue.virtual.sensors import FORCE_CELL, ICP, Chain, Sensor
 
-Progress = Callable[[float, str], None]
 _RATE = 3.2  # over fmax: the recorder's filter is flat up to 0.4 of the rate
 
 

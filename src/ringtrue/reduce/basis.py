@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.progress import Progress
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
 from ringtrue.fem.functions import AffineTerm, Function
 from ringtrue.reduce.affine import AffineSystem
 
 CHUNK = 32  # right-hand sides solved together
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

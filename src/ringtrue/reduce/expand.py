@@ -13,12 +13,12 @@ import numpy as np
 from scipy import linalg, optimize, sparse
 
 from ringtrue.core.arrays import Any_, Float, freeze_fields
+from ringtrue.core.progress import Progress
 from ringtrue.eigen.factor import Labels
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.reduce.tam import StaticShapes
 from ringtrue.shapes.orthogonality import pseudo_inverse
 
-Progress = Callable[[float, str], None]
 SPAN = 1e-7  # relative length below which a vector of the basis counts as dependent
 
 

@@ -15,6 +15,7 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.derivatives import modal_coefficients
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes, frequencies
@@ -23,7 +24,6 @@ from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduce.affine import AffineSystem, values
 from ringtrue.reduce.basis import (
-    Progress,
     Projection,
     compress,
     mixed_sensitivities,
@@ -288,15 +288,11 @@ def _static(
     block = max(1, AT_ONCE // max(count, 1))
     for first in range(0, len(todo), block):  # principal directions of so many at a time
         some = todo[first : first + block]
-        told = _within(progress, first / len(todo), (first + len(some)) / len(todo))
+        told = part(progress, first / len(todo), (first + len(some)) / len(todo))
         x = np.hstack([x, static_sensitivities(pencil, modes, some, count, told)])
         if first + block < len(todo):
             x = principal(energy, x, most, drop)
     return compress(energy, x, most, drop)
-
-
-def _within(progress: Progress | None, begin: float, end: float) -> Progress | None:
-    return None if progress is None else lambda f, text: progress(begin + (end - begin) * f, text)
 
 
 def modes_of(count: int, options: BasisOptions | None = None) -> int:
@@ -334,11 +330,11 @@ def reduced_model(
     wanted = modes_of(count, options)
     if modes is None or modes.values.size < wanted:
         known = pencil.shift if pencil.shift < 0 else None  # that of a solution before, whose factor may still be there
-        modes = solve_modes(pencil, wanted, shift=known, progress=_within(progress, 0.0, SOLVED))
+        modes = solve_modes(pencil, wanted, shift=known, progress=part(progress, 0.0, SOLVED))
     n = min(count, modes.values.size)
     energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
     most = (options.size or max(USUAL, 3 * modes.values.size // 2)) - modes.values.size
-    x = _static(pencil, modes, system, n, energy, most, options.drop, _within(progress, SOLVED, SPANNED))
+    x = _static(pencil, modes, system, n, energy, most, options.drop, part(progress, SOLVED, SPANNED))
     if progress is not None:
         progress(SPANNED, "projection")
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)

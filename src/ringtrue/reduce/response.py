@@ -14,10 +14,10 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.progress import Progress
 from ringtrue.eigen.factor import Factor, Pencil
 from ringtrue.errors import InputError, SingularModel
 
-Progress = Callable[[float, str], None]
 NEW = 1e-10  # squared share of a vector outside the basis that is kept
 PUSH = 1e-6  # of λ: off a mode that a line stands on exactly
 

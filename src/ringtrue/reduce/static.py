@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
+from ringtrue.core.progress import Progress
 from ringtrue.eigen.factor import Labels, Pencil
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError
@@ -72,7 +72,7 @@ def craig_bampton(
     count: int,
     *,
     labels: Labels | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Condensed:
     """Condense onto the DOFs `boundary` and the `count` lowest modes with these held.
 

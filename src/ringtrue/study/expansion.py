@@ -8,10 +8,11 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
+from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.reduce.expand import Expanded, expand_dynamic, expand_hybrid, expand_serep, expand_static
 from ringtrue.study.evidence import at_channels
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.opened import Opened
 from ringtrue.study.results import Scene
 from ringtrue.study.scene import scene_modes
 from ringtrue.update.localise import NOISE

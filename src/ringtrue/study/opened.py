@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,17 +9,12 @@ from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
+from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.observe import Method, observe
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
-
-Progress = Callable[[float, str], None]
-
-
-def quiet(fraction: float, text: str) -> None:
-    """No progress."""
 
 
 @dataclass(eq=False)
@@ -53,9 +47,8 @@ class Opened:
         """All modes below `fmax`, Hz (`ModesResult`), solved once."""
         if fmax not in self._modes:
             request = ModesRequest(band=(-1.0, fmax))
-            self.analysis.progress = progress
-            self._modes[fmax] = self.analysis.modes(request) if self.engine is None else self._outside(request)
-            self.analysis.progress = None
+            own = self.engine is None
+            self._modes[fmax] = self.analysis.modes(request, progress) if own else self._outside(request)
         return self._modes[fmax]
 
     def _outside(self, request: ModesRequest) -> ModesResult:

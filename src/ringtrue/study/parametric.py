@@ -10,13 +10,14 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress, part
 from ringtrue.errors import NotConverged
 from ringtrue.fem.dependence import affine_terms
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduce.affine import observed_system
 from ringtrue.reduce.flexible import with_responses
 from ringtrue.reduce.parametric import ReducedModel, reduced_model
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.opened import Opened
 from ringtrue.update.dense import Matrices, matrices_at
 from ringtrue.update.residuals import Whole
 
@@ -86,10 +87,10 @@ def build(
 ) -> ReducedModel:
     """Assemble, differentiate and project: all modes below `fmax` with every parameter."""
     system = opened.analysis.system
-    parts = affine_terms(opened.model, parameters, system, progress=lambda f, t: progress(0.4 * f, t))
+    parts = affine_terms(opened.model, parameters, system, progress=part(progress, 0.0, 0.4))
     affine = observed_system(system.stiffness, system.mass, system.transform, parameters, parts, observation)
     count = len(opened.modes(fmax).modes)
-    return reduced_model(affine, count, pencil=opened.analysis.pencil, progress=lambda f, t: progress(0.4 + 0.6 * f, t))
+    return reduced_model(affine, count, pencil=opened.analysis.pencil, progress=part(progress, 0.4, 1.0))
 
 
 def verified(model: AtChannels, x: Float) -> tuple[AtChannels, float]:

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from ringtrue import __version__
+from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.model.edit import apply_factors, resolve_target
 from ringtrue.study.config import StudyConfig, parse_config, read_config
-from ringtrue.study.opened import Progress, quiet
 from ringtrue.study.results import Provenance
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.stages.predict import check as check_rotor
@@ -180,7 +180,7 @@ def run_study(
                 loaded.append(stage.name)
                 continue
             began = time.perf_counter()
-            result = stage.run(desk, _within(progress, i, len(todo)))
+            result = stage.run(desk, part(progress, i / len(todo), (i + 1) / len(todo)))
             desk.put(stage.name, result)
             stale = _downstream(stage.name) if stored != key else ()
             desk.store.save(stage.name, key, result, drop=stale)
@@ -237,7 +237,3 @@ def load_study(store: Path) -> StudyRun:
     there = held.stages()
     results = {s.name: held.load(s.name) for s in STAGES if s.name in there and s.applies(desk)}
     return StudyRun(store.parent, desk, results | {"provenance": made}, made.timings, tuple(results))
-
-
-def _within(progress: Progress, i: int, n: int) -> Progress:
-    return lambda fraction, text: progress((i + fraction) / n, text)

@@ -15,6 +15,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.align import Alignment
 from ringtrue.correlate.observe import at_dofs
@@ -27,7 +28,7 @@ from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
 from ringtrue.study.evidence import on_sheet
 from ringtrue.study.measured import LENGTH, Measured, channels_of, excited, flexible, measured
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels, build
 from ringtrue.study.placing import alignment
 from ringtrue.study.reference import reference_modes

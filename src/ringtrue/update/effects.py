@@ -9,6 +9,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.observation import Observation
+from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
 from ringtrue.fem.assembly import System
@@ -16,7 +17,6 @@ from ringtrue.fem.dependence import affine_terms
 from ringtrue.fem.derivatives import bilinear
 from ringtrue.model.model import Model
 from ringtrue.reduce.affine import observed_system
-from ringtrue.reduce.basis import Progress
 from ringtrue.reduce.parametric import BasisOptions, ReducedModel, reduced_model
 from ringtrue.update.candidates import Candidate, parameters
 
@@ -100,7 +100,6 @@ def reduced_candidates(
         If one of them is not `fem.dependence.smooth`.
     """
     chosen = parameters(candidates)
-    halves = [None if progress is None else (lambda f, t, s=s: progress(s + 0.5 * f, t)) for s in (0.0, 0.5)]
-    parts = affine_terms(model, chosen, system, progress=halves[0])
+    parts = affine_terms(model, chosen, system, progress=part(progress, 0.0, 0.5))
     affine = observed_system(system.stiffness, system.mass, system.transform, chosen, parts, observation)
-    return reduced_model(affine, count, options=options, pencil=pencil, modes=modes, progress=halves[1])
+    return reduced_model(affine, count, options=options, pencil=pencil, modes=modes, progress=part(progress, 0.5, 1.0))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ringtrue.study.opened import Progress
+from ringtrue.core.progress import Progress
 from ringtrue.study.stages import (
     compare,
     configurations,

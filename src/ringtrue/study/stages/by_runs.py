@@ -10,12 +10,12 @@ from scipy import sparse
 
 from ringtrue.backends.observed import PRINTED, FullModel
 from ringtrue.core.observation import Observation
+from ringtrue.core.progress import Progress
 from ringtrue.model.edit import carried
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.iterates import Iterates
 from ringtrue.study.objective import names_of, problem_of
-from ringtrue.study.opened import Progress
 from ringtrue.study.results import SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.stages.together import method_of, settled, summary

@@ -8,13 +8,14 @@ import numpy as np
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress, part
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, DataError, InputError, about
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.edit import apply_factors, carried, field_value
 from ringtrue.model.model import Model
 from ringtrue.study.config import ConfigurationSection, TestSection
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.opened import Opened
 from ringtrue.study.reference import Reference, elastic_table, left_out, reference_modes, reference_of_file
 from ringtrue.study.results import ConfigurationsStage, ConfiguredTest
 from ringtrue.study.stages import identify
@@ -27,7 +28,7 @@ def run(desk: Workbench, progress: Progress) -> ConfigurationsStage:
     """Identify or read the modes of each configuration, and correlate its deck with them."""
     items, n = [], len(desk.config.configuration)
     for i, section in enumerate(desk.config.configuration):
-        told = _within(progress, i, n)
+        told = part(progress, i / n, (i + 1) / n)
         told(0.0, f"configuration {section.name}")
         items.append(_one(desk, section, told))
     return ConfigurationsStage(tuple(items))
@@ -44,10 +45,6 @@ def files(desk: Workbench) -> list[Path]:
     return list(dict.fromkeys(out))
 
 
-def _within(progress: Progress, i: int, n: int) -> Progress:
-    return lambda fraction, text: progress((i + fraction) / n, text)
-
-
 def _at_test(desk: Workbench, section: ConfigurationSection) -> Workbench:
     """The same study with the test of a configuration in place of its own."""
     test = TestSection(sheet=str(section.sheet), log=str(section.log), lines=section.lines)
@@ -61,7 +58,7 @@ def _one(desk: Workbench, section: ConfigurationSection, progress: Progress) -> 
     parameters = ParameterSet((*desk.config.candidates().parameters, *desk.config.suspensions().parameters))
     mine = carried(opened.model, parameters)
     _check(section, opened.model, parameters, mine)
-    reference, test, source = _reference(desk, section, lambda f, t: progress(0.7 * f, t))
+    reference, test, source = _reference(desk, section, part(progress, 0.0, 0.7))
     progress(0.8, f"modes of the deck of {section.name}")
     fe = seen(desk, opened, test, reference.elastic)
     out = left_out(reference.elastic, section.left_out, desk.config.identify.confidence)

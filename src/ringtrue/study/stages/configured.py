@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ringtrue.core.progress import Progress
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.model.edit import carried, field_changes
 from ringtrue.study.config import ConfigurationSection
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.opened import Opened
 from ringtrue.study.reference import Reference, elastic_table
 from ringtrue.study.results import ConfigurationsStage, ConfiguredStage, ConfiguredTest, DeliveredConfiguration
 from ringtrue.study.stages.configurations import seen

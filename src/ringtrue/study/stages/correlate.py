@@ -7,12 +7,13 @@ from pathlib import Path
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.io.nastran.edit import unified_diff
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.expansion import expanded, on_scene
-from ringtrue.study.opened import Opened, Progress, quiet
+from ringtrue.study.opened import Opened
 from ringtrue.study.placing import words
 from ringtrue.study.reference import Reference, beyond, elastic_table, left_out, reference_modes, rigid_table
 from ringtrue.study.results import CorrelateStage, Evidence, Expansion, RemodelStep
@@ -39,9 +40,9 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
     config = desk.config
     reference = reference_modes(desk.get("identify"), config)
     out = left_out(reference.elastic, config.update.left_out, config.identify.confidence)
-    initial = seen(desk, desk.initial, lambda f, t: progress(0.3 * f, t))
+    initial = seen(desk, desk.initial, part(progress, 0.0, 0.3))
     progress(0.3, "remodelled deck")
-    remodelled = seen(desk, desk.remodelled, lambda f, t: progress(0.3 + 0.3 * f, t))
+    remodelled = seen(desk, desk.remodelled, part(progress, 0.3, 0.6))
     tables = [elastic_table(reference, fe, config, out, initial) for fe in (initial, remodelled)]
     progress(0.6, "mass at the channels")
     told = judged(desk, desk.remodelled, reference, remodelled, tables[1])

@@ -14,13 +14,14 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.progress import Progress
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.fem.response import coupled
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.study.evidence import MASS, on_sheet
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import STILL
 from ringtrue.study.reference import Reference, rigid_table
 from ringtrue.study.results import DampedConfiguration, DampedModes, DampedRegions, DampingStage, FinalStage

@@ -11,12 +11,13 @@ from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.pairing import Pairing
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.model.edit import FieldChange, field_changes
 from ringtrue.model.model import Model
 from ringtrue.study.evidence import followed, frf_evidence, on_sheet, synthesised
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.opened import Opened
 from ringtrue.study.reference import Reference, elastic_table, reference_modes, rigid_table
 from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage
 from ringtrue.study.scene import scene_modes

@@ -12,6 +12,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.choice import Choice
+from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
@@ -33,7 +34,6 @@ from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
 from ringtrue.study.blows import full_scale, kept_blows, refused_blows
 from ringtrue.study.config import IdentifySection, TestSection
-from ringtrue.study.opened import Progress
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
 from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, on_sheet, supplied_frfs, supplied_modes
 from ringtrue.study.workbench import Workbench
@@ -285,16 +285,16 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     if hits and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     choice = _by_hand(desk, records)
-    found, shown = ambient(desk, quiet, sensors, sheet.model, choice, lambda f, t: progress(0.5 * f, t))
+    found, shown = ambient(desk, quiet, sensors, sheet.model, choice, part(progress, 0.0, 0.5))
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
     frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, test.leave_out), tuple[str, ...]()
     batches: tuple[FrfSet, ...] = ()
     if hits:
-        frfs, more, rejected, batches = struck(hits, model, test.leave_out, lambda f, t: progress(0.5 + 0.2 * f, t))
+        frfs, more, rejected, batches = struck(hits, model, test.leave_out, part(progress, 0.5, 0.7))
         frfs = exchanged(frfs)[0]
         shown += more
-    result = _of_frfs(frfs, desk.config.identify, choice, lambda f, t: progress(0.7 + 0.3 * f, t)) if frfs else None
+    result = _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
     if result is not None and choice.of(HAMMER) is None:
         result = told_apart(result, batches, _band(desk.config.identify))
     if hits and result is not None:

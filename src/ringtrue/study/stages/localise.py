@@ -9,6 +9,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
 from ringtrue.fem.dependence import smooth
@@ -18,7 +19,6 @@ from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.expansion import expanded
 from ringtrue.study.measured import flexible
 from ringtrue.study.objective import names_of, problem_of
-from ringtrue.study.opened import Progress, quiet
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
@@ -67,7 +67,7 @@ def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
         if desk.config.propose:
             raise DataError(NO_PAIR if not paired else "no candidate of the deck changes a mode: give [[candidate]]")
         return None
-    aim, model = target(desk), _model(desk, pool, lambda f, t: progress(0.6 * f, t))
+    aim, model = target(desk), _model(desk, pool, part(progress, 0.0, 0.6))
     start = model.linearise(np.zeros(len(model.parameters)))
     pairs, _, _ = match(aim, start)
     pairs = pairs[aim.used[pairs[:, 0]]]
@@ -75,9 +75,7 @@ def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
     errors, misfit = _errors(desk, model, aim, pairs)
     member = membership(desk.remodelled.model, pool.candidates)
     others = desk.others(progress) if desk.config.configuration and _shared(desk) else ()
-    proposal = _proposal(
-        desk, model, others, aim, pool, errors.concentration(member), lambda f, t: progress(0.7 + 0.3 * f, t)
-    )
+    proposal = _proposal(desk, model, others, aim, pool, errors.concentration(member), part(progress, 0.7, 1.0))
     return _result(desk, model, _problem(desk, model, others), aim, pool, pairs, errors, misfit, proposal)
 
 

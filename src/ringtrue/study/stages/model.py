@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ringtrue.checks.deck import check_deck
 from ringtrue.checks.mass import mass_properties, whole_mass
-from ringtrue.study.opened import Progress
+from ringtrue.core.progress import Progress, part
 from ringtrue.study.results import ModelStage
 from ringtrue.study.scene import make_scene, scene_modes
 from ringtrue.study.workbench import Workbench
@@ -16,7 +16,7 @@ def run(desk: Workbench, progress: Progress) -> ModelStage:
     opened = desk.initial
     report = check_deck(opened.model, units=desk.deck.units)
     progress(0.2, "modes of the deck")
-    result = opened.modes(desk.first_fmax, lambda f, t: progress(0.2 + 0.8 * f, t))
+    result = opened.modes(desk.first_fmax, part(progress, 0.2, 1.0))
     held = any(c in opened.model for c in ("SPC", "SPC1")) or (opened.model["GRID"]["PS"] != "").any()
     mass = whole_mass(opened.model) if held else mass_properties(opened.analysis.system)
     scene = make_scene(opened.model, desk.deck.regions, desk.length)

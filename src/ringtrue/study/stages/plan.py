@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError
 from ringtrue.fem.response import frf
@@ -25,7 +26,6 @@ from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.arrangement import AXES, Arrangement, arranged
 from ringtrue.study.config_plan import PlanSection
-from ringtrue.study.opened import Progress, quiet
 from ringtrue.study.parametric import build
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import ModelStage, PlanStage
@@ -337,7 +337,7 @@ def _rehearsed(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float
     planned = Planned(f, rows, rows[at], stage.test.channels, stage.references, low, high)
     rng = np.random.default_rng(desk.config.study.seed + SEED)
     conditions = Conditions(trials=plan.trials, damping=plan.damping, background=plan.background)
-    result = rehearse(planned, conditions, rng, progress=lambda x, t: progress(0.7 + 0.3 * x, t))
+    result = rehearse(planned, conditions, rng, progress=part(progress, 0.7, 1.0))
     return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
 
 

@@ -10,6 +10,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.damped import project
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.fem.assembly import System
@@ -21,7 +22,7 @@ from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.reduce.response import response_basis
 from ringtrue.study.config import PredictSection
 from ringtrue.study.objective import terms_of
-from ringtrue.study.opened import Opened, Progress
+from ringtrue.study.opened import Opened
 from ringtrue.study.results import (
     CorrelateStage,
     DampedRegions,
@@ -115,12 +116,12 @@ def predict(
     """
     if "final" not in desk.store.stages():
         raise ConfigError("the study has no updated model yet: `ringtrue run` it to its final stage first")
-    posterior, error = _posterior(desk, lambda f, t: progress(0.3 * f, t))
+    posterior, error = _posterior(desk, part(progress, 0.0, 0.3))
     opened, final = desk.remodelled, desk.get("final")
     across = plane(axis)
     motion = _translations(opened.analysis.system, rotor)
     loads = motion[list(across)].toarray().T
-    model, residual = _model(desk, posterior.parameters, loads, freqs, lambda f, t: progress(0.3 + 0.3 * f, t))
+    model, residual = _model(desk, posterior.parameters, loads, freqs, part(progress, 0.3, 0.6))
     v = model.basis.vectors
     outputs = [Output(f"rotor, node {rotor}", UNIT[desk.deck.units], Rows(np.asarray(motion @ v)), 3)]
     for name, ids in springs.items():
@@ -140,7 +141,7 @@ def predict(
         discrepancy=error,
         level=level,
         validated=_validated(desk, final),
-        progress=lambda f, t: progress(0.65 + 0.35 * f, t),
+        progress=part(progress, 0.65, 1.0),
     )
     flags = plausibility(posterior.parameters, posterior.x, posterior.ratio)
     told = tuple(f.text for f in flags)
@@ -235,7 +236,7 @@ def _model(
     And the largest residual of that response, relative to the load. The basis is that of one point: for the changes
     that the posterior leaves it is exact to second order.
     """
-    model = desk.candidates(lambda f, t: progress(0.3 * f, t)).model
+    model = desk.candidates(part(progress, 0.0, 0.3)).model
     every = model.system.parameters
     known = dict(zip(desk.parameters.names, chosen_factors(desk).tolist(), strict=True))
     known |= desk.get("tune").factors if desk.config.suspension else {}
@@ -248,7 +249,7 @@ def _model(
         np.linspace(freqs[0], freqs[-1], min(freqs.size, WATCHED)),
         start,
         loss=2 * float(np.median(final.damping)),
-        progress=lambda f, t: progress(0.3 + 0.7 * f, t),
+        progress=part(progress, 0.3, 1.0),
     )
     at = [every.names.index(n) for n in parameters.names]
     return model.on(found.vectors).with_parameters(at, np.zeros(len(every))), float(found.residual.max())

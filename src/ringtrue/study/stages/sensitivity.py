@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.progress import Progress, part
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.objective import problem_of
-from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import followed, settings, used_mask
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, LocaliseStage, SensitivityStage
@@ -109,14 +109,14 @@ def proposed(desk: Workbench) -> tuple[str, ...]:
 def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     """Linearise at the remodelled deck and choose sets by three rules."""
     aim = target(desk)
-    model = desk.candidates(lambda f, t: progress(0.6 * f, t))
+    model = desk.candidates(part(progress, 0.0, 0.6))
     names = model.parameters.names
     point = model.linearise(np.zeros(len(names)))
     pairs, _, _ = match(aim, point)
     fe = pairs[:, 1]
     lam = (2 * np.pi * point.frequencies[fe]) ** 2
     d_mac = np.array([mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist()])
-    members, weighted = _sets(desk, model, lambda f, t: progress(0.6 + 0.4 * f, t))
+    members, weighted = _sets(desk, model, part(progress, 0.6, 1.0))
     return SensitivityStage(
         names,
         0.5 * point.d_lambda[fe] / lam[:, None],

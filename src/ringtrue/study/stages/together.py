@@ -9,10 +9,10 @@ from itertools import count, pairwise
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float
+from ringtrue.core.progress import Progress
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.iterates import Iterates
 from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
-from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets

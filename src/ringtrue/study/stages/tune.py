@@ -9,9 +9,9 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.progress import Progress, part
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.errors import DataError
-from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import Reference, reference_modes, rigid_settings, rigid_table
 from ringtrue.study.results import ConfigurationsStage, ConfiguredTest, CorrelateStage, TunedConfiguration, TuneStage
@@ -130,10 +130,10 @@ def run(desk: Workbench, progress: Progress) -> TuneStage:
     Every pairing of the study's own test is weighed; configurations with rigid-body modes join from there.
     """
     aim = target(desk)
-    active = suspended(desk, lambda f, t: progress(0.6 * f, t))
-    others = _others(desk, lambda f, t: progress(0.6 + 0.1 * f, t))
+    active = suspended(desk, part(progress, 0.0, 0.6))
+    others = _others(desk, part(progress, 0.6, 0.7))
     limit, parameters = desk.config.update.iterations, active.parameters
-    found = tuned(active, aim, limit, lambda f, t: progress(0.7 + 0.3 * f, t))
+    found = tuned(active, aim, limit, part(progress, 0.7, 1.0))
     x, std = found.best.x, found.std
     if others:
         used = np.isin(np.arange(aim.used.size), found.best.pairs[:, 0])

@@ -10,10 +10,10 @@ from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress, part
 from ringtrue.reduce.condense import condensed
 from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.objective import terms_of
-from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import AtChannels, frequency_error
 from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
 from ringtrue.study.stages.sensitivity import target
@@ -68,7 +68,7 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
         folds_of(paired.used, min(asked.folds, count)),
         start=x,
         others=others,
-        progress=lambda f, t: progress(0.4 + 0.4 * f, t),
+        progress=part(progress, 0.4, 0.8),
     )
     full = (
         Configuration(every, paired, terms_of(desk, OWN, every, desk.config.update)),
@@ -82,7 +82,7 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     rng = np.random.default_rng([desk.config.study.seed, 7])
     w = likely.target.weights
     problem = Problem((_likelihood(likely), *(_likelihood(c.weighed(w.frequency, w.mac)) for c in others)))
-    chains = _sampled(problem, posterior, asked.samples, rng, lambda f, t: progress(0.8 + 0.2 * f, t))
+    chains = _sampled(problem, posterior, asked.samples, rng, part(progress, 0.8, 1.0))
     return _with_draws(told, chains, posterior.parameters)
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.progress import Progress, part
 from ringtrue.study.iterates import Iterates
-from ringtrue.study.opened import Progress
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
 from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
 from ringtrue.study.stages.by_runs import by_runs
@@ -38,7 +38,8 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     named = {s.name: s for s in desk.config.set}
     kept, results, runs = Iterates.of(desk, aim), list[SetResult](), 0
     for i, (name, members) in enumerate(sets.sets.items()):
-        progress(i / len(sets.sets), f"updating: {name}")
+        told = part(progress, i / len(sets.sets), (i + 1) / len(sets.sets))
+        told(0.0, f"updating: {name}")
         own = named[name].own() if name in named else {}
         same = next((r for r in results if set(r.parameters) == set(members) and not r.settings), None)
         if same is not None and not own:  # two rules, one choice
@@ -46,7 +47,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
             continue
         asked = named[name].settings(desk.config.update) if own else None
         if desk.engine is not None:
-            done, more = by_runs(desk, name, members, _part(progress, i, len(sets.sets)), kept, asked)
+            done, more = by_runs(desk, name, members, told, kept, asked)
             results.append(replace(done, settings=named[name].words() if own else ""))
             runs += more
         elif own:
@@ -77,10 +78,6 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         desk.deck.solver,
         runs,
     )
-
-
-def _part(progress: Progress, i: int, n: int) -> Progress:
-    return lambda fraction, text: progress((i + fraction) / n, text)
 
 
 def _values(desk: Workbench, best: SetResult, factor: Float) -> list[float]:
