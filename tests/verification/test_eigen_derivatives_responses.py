@@ -9,9 +9,9 @@ from scipy import sparse
 
 from ringtrue.eigen.damped import complex_modes
 from ringtrue.eigen.derivatives import Slope, branch_derivatives, eigenvalue_derivatives, eigenvector_derivatives
+from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.responses import (
-    Damped,
     adjoint,
     complex_mode_derivatives,
     frequency_derivatives,
@@ -91,7 +91,7 @@ def test_branches_of_a_double_root_have_derivatives() -> None:
     assert np.abs(moved - d_phi).max() < 1e-3 * np.abs(d_phi).max()  # lost digits of the double root: ε/gap
 
 
-def _chain() -> tuple[Damped, list[Slope]]:
+def _chain() -> tuple[DynamicStiffness, list[Slope]]:
     """Eight masses on springs, a dashpot at one end: not proportional."""
     n = 8
     k = sparse.csr_array(sparse.diags_array([2.0 * np.ones(n), -np.ones(n - 1), -np.ones(n - 1)], offsets=[0, 1, -1]))
@@ -103,12 +103,12 @@ def _chain() -> tuple[Damped, list[Slope]]:
     zero = sparse.csr_array((n, n))
     slopes = [Slope(one, zero, zero, zero), Slope(zero, one, zero, zero), Slope(zero, zero, one, zero)]
     slopes.append(Slope(one, zero, zero, one))
-    return Damped(*(sparse.csr_array(a) for a in (k * 100, m, d, h * 100))), slopes
+    return DynamicStiffness(*(sparse.csr_array(a) for a in (k * 100, m, d, h * 100))), slopes
 
 
-def _moved(s: Damped, slope: Slope, x: float) -> Damped:
+def _moved(s: DynamicStiffness, slope: Slope, x: float) -> DynamicStiffness:
     parts = zip((s.stiffness, s.mass, s.viscous, s.structural), _parts(slope), strict=True)
-    return Damped(*(sparse.csr_array(a + x * b) for a, b in parts))
+    return DynamicStiffness(*(sparse.csr_array(a + x * b) for a, b in parts))
 
 
 def _parts(s: Slope) -> tuple[sparse.csr_array, ...]:
@@ -117,7 +117,7 @@ def _parts(s: Slope) -> tuple[sparse.csr_array, ...]:
     return s.stiffness, s.mass, s.viscous, s.structural
 
 
-def _solved(s: Damped) -> tuple[np.ndarray, np.ndarray]:
+def _solved(s: DynamicStiffness) -> tuple[np.ndarray, np.ndarray]:
     lam, phi = np.linalg.eigh(s.stiffness.toarray() / np.sqrt(np.outer(*[s.mass.diagonal()] * 2)))
     phi = phi / np.sqrt(s.mass.diagonal())[:, None]
     found = complex_modes(lam, phi.T @ (s.viscous @ phi), phi.T @ (s.structural @ phi))
@@ -145,7 +145,7 @@ def test_frfs_directly_and_by_modes() -> None:
     for i, s in enumerate(slopes):
         ends = [frf_derivatives(_moved(system, s, x), pick, pick[:1], freqs, [])[0] for x in (H, -H)]
         assert np.abs((ends[0] - ends[1]) / (2 * H) - d_h[..., i]).max() < CLOSE * np.abs(d_h[..., i]).max()
-    undamped = Damped(system.stiffness, system.mass, 0 * system.viscous, 0 * system.structural)
+    undamped = DynamicStiffness(system.stiffness, system.mass, 0 * system.viscous, 0 * system.structural)
     pencil = Pencil(system.stiffness, system.mass)
     base = solve_modes(pencil, 8)
     some = [Slope(s.stiffness, s.mass) for s in slopes[:2]]

@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -20,14 +20,15 @@ from ringtrue.backends.runner import run_program, tail
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.eigen.problem import eigenvalue, frequencies, polish
+from ringtrue.eigen.solve import start_shift, suitable_shift
 from ringtrue.errors import ConfigError, InputError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.spins import without_spins
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
-Progress = Callable[[float, str], None]
 PYTHON = "RINGTRUE_SLEPC_PYTHON"
 WORKER = Path(__file__).with_name("slepc_worker.py")
 GOOD = 1e-7  # a residual above it asks for a better shift
@@ -77,7 +78,7 @@ class SlepcAnalysis:
         self._folder = Path(tempfile.mkdtemp(prefix="ringtrue-slepc-"))
         for name, matrix in (("K", system.stiffness), ("M", system.mass)):
             _hand_over(self._folder, name, matrix)
-        self._shift = _start_shift(system)
+        self._shift = start_shift(system.stiffness, system.mass)
         self._done: dict[ModesRequest, ModesResult] = {}
 
     def modes(self, request: ModesRequest) -> ModesResult:
@@ -95,7 +96,7 @@ class SlepcAnalysis:
     def _modes(self, request: ModesRequest) -> ModesResult:
         values, vectors, residuals, result = self._solve(request)
         if (residuals > GOOD).any():  # a shift much nearer to zero than the first elastic mode loses digits
-            self._shift = -_suitable(values)
+            self._shift = -suitable_shift(values)
             values, vectors, residuals, result = self._solve(request)
         shapes = self.system.transform @ vectors
         f = frequencies(values)
@@ -146,20 +147,6 @@ def _hand_over(folder: Path, name: str, matrix: sparse.csr_array) -> None:
     """Plain arrays that each rank can map and read its rows of."""
     for part, values in (("p", matrix.indptr.astype(np.int64)), ("i", matrix.indices), ("x", matrix.data)):
         np.save(folder / f"{name}_{part}.npy", values)
-
-
-def _start_shift(system: System) -> float:
-    """A little below zero, by the scale of the diagonals."""
-    k, m = system.stiffness.diagonal(), system.mass.diagonal()
-    massive = m > 1e-12 * m.max()
-    return -1e-7 * float(np.median(np.abs(k[massive]) / m[massive])) or -1.0
-
-
-def _suitable(values: Float) -> float:
-    """Of the order of the first elastic eigenvalue, not under a thousandth of the last."""
-    top = float(np.abs(values).max())
-    elastic = values[values > 1e-6 * top]
-    return max(0.3 * float(elastic.min(initial=top)), 1e-3 * top) or 1.0
 
 
 class SlepcSolver:

@@ -21,6 +21,7 @@ REPEATED = 1e-8  # poles closer than this are made A-orthogonal as a group
 REACH = 0.58  # radius around the shift, in upper ends, that holds all poles with a damping ratio up to 0.3
 SWING = 0.01  # share of |s| that Im(s) must pass: damping ratios up to 0.99995 count as oscillation
 STILL = 1e-10  # share of the largest λ of the basis under which |s|² is a rigid-body motion, which does not oscillate
+TOLERANCE = 1e-10  # of Arnoldi, relative
 ROUNDS = 5  # searches for more poles, each with twice as many
 
 
@@ -77,7 +78,7 @@ class FullModes:
         freeze_fields(self, residuals=np.float64)
 
 
-def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20, tolerance: float = 1e-10) -> FullModes:
+def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) -> FullModes:
     """Poles with 0 < |s| <= `upper` and Im(s) > 0.01 |s|, from the full quadratic problem.
 
     None with a damping ratio up to 0.3 is missing; of more damped ones those inside the circle that was searched.
@@ -88,8 +89,6 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20, to
     upper : float, rad/s
     expected : int
         How many there are, about; the search is widened until it has passed `upper`.
-    tolerance : float
-        Of Arnoldi, relative.
 
     Raises
     ------
@@ -107,7 +106,7 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20, to
     n, count = 2 * system.size, max(2 * expected, 4) + 8
     for _ in range(ROUNDS):
         count = min(count, n - 2)
-        s, shapes = _nearest(system, shift, upper, count, tolerance)
+        s, shapes = _nearest(system, shift, upper, count)
         radius = float(np.abs(s - shift).max(initial=0.0))
         if radius >= need or count == n - 2:
             break
@@ -120,9 +119,7 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20, to
     return FullModes(ComplexModes(s, shapes), system.residuals(s, shapes), shift, radius)
 
 
-def _nearest(
-    system: DynamicStiffness, shift: complex, scale: float, count: int, tolerance: float
-) -> tuple[Complex, Complex]:
+def _nearest(system: DynamicStiffness, shift: complex, scale: float, count: int) -> tuple[Complex, Complex]:
     """The `count` poles nearest to the shift, and their shapes (f, count).
 
     State [φ; sφ/scale], both parts of one size; p solves Q(σ)p = −(M(v + σx) + Dx), then [p; x + σp].
@@ -139,7 +136,7 @@ def _nearest(
     space = min(2 * count + 10, 2 * n)
     try:
         operator = LinearOperator((2 * n, 2 * n), matvec=apply, dtype=np.complex128)
-        theta, z = eigs(operator, count, ncv=space, v0=apply(start), tol=tolerance, maxiter=200)
+        theta, z = eigs(operator, count, ncv=space, v0=apply(start), tol=TOLERANCE, maxiter=200)
     except ArpackNoConvergence as e:
         raise NotConverged(f"complex modes: {len(e.eigenvalues)} of {count} poles converged") from e
     good = np.abs(theta) > 1e-12 * np.abs(theta).max()

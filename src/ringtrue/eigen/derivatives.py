@@ -7,13 +7,14 @@ Sources: Fox, Kapoor (1968); Nelson (1976); Alvin (1997, iteration on the comple
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.progress import Progress
 from ringtrue.eigen.complement import Complement
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
@@ -35,10 +36,10 @@ class Slope:
     structural: sparse.csr_array | None = None
 
 
-def groups(values: Float, close: float = CLOSE) -> Int:
-    """(m,) int64, equal for eigenvalues (ascending) that are repeated within `close`; rigid-body modes are one."""
+def groups(values: Float) -> Int:
+    """(m,) int64, equal for eigenvalues (ascending) that are repeated within `CLOSE`; rigid-body modes are one."""
     noise = 1e-9 * np.abs(values).max(initial=0.0)
-    apart = np.diff(values) > np.maximum(close * np.abs(values[1:]), noise)
+    apart = np.diff(values) > np.maximum(CLOSE * np.abs(values[1:]), noise)
     return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(apart)]).astype(np.int64)
 
 
@@ -65,9 +66,9 @@ def _product(a: sparse.csr_array, phi: Float) -> tuple[Int, Float]:
     return rows, np.asarray(full @ phi)
 
 
-def split_derivatives(modes: EigenModes, slope: Slope, close: float = CLOSE) -> Float:
+def split_derivatives(modes: EigenModes, slope: Slope) -> Float:
     """∂λ/∂a (m,) of the branches that leave each repeated root, ascending in the group."""
-    phi, lam, at = modes.vectors, modes.values, groups(modes.values, close)
+    phi, lam, at = modes.vectors, modes.values, groups(modes.values)
     block = phi.T @ (slope.stiffness @ phi) - (phi.T @ (slope.mass @ phi)) * lam
     block = np.where(at[:, None] == at, (block + block.T) / 2, 0.0)
     out = np.empty(lam.size)
@@ -77,7 +78,7 @@ def split_derivatives(modes: EigenModes, slope: Slope, close: float = CLOSE) -> 
     return out
 
 
-def modal_coefficients(stiffness: Float, mass: Float, values: Float, close: float = CLOSE, *, low: int = 0) -> Float:
+def modal_coefficients(stiffness: Float, mass: Float, values: Float, *, low: int = 0) -> Float:
     """Coefficients C of φ' = Φ C in a complete modal basis.
 
     Parameters
@@ -96,7 +97,7 @@ def modal_coefficients(stiffness: Float, mass: Float, values: Float, close: floa
     m = stiffness.shape[-1]
     size = np.abs(values)
     top = max(1e4 * size[: low or m].max(initial=0.0), 1e-6 * size.max(initial=0.0))
-    at = groups(np.minimum(values, top), close)  # motions almost without mass must not set the noise of the low modes
+    at = groups(np.minimum(values, top))  # motions almost without mass must not set the noise of the low modes
     same = at[:, None] == at[:m]
     gap = np.where(same, 1.0, values[:m] - values[:, None])
     return np.where(same, -0.5 * mass, (stiffness - mass * values[:m]) / gap)
@@ -109,8 +110,7 @@ def eigenvector_derivatives(
     *,
     count: int | None = None,
     tolerance: float = 1e-7,
-    close: float = CLOSE,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Float:
     """∂φ/∂a (f, count, p) of the lowest `count` mass-normalised modes.
 
@@ -147,7 +147,7 @@ def eigenvector_derivatives(
     out = np.empty((len(slopes), m, pencil.size))
     rows = out.reshape(-1, pencil.size)
     for start in range(0, len(slopes), per):
-        loads = [_Load.of(s, phi, lam, m, close) for s in slopes[start : start + per]]
+        loads = [_Load.of(s, phi, lam, m) for s in slopes[start : start + per]]
         owner, mode = np.nonzero([load.live for load in loads])
         for first in range(0, owner.size, columns):
             of, j = owner[first : first + columns], mode[first : first + columns]
@@ -182,7 +182,7 @@ class _Load:
     live: Bool
 
     @classmethod
-    def of(cls, s: Slope, phi: Float, lam: Float, m: int, close: float) -> _Load:
+    def of(cls, s: Slope, phi: Float, lam: Float, m: int) -> _Load:
         """Of a slope; phi (f, n) row-major."""
         (rk, dk), (rm, dm) = (_product(a, phi[:, :m]) for a in (s.stiffness, s.mass))
         pk, pm = phi[rk].T @ dk, phi[rm].T @ dm
@@ -197,7 +197,7 @@ class _Load:
             terms = np.linalg.norm(_product(abs(s.stiffness), np.abs(phi[:, rigid]))[1], axis=0)
             terms += np.abs(lam).max() * np.linalg.norm(dm[:, rigid], axis=0)
             live[rigid] &= size[rigid] > STILL * terms
-        return cls(rows, force, modal_coefficients(pk, pm, lam, close), live)
+        return cls(rows, force, modal_coefficients(pk, pm, lam), live)
 
 
 def _spread(rows: Float, at: Int) -> None:

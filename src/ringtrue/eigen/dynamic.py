@@ -39,8 +39,8 @@ class DynamicStiffness:
     ) -> None:
         none = sparse.csr_array(stiffness.shape, dtype=np.float64)
         self.stiffness, self.mass = stiffness, mass
-        self.viscous = none if viscous is None else viscous
-        self.structural = none if structural is None else structural
+        self.viscous: sparse.csr_array = none if viscous is None else viscous
+        self.structural: sparse.csr_array = none if structural is None else structural
         parts = (stiffness, mass, self.viscous, self.structural)
         if len({a.shape for a in parts}) > 1:
             raise InputError(f"K, M, D and H differ in size: {', '.join(str(a.shape) for a in parts)}")
@@ -54,6 +54,11 @@ class DynamicStiffness:
     def size(self) -> int:
         """Number of rows."""
         return int(self.stiffness.shape[0])
+
+    def matrix(self, s: complex) -> sparse.csr_array:
+        """Q(s), (f, f) complex128."""
+        made = self.stiffness + self.mass * s**2 + self.viscous * s + self.structural * 1j
+        return sparse.csr_array(made.astype(np.complex128))
 
     def product(self, s: complex | Complex, x: Any_) -> Complex:
         """Q(s) x for x (f, k) and one s, or one s a column (k,)."""

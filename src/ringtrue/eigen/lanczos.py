@@ -13,6 +13,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.progress import Progress
 from ringtrue.eigen.factor import Factor
 from ringtrue.errors import NotConverged
 
@@ -21,7 +22,6 @@ TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification s
 WELL = 1e-8  # condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
 MAX_STEPS = 1000
 ROWS = 8192  # of the basis that are turned at once
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +202,6 @@ def solve(
     *,
     expected: int,
     locked: tuple[Float, Float] | None = None,
-    tolerance: float = TOLERANCE,
     progress: Progress | None = None,
     begun: Krylov | None = None,
 ) -> RitzPairs:
@@ -244,7 +243,7 @@ def solve(
         if step % 2 and not exhausted and krylov.held < min(krylov.capacity, 2 * expected):
             continue
         theta, _y, error = krylov.ritz()
-        good = error <= tolerance * np.abs(theta)
+        good = error <= TOLERANCE * np.abs(theta)
         count = int(good.size if good.all() else np.argmin(good))
         if progress is not None:
             progress(min(count / expected, 0.99), f"Lanczos: {count} of about {expected} modes")

@@ -15,7 +15,8 @@ from scipy.sparse.linalg import splu
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.eigen.complement import Complement
-from ringtrue.eigen.derivatives import CLOSE, Slope, groups
+from ringtrue.eigen.derivatives import Slope, groups
+from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
 from ringtrue.errors import InputError
@@ -78,9 +79,7 @@ class Adjoint:
         return np.asarray(stiffness - self.values[:, None] * mass[0] + mass[1])
 
 
-def adjoint(
-    pencil: Pencil, modes: EigenModes, gradient: Float, *, tolerance: float = 1e-7, close: float = CLOSE
-) -> Adjoint:
+def adjoint(pencil: Pencil, modes: EigenModes, gradient: Float, *, tolerance: float = 1e-7) -> Adjoint:
     """Adjoint vectors of one quantity J_j(φ_j) of each of the lowest m modes: m solves, however many parameters.
 
     Parameters
@@ -100,7 +99,7 @@ def adjoint(
     m = gradient.shape[1]
     if m > modes.values.size:
         raise InputError(f"gradients of {m} modes; {modes.values.size} are given")
-    phi, lam, at = modes.vectors, modes.values, groups(modes.values, close)
+    phi, lam, at = modes.vectors, modes.values, groups(modes.values)
     same = at[:, None] == at[:m]
     seen = phi.T @ gradient
     gap = np.where(same, 1.0, lam[:m] - lam[:, None])
@@ -127,23 +126,8 @@ def _dynamic(s: Slope, x: Complex, poles: Complex) -> Complex:
     return np.asarray(out)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Damped:
-    """K + iH + sD + s²M, (f, f) csr_array each."""
-
-    stiffness: sparse.csr_array
-    mass: sparse.csr_array
-    viscous: sparse.csr_array
-    structural: sparse.csr_array
-
-    def at(self, s: complex) -> sparse.csc_array:
-        """The dynamic stiffness at s, (f, f) complex."""
-        z = self.stiffness + 1j * self.structural + s * self.viscous + s**2 * self.mass
-        return sparse.csc_array(z.astype(np.complex128))
-
-
 def complex_mode_derivatives(
-    system: Damped, poles: Complex, shapes: Complex, slopes: Sequence[Slope]
+    system: DynamicStiffness, poles: Complex, shapes: Complex, slopes: Sequence[Slope]
 ) -> tuple[Complex, Complex]:
     """∂s/∂a (m, p) and ∂φ/∂a (f, m, p) of simple poles with shapes of unit modal A, φᵀ(2sM + D)φ = 1.
 
@@ -157,7 +141,7 @@ def complex_mode_derivatives(
         zs = np.asarray(2 * s * (system.mass @ phi) + system.viscous @ phi)
         size = np.abs(system.stiffness.diagonal()).max() / np.abs(zs).max()  # of the border, for a balanced matrix
         edge = sparse.csc_array((zs * size)[:, None])
-        bordered = sparse.block_array([[system.at(s), edge], [edge.T, None]], format="csc")
+        bordered = sparse.block_array([[system.matrix(s), edge], [edge.T, None]], format="csc")
         load = np.stack([_dynamic(q, phi[:, None], poles[j : j + 1])[:, 0] for q in slopes], axis=1)
         norm = np.array([phi @ (2 * s * (q.mass @ phi) + _times(q.viscous, phi)) for q in slopes])
         inner = phi @ np.asarray(system.mass @ phi)
@@ -174,7 +158,7 @@ def _times(a: sparse.csr_array | None, x: Complex) -> Complex:
 
 
 def frf_derivatives(
-    system: Damped, outputs: sparse.csr_array, inputs: sparse.csr_array, freqs: Float, slopes: Sequence[Slope]
+    system: DynamicStiffness, outputs: sparse.csr_array, inputs: sparse.csr_array, freqs: Float, slopes: Sequence[Slope]
 ) -> tuple[Complex, Complex]:
     """Receptances by direct solution, and their derivatives −(Z⁻¹Cᵀ)ᵀ Z' (Z⁻¹B).
 
@@ -192,10 +176,10 @@ def frf_derivatives(
     o, i = outputs.shape[0], inputs.shape[0]
     h = np.empty((freqs.size, o, i), dtype=np.complex128)
     d_h = np.empty((*h.shape, len(slopes)), dtype=np.complex128)
-    rhs = np.hstack([outputs.toarray().T, inputs.toarray().T]).astype(np.complex128)
+    rhs = np.hstack([outputs.toarray().T, inputs.toarray().T])
     for q, f in enumerate(freqs.tolist()):  # over lines: each has its own factorisation
         s = 2j * np.pi * f
-        x = splu(system.at(s)).solve(rhs)
+        x = system.solve(s, rhs)
         left, right = x[:, :o], x[:, o:]
         h[q] = np.asarray(outputs @ right)
         for k, slope in enumerate(slopes):

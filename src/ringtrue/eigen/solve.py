@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.progress import Progress
 from ringtrue.eigen import lanczos
 from ringtrue.eigen.dense import DENSE_SIZE, spectrum
 from ringtrue.eigen.factor import Pencil
@@ -37,8 +38,7 @@ def solve_modes(
     *,
     band: tuple[float, float] | None = None,
     shift: float | None = None,
-    prove: bool = True,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> EigenModes:
     """The lowest `count` modes, or all in `band`.
 
@@ -50,8 +50,6 @@ def solve_modes(
         In its place.
     shift : float, optional
         A known good negative shift (rad/s)²; found from the problem if not given.
-    prove : bool
-        Count by inertia (one more factorisation; two for a band).
 
     Raises
     ------
@@ -72,15 +70,15 @@ def solve_modes(
         return _dense(pencil, count, band)
     if band is not None:
         return _band(pencil, band, shift, progress)
-    return _lowest(pencil, count, shift, prove, progress)
+    return _lowest(pencil, count, shift, progress)
 
 
 def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> EigenModes:
-    shift = _start_shift(pencil)
+    shift = start_shift(pencil.stiffness, pencil.mass)
     values, vectors = _first_definite(pencil, shift)
     for _ in range(4):  # each pass places the shift better
         n = min(count, values.size) if band is None else int((values <= eigenvalue(band[1])).sum())
-        better = -_suitable(values[: max(n, 1)])
+        better = -suitable_shift(values[: max(n, 1)])
         if 0.1 < better / shift < 10:
             break
         shift = better
@@ -106,14 +104,14 @@ def _first_definite(pencil: Pencil, shift: float) -> tuple[Float, Float]:
         return spectrum(pencil.stiffness, pencil.mass, 1e3 * shift, pencil.labels)
 
 
-def _start_shift(pencil: Pencil) -> float:
-    """A first guess from the traces, far below the first elastic mode or near it."""
-    k, m = pencil.stiffness.diagonal(), pencil.mass.diagonal()
+def start_shift(stiffness: sparse.csr_array, mass: sparse.csr_array) -> float:
+    """A first guess from the diagonals, far below the first elastic mode or near it."""
+    k, m = stiffness.diagonal(), mass.diagonal()
     massive = m > 1e-12 * m.max()
     return -1e-7 * float(np.median(np.abs(k[massive]) / m[massive])) or -1.0
 
 
-def _suitable(values: Float) -> float:
+def suitable_shift(values: Float) -> float:
     """The distance of a good shift below zero: of the order of the first elastic λ, not under 1e-3 of the last."""
     top = float(np.abs(values).max())
     elastic = values[values > 1e-6 * top]
@@ -126,7 +124,7 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
 
     The probe of the last shift is the beginning of the solution.
     """
-    shift, columns = _start_shift(pencil), lanczos.capacity(pencil.size, count + EXTRA)
+    shift, columns = start_shift(pencil.stiffness, pencil.mass), lanczos.capacity(pencil.size, count + EXTRA)
     nearest = ROUNDING * shift
     for last in (*(False,) * TRIES, True):
         krylov = lanczos.Krylov(pencil.at(shift), pencil.mass, columns, np.random.default_rng(0))
@@ -142,7 +140,7 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
             shift = min(-0.3 * abs(first), 1e-4 * shift, nearest)
             continue
         values = shift + 1 / theta[theta > 1e-12 * theta.max()][: max(2, min(count, 10))]
-        better = -_suitable(values)
+        better = -suitable_shift(values)
         top = float(np.abs(values).max())
         far = 2 * top * max(count / 10, 1.0)  # of the order of the highest mode asked for
         if -NEAR * top > shift > -far or (better > shift and shift == nearest):
@@ -151,9 +149,7 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
     return shift, krylov
 
 
-def _lowest(
-    pencil: Pencil, count: int, shift: float | None, prove: bool, progress: Callable[[float, str], None] | None
-) -> EigenModes:
+def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress | None) -> EigenModes:
     pencil.reserve(lanczos.capacity(pencil.size, count + EXTRA) + 3 * count)
     _say(progress, pencil)
     shift, begun = (shift, None) if shift is not None else _find_shift(pencil, count)
@@ -168,14 +164,12 @@ def _lowest(
     del begun
     if -shift < FINE * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0)) and not pairs.exhausted:
         pairs = _refined(pencil, pairs, shift)
-    complete, proof = False, "no inertia count was asked for"
+    complete, proof = False, ""
     for _ in range(ROUNDS):
         values = np.sort(shift + 1 / pairs.theta)
         at = _gap_after(values, count)
         if pairs.exhausted:
             complete, proof = True, f"the mass has rank {values.size}: all modes were found"
-            break
-        if not prove:
             break
         if at is None:
             proof = "no gap above the highest mode: not counted"
@@ -190,7 +184,7 @@ def _lowest(
     return _finish(pencil, pairs, shift, slice(0, count), complete, proof)
 
 
-def _say(progress: Callable[[float, str], None] | None, pencil: Pencil) -> None:
+def _say(progress: Progress | None, pencil: Pencil) -> None:
     if progress is not None:
         progress(0.0, f"factorising {pencil.size} DOFs")
 
@@ -233,7 +227,7 @@ def _band(
     pencil: Pencil,
     band: tuple[float, float],
     shift: float | None,
-    progress: Callable[[float, str], None] | None,
+    progress: Progress | None,
 ) -> EigenModes:
     low, high = _low(band), eigenvalue(band[1])
     _say(progress, pencil)
@@ -316,8 +310,6 @@ def _finish(
 
 
 def _rayleigh_ritz(pencil: Pencil, vectors: Float) -> tuple[Float, Float]:
-    from scipy.linalg import eigh
-
     k, m = vectors.T @ (pencil.stiffness @ vectors), vectors.T @ (pencil.mass @ vectors)
-    values, y = eigh(k, m)
+    values, y = linalg.eigh(k, m)
     return values, vectors @ y
