@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import localise_twin as twin
 import numpy as np
 import pytest
 from fem_cases import cards, grid, model, ragged, spc, steel
@@ -110,6 +111,7 @@ TOGETHER = [
     [(("PSHELL", 1, "TST"),), (("PBAR", 5, "I1"),)],
     [(("PBEAM", 6, "I1"),), (("PBEAM", 6, "A"),), (("MAT1", 1, "E"),)],
     [(("CONM2", 11, "X1"),), (("CONM2", 11, "M"),)],
+    [(("MAT1", 1, "E"),), (("PROD", 7, "A"),), (("PBAR", 5, "A"),)],  # one field in two sets
 ]
 
 
@@ -137,6 +139,22 @@ def test_parameters_on_the_same_elements_multiply(together: list[tuple[tuple[str
             ]
             close(a[i] * sum(c * t.stiffness for c, t in own), dK, 5e-6)
             assert abs(a[i] * sum(c * t.mass for c, t in own) - dM).max() <= 1e-6 * abs(at.mass).max()
+
+
+def test_sections_that_share_nothing() -> None:
+    """E, I1 and I2 of two columns: their kernels are called together, and neither feels the other's factors."""
+    m, a = twin.read(twin.deck()), np.array([0.9, 1.2, 0.8, 1.1, 0.75, 1.3])
+    fields = [(card, n, f) for n in (11, 22) for card, f in (("MAT1", "E"), ("PBEAM", "I1"), ("PBEAM", "I2"))]
+    names = [Parameter(f"{n} {f}", parameter((card, n, f)).targets, 0.7, 1.4) for card, n, f in fields]
+    s, there = assemble(m), m
+    for p, factor in zip(names, a.tolist(), strict=True):
+        there = scaled(there, p, factor)
+    parts = affine_terms(m, ParameterSet(tuple(names)), s)
+    close(
+        s.stiffness + sum(t.function.value(t.function.own(a)) * t.stiffness for t in parts),
+        assemble(there).stiffness,
+        2e-8,
+    )
 
 
 def parts_of(parts: tuple[AffineTerm, ...], which: int) -> list[tuple[AffineTerm, sparse.csr_array]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -17,21 +17,26 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.core.progress import Progress
+from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.assembly import System, full_matrices, reduced
 from ringtrue.fem.functions import AffineTerm, Basis, Chebyshev, Function, Powers, power
-from ringtrue.fem.mesh import Mesh, mesh
+from ringtrue.fem.kinds import batches
+from ringtrue.fem.mesh import Matrices, Mesh, mesh
 from ringtrue.fem.powers import CHECK, Group, Pair, built, cubic, groups_of, size
-from ringtrue.fem.rows import Rows, common
+from ringtrue.fem.rows import Rows, common, union
 from ringtrue.model.model import Model
 
 NODES = (6, 12, 24, 48)  # of a function that is no polynomial; more where fewer do not hold
 SAMPLE = 40  # elements of a kind that tell its functions
+AT_ONCE = 16  # sets whose samples are evaluated together
+HELD = 200_000  # element matrices of samples that are kept
 KEPT = 5000  # elements of which the matrices at all points fit into memory
 RANK, HOLDS, NOISE = 1e-12, 1e-9, 1e-12  # relative: functions kept, error allowed, no such part below
+INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
 MARGIN = 1.05  # by which the range of a series exceeds the bounds
 Members = Sequence[tuple[Group, Basis]]
+Set = tuple[Members, Rows]  # groups that act on the same elements, and the rows of these
 At = Callable[[tuple[float, ...]], Any]  # factors of the groups -> K and M of elements, as arrays or sparse
 
 
@@ -55,22 +60,20 @@ def affine_terms(
     InputError
         If a target or element is not in the model.
     """
-    m, every, out = mesh(model), list[tuple[Group, Basis]](), list[AffineTerm]()
+    m, every, out, sets = mesh(model), list[tuple[Group, Basis]](), list[AffineTerm](), list[Set]()
+    told = part(progress, 0.0, 0.5)
     for i, p in enumerate(parameters.parameters):
-        if progress is not None:
-            progress(i / len(parameters), f"derivatives: {p.name}")
+        told(i / len(parameters), f"derivatives: {p.name}")
         sums: dict[int, list[Pair]] = {}
         for g in groups_of(model, i, p):
             parts = _alone(m, g)
             every.append((g, _series(g, NODES[0]) if parts is None else Powers(tuple(parts) or (1,))))
             if parts is None:
-                out += _terms(m, every[-1:], g.rows, system)
+                sets.append((every[-1:], g.rows))
             for exponent, pair in (parts or {}).items():
                 sums.setdefault(exponent, []).append(pair)
         out += [_term(power(i, e), _total(sums[e]), system) for e in sorted(sums)]
-    for some, rows in _shared(every):
-        out += _terms(m, some, rows, system)
-    return tuple(out)
+    return (*out, *_joint(m, [*sets, *_shared(every)], system, part(progress, 0.5, 1.0)))
 
 
 def smooth(model: Model, parameter: Parameter, system: System) -> bool:
@@ -84,7 +87,7 @@ def smooth(model: Model, parameter: Parameter, system: System) -> bool:
     m = mesh(model)
     try:
         some = [replace(g, rows=_few(g.rows)) for g in groups_of(model, 0, parameter)]
-        parts = [_alone(m, g) or _terms(m, [(g, _series(g, NODES[0]))], g.rows, system) for g in some]
+        parts = [_alone(m, g) or _joint(m, [([(g, _series(g, NODES[0]))], g.rows)], system, quiet) for g in some]
     except UnsupportedError:
         return False
     return any(parts)
@@ -118,8 +121,8 @@ def _series(g: Group, n: int) -> Chebyshev:
     return Chebyshev(g.parameter.lower / MARGIN, g.parameter.upper * MARGIN, n)
 
 
-def _shared(every: Members) -> Iterator[tuple[Members, Rows]]:
-    """Groups of two and more parameters that act on the same elements, and the rows of these."""
+def _shared(every: Members) -> Iterator[Set]:
+    """Groups of two and more parameters that act on the same elements."""
     near = _overlap([g for g, _ in every])
     sets: list[tuple[tuple[int, ...], Rows]] = [((i,), g.rows) for i, (g, _) in enumerate(every)]
     while sets:
@@ -149,8 +152,67 @@ def _overlap(groups: Sequence[Group]) -> Bool:
     return np.asarray((member @ member.T).toarray() > 0.0)
 
 
-def _terms(m: Mesh, some: Members, rows: Rows, system: System) -> list[AffineTerm]:
-    """What the groups do together, beyond what fewer of them do.
+def _joint(m: Mesh, sets: Sequence[Set], system: System, progress: Progress) -> list[AffineTerm]:
+    """What the groups of each set do together, beyond what fewer of them do."""
+    found: dict[int, list[AffineTerm]] = {}
+    for some in _apart(m.model, sets):
+        progress(len(found) / len(sets), "derivatives: parameters on the same elements")
+        for i, sample in zip(some, _samples(m, [sets[i] for i in some]), strict=True):
+            found[i] = _terms(m, *sets[i], sample, system)
+    return [t for i in sorted(found) for t in found[i]]
+
+
+def _apart(model: Model, sets: Sequence[Set]) -> Iterator[list[int]]:
+    """Sets at whose factors the kernels can be called once: of like bases, and none feels the fields of another."""
+    made: dict[object, list[tuple[list[int], dict[str, Bool]]]] = {}
+    for i, (some, _) in enumerate(sets):
+        like = made.setdefault(tuple((b, g.parameter.lower, g.parameter.upper, g.matrix) for g, b in some), [])
+        reach = [(c, at) for g, _ in some for c, at in g.reach.items()]
+        scaled = any(g.matrix for g, _ in some)  # a factor on matrices holds for all that are built
+        for batch, taken in [] if scaled else like:
+            if len(batch) < AT_ONCE and not any(taken[c][at].any() for c, at in reach if c in taken):
+                break
+        else:
+            batch, taken = list[int](), dict[str, Bool]()
+            like.append((batch, taken))
+        batch.append(i)
+        for c, at in reach:
+            taken.setdefault(c, np.zeros(len(model[c]), dtype=bool))[at] = True
+    yield from (batch for like in made.values() for batch, _ in like)
+
+
+def _samples(m: Mesh, sets: Sequence[Set]) -> list[At]:
+    """K and M of a few elements of each set, end to end, as functions of the factors of its groups."""
+    few = [_few(rows) for _, rows in sets]
+    rows = union(few)
+    places = [[np.isin(there, some.get(c, ())) for c, _, there in batches(m.model, rows)] for some in few]
+    side_by_side = zip(*([g for g, _ in some] for some, _ in sets), strict=True)
+    groups = [replace(like[0], targets=tuple(t for g in like for t in g.targets)) for like in side_by_side]
+
+    @lru_cache(maxsize=HELD // max(sum(at.size for at in rows.values()), 1))
+    def every(a: tuple[float, ...]) -> list[list[Float]]:
+        made = built(m, groups, rows, a)
+        return [[_ends(made, name, pick) for name in ("stiffness", "mass")] for pick in places]
+
+    def sample(k: int, a: tuple[float, ...]) -> list[Float]:
+        try:
+            return every(a)[k]
+        except INVALID:
+            if len(sets) == 1:
+                raise
+        found: list[Float] = _samples(m, [sets[k]])[0](a)  # it may be another set that does not allow them
+        return found
+
+    return [partial(sample, k) for k in range(len(sets))]
+
+
+def _ends(parts: Sequence[Matrices], name: str, picks: Sequence[Bool]) -> Float:
+    """Matrices of some elements end to end."""
+    return np.concatenate([getattr(p, name)[pick].ravel() for p, pick in zip(parts, picks, strict=True)])
+
+
+def _terms(m: Mesh, some: Members, rows: Rows, sample: At, system: System) -> list[AffineTerm]:
+    """What the groups do together, beyond what fewer of them do; `sample` is of a few of the rows.
 
     Raises
     ------
@@ -158,12 +220,6 @@ def _terms(m: Mesh, some: Members, rows: Rows, system: System) -> list[AffineTer
         If no series holds.
     """
     groups = [g for g, _ in some]
-    few = _few(rows)
-
-    @cache
-    def sample(a: tuple[float, ...]) -> tuple[Float, Float]:
-        parts = built(m, groups, few, a)
-        return np.concatenate([p.stiffness.ravel() for p in parts]), np.concatenate([p.mass.ravel() for p in parts])
 
     def every(a: tuple[float, ...]) -> Pair:
         return full_matrices(m, built(m, groups, rows, a))
@@ -185,7 +241,7 @@ def _terms(m: Mesh, some: Members, rows: Rows, system: System) -> list[AffineTer
                         break
                 else:
                     return [_term(f, p, system) for f, p in zip(functions, parts, strict=True)]
-    except (DeckError, np.linalg.LinAlgError, ValueError) as e:
+    except INVALID as e:
         raise UnsupportedError(_rough(groups)) from e
     raise UnsupportedError(_rough(groups))
 
@@ -263,8 +319,8 @@ def _checks(bases: tuple[Basis, ...]) -> list[tuple[float, ...]]:
 def _miss(at: At, functions: Sequence[Function], parts: Sequence[tuple[Any, Any]], a: tuple[float, ...]) -> float:
     """Error at a point relative to the largest entry of the elements' K or M there."""
     worst = 0.0
-    for true, there, part in zip(_together(at, a), at(a), zip(*parts, strict=True), strict=True):
-        found = sum(f.value(a) * p for f, p in zip(functions, part, strict=True))
+    for true, there, fixed in zip(_together(at, a), at(a), zip(*parts, strict=True), strict=True):
+        found = sum(f.value(a) * p for f, p in zip(functions, fixed, strict=True))
         worst = max(worst, size(true - found) / max(size(there), 1e-300))
     return worst
 

@@ -35,6 +35,8 @@ class Group:
     parameter : Parameter
     rows : dict
         Rows of each element card that it changes.
+    reach : dict
+        Rows that feel its fields: with a target for some elements only, more than those.
     targets : tuple of Target
     matrix : str
         "stiffness" or "mass" where it is a factor on that.
@@ -43,6 +45,7 @@ class Group:
     which: int
     parameter: Parameter
     rows: Rows
+    reach: Rows
     targets: tuple[Target, ...] = ()
     matrix: str = ""
 
@@ -83,12 +86,12 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
     found = []
     for elements, targets in by_elements.items():
         changed(model, parameter.name, targets, 1.0)  # names a target that is not there
-        rows = within(model, union(rows_of(model, t) for t in targets), elements)
-        found.append(Group(which, parameter, rows, tuple(targets)))
+        reach = union(rows_of(model, t) for t in targets)
+        found.append(Group(which, parameter, within(model, reach, elements), reach, tuple(targets)))
     for s in parameter.substructures:
         rows = rows_of_elements(model, parameter.name, s.elements)
         if s.matrix != "damping":
-            found.append(Group(which, parameter, rows, (), s.matrix))
+            found.append(Group(which, parameter, rows, rows, (), s.matrix))
     fields = [g for g in found if g.targets]
     if any(common(a.rows, b.rows) for i, a in enumerate(fields) for b in fields[:i]):
         raise UnsupportedError(f"parameter {parameter.name}: its targets share elements, but not all of them")
