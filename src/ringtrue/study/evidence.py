@@ -80,7 +80,8 @@ def channel_mass(
         if config.tam == "craig-bampton":  # with the channels held as many modes reach beyond fmax
             held = craig_bampton_of(system.stiffness, system.mass, observe, len(opened.modes(fmax).modes))
             return ChannelMass(held.mass, lift=lambda m: craig_bampton_coordinates(held, m.shapes, m.frequencies))
-        return ChannelMass(tam(system.stiffness, system.mass, observe, config.tam, modes=shapes).mass)
+        labels = opened.analysis.pencil.labels
+        return ChannelMass(tam(system.stiffness, system.mass, observe, config.tam, modes=shapes, labels=labels).mass)
     except (InputError, NumericalError) as e:  # channels that read the same, or too few of them
         return ChannelMass(why=f"no {config.tam} mass: {e}")
 

@@ -41,15 +41,15 @@ def expanded(
     system = opened.analysis.system
     observe = at_channels(opened, look, test.channels)
     y, f = np.asarray(test.shapes.real, dtype=np.float64), test.frequencies
-    k, m = system.stiffness, system.mass
+    k, m, labels = system.stiffness, system.mass, opened.analysis.pencil.labels
     try:
         if method == "guyan":
-            return expand_static(k, observe, y)
+            return expand_static(k, observe, y, labels=labels)
         if method == "dynamic":
-            return expand_dynamic(k, m, observe, y, f, progress=progress)
+            return expand_dynamic(k, m, observe, y, f, labels=labels, progress=progress)
         modes = np.asarray(system.local @ opened.modes(fmax).modes.shapes)
         if method == "hybrid":
-            return expand_hybrid(k, m, observe, y, f, modes, noise=NOISE)
+            return expand_hybrid(k, m, observe, y, f, modes, noise=NOISE, labels=labels)
         # half as many as channels: with more of them noise is fitted
         return expand_serep(modes[:, : max(1, len(test.channels) // 2)], observe, y)
     except (InputError, NumericalError) as e:
