@@ -9,7 +9,7 @@ import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import DeckError, InputError
-from ringtrue.io.nastran.edit import add_cards, append_include, edit_fields, unified_diff
+from ringtrue.io.nastran.edit import add_cards, edit_fields, unified_diff
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import FieldChange, apply_factors, field_changes, resolve_target
 
@@ -161,16 +161,10 @@ def test_cards_are_added_before_enddata_with_the_files_line_ends(main: Path) -> 
         add_cards(read_deck(main), "other.bdf", "", new)
 
 
-def test_an_include_is_appended_and_the_difference_shown(main: Path) -> None:
+def test_the_difference_is_shown(main: Path) -> None:
     model = read_deck(main)
-    written = append_include(model, main, "braces.bdf", "GRID,7,,7.,0.,0.\n", main.parents[1] / "new")
-    assert read_deck(written[0])["GRID"].ids.tolist() == [1, 2, 7]
-    shown = unified_diff(model.files, written[:2])
-    assert [x for x in shown.splitlines() if x[:1] in "+-"] == [
-        "--- main.bdf",
-        "+++ main.bdf",
-        "+INCLUDE 'braces.bdf'",
-    ]
+    shown = unified_diff(model.files, add_cards(model, main, "GRID,7,,7.,0.,0.\n", main.parents[1] / "new"))
+    assert [x for x in shown.splitlines() if x[:1] in "+-"] == ["--- main.bdf", "+++ main.bdf", "+GRID,7,,7.,0.,0."]
     assert unified_diff(model.files, model.files) == ""
 
 

@@ -11,15 +11,17 @@ from fem_cases import cards, grid, model, steel
 from solid_meshes import ELEMENTS, SECOND, box, cut, distorted, elements, kind, psolid
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.parameters import Target
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
+from ringtrue.fem.change import rows_of
 from ringtrue.fem.elements.hexa import _MIDDLES, _SIGNS
 from ringtrue.fem.elements.hexa import quadratic as hexa20
 from ringtrue.fem.elements.penta import quadratic as penta15
 from ringtrue.fem.elements.pyramid import quadratic as pyramid13
 from ringtrue.fem.elements.solid_material import nearest, tensor, turned
 from ringtrue.fem.elements.tetra import quadratic as tetra10
-from ringtrue.fem.kinds import SOLIDS, affected, batches
+from ringtrue.fem.kinds import SOLIDS, batches
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model, Table
 
@@ -337,8 +339,8 @@ def test_elements_that_a_material_affects() -> None:
     """Through the property, MAT9 as MAT1."""
     xyz, nodes = cube("CPYRAM5", 1, 0.0)
     m = body("CPYRAM5", xyz, nodes, steel(), mat9(crystal()), psolid(2))
-    assert affected(m, {"MAT9": np.array([2])})["CPYRAM"].size == 6
-    assert affected(m, {"MAT1": np.array([1])}) == {}
+    assert rows_of(m, Target("MAT9", 2, ""))["CPYRAM"].size == 6
+    assert rows_of(m, Target("MAT1", 1, "")) == {}
 
 
 @pytest.mark.parametrize(("a", "b"), list(combinations(SECOND, 2)))

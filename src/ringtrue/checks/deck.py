@@ -24,7 +24,6 @@ from ringtrue.model.references import NODES, REFERENCES, missing, unused
 
 NEAR = 1e-6  # of the model's size: closer nodes are coincident
 _NOT_ELEMENTS = frozenset(("GRID", "SPC", "SPC1"))
-_MEMBERS = {"RBE2": "GM", "RBE3": "G", "MPC": "G"}
 
 
 @dataclass(frozen=True, slots=True)

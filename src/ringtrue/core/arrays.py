@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Real_or_Complex = NDArray[np.float64] | NDArray[np.complex128]
 Int = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Any_ = NDArray[Any]

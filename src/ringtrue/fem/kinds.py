@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Int
+from ringtrue.core.arrays import Int
 from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.elements import (
     bar,
@@ -29,12 +29,11 @@ from ringtrue.fem.elements import (
     tetra,
     weld,
 )
-from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.fem.elements.solid import alike
 from ringtrue.fem.mesh import Matrices, Mesh
 from ringtrue.fem.rigid import RIGID
 from ringtrue.model.cards import columns, is_unsupported
-from ringtrue.model.model import Model, Table
+from ringtrue.model.model import Model
 
 Build = Callable[[Mesh, str, Int], Matrices]
 
@@ -144,34 +143,3 @@ def batches(model: Model, rows: Mapping[str, Int] | None = None) -> Iterable[tup
         elif card == "GENEL":
             groups = general.alike(model, at)
         yield from ((card, build, group) for group in groups)
-
-
-def affected(model: Model, ids: Mapping[str, Int]) -> dict[str, Int]:
-    """Rows of each element card that use one of the cards `ids` (card: ids), directly or through a property."""
-    out = {}
-    for card in ELEMENTS:
-        if card in model and (at := np.flatnonzero(_uses(model, card, ids))).size:
-            out[card] = at
-    return out
-
-
-def _uses(model: Model, card: str, ids: Mapping[str, Int]) -> Bool:
-    t = model[card]
-    hit: Bool = np.isin(t.ids, ids.get(card, ())) | _materials(t, card, ids)
-    names = [PROPERTY.get(card), *(LAMINATES if card in SHELLS else ())]
-    for name in (n for n in names if n in model):
-        p = model[name]
-        chosen = np.isin(p.ids, ids.get(name, ())) | _materials(p, name, ids)
-        hit |= np.isin(t["PID"], p.ids[chosen])
-    return np.asarray(hit)
-
-
-def _materials(t: Table, card: str, ids: Mapping[str, Int]) -> Bool:
-    wanted = np.concatenate([np.zeros(0, dtype=np.int64), *(ids[c] for c in MATERIALS if c in ids)])
-    if card in LAMINATES:
-        mid = t.ragged("MID")
-        row = np.repeat(np.arange(len(t)), np.diff(mid.offsets))
-        return np.asarray(np.isin(np.arange(len(t)), row[np.isin(mid.values, wanted)]))
-    if card not in MATERIAL:
-        return np.zeros(len(t), dtype=bool)
-    return np.asarray(np.isin(t.stack(*MATERIAL[card]), wanted).any(axis=1))

@@ -70,29 +70,6 @@ def add_cards(model: Model, file: str | Path, text: str, out_dir: str | Path) ->
     return _write(files, data, Path(out_dir))
 
 
-def append_include(model: Model, file: str | Path, name: str, text: str, out_dir: str | Path) -> list[Path]:
-    """Copy a deck with a new file `name` of cards beside `file`, included there before ENDDATA.
-
-    Returns
-    -------
-    list of Path
-        The written files in the order of `model.files`, the new one last.
-
-    Raises
-    ------
-    InputError
-        If `file` is none of the deck's files, or `name` is one already.
-    """
-    files = [Path(f) for f in model.files]
-    new = files[_number(files, Path(file))].parent / name
-    if new in files:
-        raise InputError(f"{name} is already a file of the deck; choose another name")
-    data = [f.read_bytes() for f in files]
-    number = _number(files, Path(file))
-    data[number] = _inserted(data[number], f"INCLUDE '{name}'\n")
-    return _write([*files, new], [*data, text.encode()], Path(out_dir))
-
-
 def unified_diff(old: Sequence[str | Path], new: Sequence[str | Path]) -> str:
     """The differences between files pair by pair, in the form of `diff -u`; "" if there are none."""
     parts: list[str] = []

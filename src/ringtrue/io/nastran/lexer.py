@@ -142,15 +142,12 @@ class LineFields:
         Byte range of each data field (8 for small, 4 for large; as many as there are for free), in the line.
     end : int
         Where the data of the line end: the comment or the end of the line.
-    tabbed : bool
-        A fixed-format line with tabs in it.
     """
 
     style: str
     name: str
     spans: tuple[tuple[int, int], ...]
     end: int
-    tabbed: bool
 
 
 def split_line(line: bytes) -> LineFields:
@@ -161,13 +158,13 @@ def split_line(line: bytes) -> LineFields:
         parts = [(a + 1, b) for a, b in pairwise([-1, *cuts(data), len(data)])]
         first = data[parts[0][0] : parts[0][1]].strip().upper()
         large = b"*" in first
-        return LineFields("free", _name(first), tuple(parts[1 : 5 if large else 9]), end, False)
+        return LineFields("free", _name(first), tuple(parts[1 : 5 if large else 9]), end)
     columns = _columns(data)
     first = bytes(b for b, at in zip(data, columns, strict=True) if at < 8).strip().upper()
     width = 16 if b"*" in first else 8
     edges = [_at(columns, 8 + k * width, end) for k in range(64 // width + 1)]
     spans = tuple(pairwise(edges))
-    return LineFields("large" if width == 16 else "small", _name(first), spans, end, b"\t" in data)
+    return LineFields("large" if width == 16 else "small", _name(first), spans, end)
 
 
 def cuts(line: bytes) -> list[int]:
