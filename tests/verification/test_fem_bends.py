@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fem_cases import cards, grid, model, steel
+from fem_cases import cards, grid, model, modes, steel
 from fem_slopes import check_slopes, turned
 from test_fem_derivatives import parameter
 
@@ -22,10 +22,10 @@ QUARTER = np.array([[R, 0, 0], [0, R, 0.0]])
 OUT = {"X1": 0.0, "X2": 1.0, "X3": 0.0}  # tangent at A
 
 
-def bend(xyz: Float = QUARTER, p: dict[str, float] = SECTION, **more: object) -> Model:
+def bend(xyz: Float = QUARTER, p: dict[str, float] = SECTION, COUPMASS: int = -1, **more: object) -> Model:
     line = cards("CBEND", EID=[3], PID=5, GA=1, GB=2, **({"GEOM": 2, **OUT} | more))
     table = cards("PBEND", PID=[5], MID=1, **p)
-    return model(grid(xyz), line, table, steel(E, NU, GE=0.02), AUTOSPC="NO")
+    return model(grid(xyz), line, table, steel(E, NU, GE=0.02), AUTOSPC="NO", COUPMASS=COUPMASS)
 
 
 def tip(s: System) -> Float:
@@ -135,12 +135,40 @@ def test_a_flat_arc_is_a_straight_beam() -> None:
     assert F[0, 0] == pytest.approx(1 / (E * SECTION["A"]), rel=1e-5)
 
 
+def ring(n: int) -> Float:
+    """Frequencies over those of a free thin ring in its plane, k = 2 and 3 (Timoshenko, Vibration Problems, 1937)."""
+    phi = 2 * np.pi * np.arange(n) / n
+    xyz = R * np.stack([np.cos(phi), np.sin(phi), 0 * phi], axis=1)
+    i = np.arange(n)
+    line = cards("CBEND", EID=i + 1, PID=5, GA=i + 1, GB=(i + 1) % n + 1, GEOM=1, X1=-xyz[:, 0], X2=-xyz[:, 1], X3=0.0)
+    thin = {"A": 1e-4, "I1": 1e-9, "I2": 1e-9, "J": 2e-9, "DELTAN": 0.0}
+    m = model(grid(xyz, PS="345"), line, cards("PBEND", PID=[5], MID=1, **thin), steel(E, NU), COUPMASS=1)
+    k = np.array([2, 2, 3, 3])
+    exact = np.sqrt(E * 1e-9 / (8000 * 1e-4 * R**4) * (k * (k * k - 1)) ** 2 / (k * k + 1)) / (2 * np.pi)
+    return modes(m, 7)[3:] / exact
+
+
+def test_coupled_mass() -> None:
+    """The mass of a rigid motion is that of the line; a ring of eight elements is near its frequencies."""
+    s = assemble(bend(p={**SECTION, "NSM": 4.0}, COUPMASS=1))
+    r = s.rigid_body()
+    mass, centre = (8000 * 0.01 + 4) * np.pi / 2 * R, 2 * R / np.pi
+    M = r.T @ (s.mass @ r)
+    np.testing.assert_allclose(M[:3, :3], mass * np.eye(3), rtol=1e-9, atol=1e-9 * mass)
+    assert abs(M[0, 5]) == pytest.approx(mass * centre, rel=1e-9)
+    assert M[5, 5] == pytest.approx(mass * R * R, rel=1e-9)
+    errors = [abs(ring(n) - 1).max() for n in (8, 12)]
+    assert errors[0] < 1e-3
+    assert errors[0] / errors[1] > 1.5**3  # h⁴, less what the thin ring leaves out
+
+
 FULL = {**SECTION, "K1": 0.5, "K2": 0.6, "NSM": 3.0, "RC": 0.1, "ZC": -0.05}
 
 
 @pytest.mark.parametrize("field", ["A", "I1", "I2", "J", "K1", "K2", "NSM", "RC", "ZC"])
 def test_derivatives(field: str) -> None:
     check_slopes(bend(p=FULL), parameter(("PBEND", 5, field)))
+    check_slopes(bend(p=FULL, COUPMASS=1), parameter(("PBEND", 5, field)))
 
 
 def test_derivatives_of_arc_pipe_material_and_nodes() -> None:

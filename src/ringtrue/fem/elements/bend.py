@@ -19,6 +19,7 @@ from ringtrue.fem.place import node_dofs, orientation
 from ringtrue.model.model import Table
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_LINE = np.polynomial.legendre.leggauss(8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,21 +131,36 @@ def _compliance(s: dict[str, Any_], E: Any_, G: Any_, shear: tuple[Any_, Any_]) 
     return c
 
 
-def flexibility(arc: Arc, radius: Any_, height: Any_, compliance: Any_) -> Any_:
-    """Motion of end B of the line of centroids against end A by the forces on B, (e, 6, 6) in basic."""
-    end = arc.place(1.0, radius, height)
+def flexibility(arc: Arc, radius: Any_, height: Any_, compliance: Any_, to: float = 1.0) -> Any_:
+    """Motion at `to` (1 is end B) of the line of centroids against end A by the forces on B, (e, 6, 6) in basic."""
+    end, here = (arc.place(share, radius, height) for share in (1.0, to))
+    reach = (to + 1) / 2  # of the arc
     F: Any_ = np.zeros((len(end), 6, 6))
-    for share, w in zip(_POINTS.tolist(), _WEIGHTS.tolist(), strict=True):
-        R = arc.axes(share)
-        e = len(R)
-        turn = scatter(e, 6, ([0, 1, 2], R), ([3, 4, 5], R))
-        b = turn @ arm(end - arc.place(share, radius, height)).swapaxes(1, 2)
-        F = F + scaled(w / 2 * arc.angle * radius, congruent(b, compliance))
+    for point, w in zip(_POINTS.tolist(), _WEIGHTS.tolist(), strict=True):
+        there = reach * (point + 1) - 1
+        R, place = arc.axes(there), arc.place(there, radius, height)
+        turn = scatter(len(R), 6, ([0, 1, 2], R), ([3, 4, 5], R))
+        force, moved = (turn @ arm(x - place).swapaxes(1, 2) for x in (end, here))
+        F = F + scaled(w / 2 * reach * arc.angle * radius, moved.swapaxes(1, 2) @ compliance @ force)
     return F
 
 
+def _coupled(arc: Arc, radius: Any_, height: Any_, compliance: Any_, first: Any_, forces: Any_) -> Any_:
+    """∫ NᵀN ds of the motions N that loads at the ends make: (e, 12, 12).
+
+    `first` (e, 6, 6) is the motion of end A by that of its node, `forces` (e, 6, 12) are those on end B.
+    """
+    start = arc.place(-1.0, radius, height)
+    M: Any_ = np.zeros((len(start), 12, 12))
+    for to, w in zip(*(v.tolist() for v in _LINE), strict=True):
+        N = flexibility(arc, radius, height, compliance, to) @ forces
+        N = N + np.concatenate([arm(arc.place(to, radius, height) - start) @ first, np.zeros_like(first)], axis=2)
+        M = M + scaled(w / 2 * arc.angle * radius, N[:, :3].swapaxes(1, 2) @ N[:, :3])
+    return M
+
+
 def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CBEND; half the mass at each end of the line of centroids.
+    """Matrices of the rows `at` (e,) of CBEND; half the mass at each end of the line of centroids, or coupled.
 
     Raises
     ------
@@ -165,8 +181,13 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     ends = [arc.place(share, radius, p["ZC"]) for share in (-1.0, 1.0)]
     arms = [arm(x - m.xyz[nodes[:, k]]) for k, x in enumerate(ends)]
     D = np.concatenate([-arm(ends[1] - ends[0]) @ arms[0], arms[1]], axis=2)
-    K = congruent(D, np.linalg.inv(flexibility(arc, radius, p["ZC"], c)))
-    half = (iso.rho * s["A"] + p["NSM"]) * radius * arc.angle / 2
-    body = scaled(half, np.broadcast_to(np.diag([1.0, 1, 1, 0, 0, 0]), (at.size, 6, 6)))
-    M = scatter(at.size, 12, *((list(range(6 * k, 6 * k + 6)), congruent(A, body)) for k, A in enumerate(arms)))
+    forces = np.linalg.solve(flexibility(arc, radius, p["ZC"], c), D)
+    K = D.swapaxes(1, 2) @ forces
+    line = iso.rho * s["A"] + p["NSM"]
+    if m.model.param("COUPMASS", -1) > 0:
+        M = scaled(line, _coupled(arc, radius, p["ZC"], c, arms[0], forces))
+    else:
+        half = line * radius * arc.angle / 2
+        body = scaled(half, np.broadcast_to(np.diag([1.0, 1, 1, 0, 0, 0]), (at.size, 6, 6)))
+        M = scatter(at.size, 12, *((list(range(6 * k, 6 * k + 6)), congruent(A, body)) for k, A in enumerate(arms)))
     return Matrices(node_dofs(nodes), (K + K.swapaxes(1, 2)) / 2, M, iso.loss, np.empty((0, 12, 12)))
