@@ -176,6 +176,9 @@ def test_unsupported_cards_stop_the_reader_and_are_listed_by_survey(tmp_path: Pa
         ("CPLSTN4,1,1,1,2,3,4", "axisymmetric, plane strain"),
         ("EGRID,1,,0.,0.,0.", "MSGMESH"),
         ("CBEAM3,1,1,1,2,3", "two CBEAM"),
+        ("PCOMPS,1", "MAT9, or shells with PCOMP"),
+        ("PBMSECT,1,1,CP", "PBEAML"),
+        ("CFLUID2,1,2,3", "fluids"),
     ],
 )
 def test_cards_that_are_not_read_say_what_to_do(tmp_path: Path, line: str, why: str) -> None:
@@ -438,3 +441,11 @@ def test_a_frame_through_points_on_one_line_is_named_with_its_place(tmp_path: Pa
     model = read(tmp_path, "BEGIN BULK\nCORD2R,6,,0.,0.,0.,1.,0.,0.\n,2.,0.,0.\nGRID,1,6,0.,0.,0.\n")
     with pytest.raises(DeckError, match=r"main\.bdf:2: CORD2R 6: its three points lie on one line"):
         positions(model)
+
+
+def test_a_fluid_is_told_as_such(tmp_path: Path) -> None:
+    square = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+    corners = "".join(f"GRID,{11 + 4 * z + i},,{x},{y},{z}.\n" for z in (0, 1) for i, (x, y) in enumerate(square))
+    solid = "CHEXA,1,1,11,12,13,14,15,16\n+,17,18\nPSOLID,1,10,,,,,PFLUID\nMAT10,10,2.+9,1000.\n"
+    with pytest.raises(DeckError, match=r"MAT10 makes a fluid \(fluids: give their mass"):
+        read(tmp_path, corners + solid)

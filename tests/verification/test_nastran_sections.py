@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ringtrue.backends.registry import solver
+from ringtrue.errors import UnsupportedCard
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 from ringtrue.model.sections import SECTIONS
@@ -58,3 +59,53 @@ def test_blank_dimensions_of_a_double_box(tmp_path: Path) -> None:
     assert t["J"][0] == t["J"][1]
     assert t["A"][0] == t["A"][1]
     assert t["NSM"].tolist() == [0.0, 7.0]
+
+
+FOUR = "PBCOMP,7,1,2.-3,9.,9.,9.,3.-6,.5\n+,.8,.9,,,9.,9.,{symmetry}\n"
+
+
+def composite(tmp_path: Path, text: str) -> dict[str, float]:
+    """The PBEAM of a PBCOMP."""
+    path = tmp_path / "beam.bdf"
+    path.write_text("BEGIN BULK\nMAT1,1,2.+11,,.3,7800.\n" + text + "ENDDATA\n")
+    t = read_deck(path)["PBEAM"]
+    return {n: float(t[n][0]) for n in t.columns if n != "X" and not n.endswith("X")}
+
+
+def test_lumped_areas_of_a_pbcomp(tmp_path: Path) -> None:
+    """Four corners y = 0.1 +- 0.03, z = +-0.04 of a quarter of A each; I1 and I2 of the card do not count."""
+    corners = [(y, z, 0.25) for y in (0.07, 0.13) for z in (-0.04, 0.04)]
+    areas = "".join(f"+,{y},{z},{c},{mid}\n+\n" for (y, z, c), mid in zip(corners, ("", 1, "", 1), strict=True))
+    p = composite(tmp_path, FOUR.format(symmetry=5) + areas.replace("+\n", ""))
+    want = {
+        "A": 2e-3,
+        "I1": 2e-3 * 0.03**2,
+        "I2": 2e-3 * 0.04**2,
+        "I12": 0,
+        "J": 3e-6,
+        "NSM": 0.5,
+        "K1": 0.8,
+        "K2": 0.9,
+    }
+    for name, value in (want | {"N1A": 0.1, "N2B": 0.0, "I1B": 1.8e-6}).items():
+        assert p[name] == pytest.approx(value, abs=1e-15), name
+
+
+def test_a_quarter_of_a_pbcomp_and_one_without_areas(tmp_path: Path) -> None:
+    """Mirrored about both axes; without areas it is a PBEAM, whose points are those of stresses."""
+    p = composite(tmp_path, FOUR.format(symmetry=1) + "+,.03,.04,.25\n")
+    assert [p[n] for n in ("A", "I1", "I2", "I12", "N1A")] == pytest.approx([2e-3, 1.8e-6, 3.2e-6, 0, 0], abs=1e-15)
+    p = composite(tmp_path, "PBCOMP,7,1,2.-3,4.-6,5.-6,1.-6,3.-6\n+,,,,,.01,.02\n+,.03,.04\n")
+    assert [p[n] for n in ("I1", "I2B", "I12", "N1A", "N2B", "K1")] == [4e-6, 5e-6, 1e-6, 0.01, 0.02, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (FOUR.format(symmetry=5) + "+,.03,.04,1.,2\n", "several materials"),
+        (FOUR.format(symmetry=3) + "+,.03,.04,1.\n", "SYMOPT 3; give all areas"),
+    ],
+)
+def test_a_pbcomp_that_is_not_read_says_what_to_do(tmp_path: Path, text: str, why: str) -> None:
+    with pytest.raises(UnsupportedCard, match=why):
+        composite(tmp_path, "CBEAM,1,7,1,2,0.,0.,1.\nGRID,1\nGRID,2,,1.\n" + text)

@@ -172,7 +172,7 @@ def columns(card: str) -> tuple[FieldSpec, ...]:
 # Cards that carry stiffness, mass or constraint (or change what other cards mean) and are not read.
 _CARRYING = """
 CQUAD CQUADX CTRIAX CTRIAX6 CTRAX3 CTRAX6 CQUADX4 CQUADX8 CPYRA5 CHEX8 CHEX20 CBEAM3 CSEAM CBUSH2D CDAMP5 CBAR3 CINTC
-CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR CRAC2D CRAC3D CTWIST CWEDGE PCOMPS PLPLANE PBCOMP PBEAM3
+CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR CRAC2D CRAC3D CTWIST CWEDGE PCOMPS PLPLANE PBEAM3
 PSEAM PBUSH2D PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT3 MAT11 MATORT MATHP MFLUID RBE2GS RBE2F RSSCON RBAX
 DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEBULK SECONCT SEELT SESET SEBNDRY SELOC SEMPLN SETREE
 CSUPER CSUPEXT RELEASE BCONP BCTABLE BLSEG SLBLOAD AXIC PDAMP5
@@ -187,7 +187,11 @@ _REASONS = (  # what cards have in common that are not read, and how their names
      ("BLSEG", "BC", "BG", "SLBLOAD", "RSSCON", "CSEAM", "PSEAM")),
     ("hyperelastic: give the moduli about the state of the test as MAT1 or MAT9",
      ("PLPLANE", "PLSOLID", "MATHP", "PLSHELL", "PSHLN", "PSLDN")),
+    ("fluids: give their mass as CONM2 or NSM, or as DMIG with M2GG",
+     ("CFLUID", "CHACAB", "CHACBR", "MFLUID", "CAABSF")),
     ("beams of three nodes: give two CBEAM", ("CBEAM3", "PBEAM3", "CBAR3")),
+    ("layered solids: give PSOLID with the mean of the layers as MAT9, or shells with PCOMP", ("PCOMPS", "PCOMPLS")),
+    ("sections by their outline: give PBEAM, or PBEAML with one of the sections", ("PBMSECT", "PBRSECT")),
 )  # fmt: skip
 TABLES = ("PBUSHT", "PDAMPT", "PELAST")  # kept: tables over frequency or for nonlinear solutions; nominal values count
 NONSTRUCTURAL = ("NSM", "NSM1", "NSML", "NSML1", "NSMADD")

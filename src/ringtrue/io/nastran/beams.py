@@ -1,4 +1,4 @@
-"""Beam properties: PBEAM with its stations, PBARL and PBEAML from their sections.
+"""Beam properties: PBEAM with its stations, PBCOMP from its areas, PBARL and PBEAML from their sections.
 
 A row of the PBEAM table holds both ends; its ragged columns hold the stations between them in the order of the card,
 `X` their place over the length, `AX` .. `NSMX` what stands there, nan for a blank: on the straight line between
@@ -31,6 +31,11 @@ Row = Mapping[str, float | list[float]]
 def pbeam(cards: Sequence[Card], files: Files) -> Table:
     """PBEAM: a row a property; a blank end B is that of end A."""
     return _table("PBEAM", [(c, _beam_row(Reader(c, files))) for c in cards], files)
+
+
+def pbcomp(cards: Sequence[Card], files: Files) -> Table:
+    """PBCOMP as a table of PBEAM; lumped areas of other materials than the card's own are refused."""
+    return _table("PBEAM", [(c, _lumped(Reader(c, files))) for c in cards], files)
 
 
 def pbarl(cards: Sequence[Card], files: Files) -> Table:
@@ -96,6 +101,37 @@ def _beam_row(r: Reader) -> Row:
     between = [(x, place) for x, place in stations if x < 1.0]
     inner = {n: [r.real(p + k, n, np.nan) for _, p in between] for k, n in enumerate(BETWEEN)}
     return row | {"X": [x for x, _ in between]} | inner
+
+
+def _lumped(r: Reader) -> Row:
+    """The PBEAM of a PBCOMP; lumped areas give A, I1, I2, I12 and the neutral axis (QRG, PBCOMP, remark 7)."""
+    row = {n: r.real(2 + k, n, 0.0) for k, n in enumerate(END_A)}
+    row |= {n: r.real(8 + k, n, 1.0) for k, n in enumerate(("K1", "K2"))}
+    at = {n: r.real(10 + k, n, 0.0) for k, n in enumerate(("M1", "M2", "N1", "N2"))}
+    y, z, share = _areas(r)
+    if total := share.sum():
+        at["N1"], at["N2"] = share @ y / total, share @ z / total
+        y, z = y - at["N1"], z - at["N2"]
+        row |= {n: row["A"] * float(share @ v) for n, v in (("I1", y * y), ("I2", z * z), ("I12", y * z))}
+        row["A"] *= float(total)
+    row |= {b: row[a] for a, b in zip(END_A, END_B, strict=True)}
+    return {**row, **{f"{n}{end}": float(v) for n, v in at.items() for end in "AB"}}
+
+
+def _areas(r: Reader) -> NDArray[np.float64]:
+    """y, z and share of the area of each lumped area of a PBCOMP, (3, n)."""
+    at = range(16, len(r.card.fields), 8)
+    given = np.array([[r.real(i + k, n, 0.0) for i in at] for k, n in enumerate(("Yi", "Zi", "Ci"))])
+    symmetry = r.whole(14, "SYMOPT", 0)
+    other = any(r.text(i + 3) and r.whole(i + 3, "MIDi") != r.whole(1, "MID") for i in at)
+    why = "lumped areas of several materials; give PBEAM with A, I1, I2, I12 weighted by the moduli" if other else ""
+    if given.any() and symmetry not in (0, 1, 5):
+        why = f"SYMOPT {symmetry}; give all areas (SYMOPT 0), or those of a quarter (1)"
+    if why:
+        raise UnsupportedCard("PBCOMP", path=r.files[r.card.file], line=r.card.line, why=why)
+    if symmetry == 1:
+        given = np.hstack([given * np.array([[a], [b], [1.0]]) for a in (1.0, -1.0) for b in (1.0, -1.0)])
+    return given
 
 
 def _dimensions(r: Reader, at: int) -> tuple[list[float], float, int]:

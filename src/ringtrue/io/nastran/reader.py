@@ -239,6 +239,8 @@ def _dangling(model: Model, lost: Missing) -> DeckError:
     of = lost.reference.names
     more = f" ({lost.rows.size - 1} more like it)" if lost.rows.size > 1 else ""
     what = f"names {of} {wanted}, which is not in the deck" if wanted else f"is blank; it must name a {of}"
+    if "MAT9" in of and "MAT10" in model.kept:
+        what += f"; MAT10 makes a fluid ({reason('MFLUID')})"
     return DeckError(
         f"{what}{more}",
         path=model.files[table.file[row]],

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.io.nastran import added_mass
-from ringtrue.io.nastran.beams import pbarl, pbeam, pbeaml, pbend
+from ringtrue.io.nastran.beams import pbarl, pbcomp, pbeam, pbeaml, pbend
 from ringtrue.io.nastran.fields import Card, Files, Reader, places, ragged
 from ringtrue.io.nastran.lists import BUSH, dmig, genel, pcomp, pcompg, rbe1, rspline
 from ringtrue.io.nastran.welds import cweld
@@ -196,6 +196,7 @@ EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyTyp
         **dict.fromkeys(added_mass.PAIRS, added_mass.pairs),
         **dict.fromkeys(added_mass.LISTS, added_mass.lists),
         "PBEAM": pbeam,
+        "PBCOMP": pbcomp,  # the table is of PBEAM
         "PBEND": pbend,
         "PBARL": pbarl,  # the table is of PBAR
         "PBEAML": pbeaml,  # the table is of PBEAM
