@@ -19,6 +19,7 @@ from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, Upda
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import as_delivered, others_at
 from ringtrue.study.workbench import OWN, Workbench
+from ringtrue.update.alike import effective_freedom, energy_shares, likeness
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
 from ringtrue.update.objective import Target, Weights, match
@@ -52,7 +53,7 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     def early(fraction: float, text: str) -> None:
         progress(0.4 * fraction, text)
 
-    every, _ = as_delivered(desk, desk.candidates(early), whole, final.observed.frequencies, early)
+    every, at = as_delivered(desk, desk.candidates(early), whole, final.observed.frequencies, early)
     model, x = as_delivered(desk, every, factor, final.observed.frequencies, early)
     if desk.engine is not None and not _same(desk, model, final, x):
         return None
@@ -74,7 +75,8 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
         Configuration(every, paired, terms_of(desk, OWN, every, desk.config.update)),
         *_whole(desk, best, whole, early),
     )
-    among, slope = _posterior(desk, full, likely.target.weights, whole, best.parameters, held.freedom)
+    freedom = _freedom(desk, every, at, final, held, likely.target)
+    among, slope = _posterior(desk, full, likely.target.weights, whole, best.parameters, freedom)
     posterior = among.take([every.parameters.names.index(n) for n in best.parameters])
     told = _result(posterior, among, aim, likely.target, slope, final, held, asked.level)
     if not asked.samples:
@@ -147,6 +149,20 @@ def _posterior(
     mine = np.isin(p.names, list(chosen))
     same = conflicts(model, [of_parameter(model, one) for one in p.parameters])[:, mine].any(axis=1)
     return around(problem, at, mine | ~same, freedom=freedom), at.points[0].now.d_lambda
+
+
+def _freedom(desk: Workbench, every: AtChannels, x: Float, final: FinalStage, held: Held, likely: Target) -> float:
+    """Degrees of freedom that the size of the errors is known with, those of the test being known.
+
+    Errors of form are alike in modes that strain and move alike: few are independent.
+    """
+    pairing, (lam, shapes) = final.table.pairing, every.model.coordinates(x)
+    seen = np.isfinite(held.predicted[pairing.a]) & (pairing.b < lam.size)
+    vectors = every.model.basis.vectors @ shapes[:, pairing.b[seen]]
+    of_form = likely.weights.frequency**2
+    part = of_form / (of_form + float(np.mean(likely.std**2)))
+    opened = desk.remodelled
+    return effective_freedom(likeness(energy_shares(opened.model, opened.analysis.system, vectors))) / part**2
 
 
 def _likelihood(found: Configuration) -> Configuration:
