@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ringtrue.errors import InputError
+from ringtrue.plan.candidates import even_distance
 from ringtrue.plan.layout import independence, lower_auto_mac, reached, select_points, select_references
 from ringtrue.plan.resolution import ambient_std, resolution
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
@@ -65,6 +66,32 @@ def test_points_are_added_until_the_auto_mac_is_low() -> None:
     assert at.size < 20
     assert worst_off_diagonal(auto_mac(shapes[at, 0])) <= 0.1
     assert lower_auto_mac(shapes, poor, 0.0, 6).size == 6
+
+
+def test_additions_keep_their_distance() -> None:
+    shapes, xyz = string(59, 4)
+    poor = np.array([0, 1, 2, 3, 4])
+    at = lower_auto_mac(shapes, poor, 0.0, 40, xyz=xyz, min_distance=0.1)
+    new = xyz[np.setdiff1d(at, poor), 0]
+    assert 5 < at.size <= 5 + 9  # what the string has room for
+    assert np.diff(np.sort(np.append(new, xyz[4, 0]))).min() > 0.1
+
+
+def test_half_the_even_spacing_of_a_plate_is_always_possible() -> None:
+    """A unit square keeps nine points 1/2 apart, its corners, middles of edges and centre."""
+    x, y = np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
+    xyz = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    assert even_distance(xyz, 9) == pytest.approx(0.25, rel=0.1)
+    assert even_distance(xyz, 1) == 0.0
+    rng = np.random.default_rng(5)
+    for count in (4, 9, 25, 70):  # scores that would cluster at random places
+        near = np.exp(-5 * np.abs(xyz - rng.uniform(size=3)).max(axis=1))
+        shapes = rng.standard_normal((len(xyz), 1, 3)) * near[:, None, None]
+        apart = even_distance(xyz, count)
+        at = select_points(shapes, xyz, count, min_distance=apart)
+        gap = np.linalg.norm(xyz[at, None] - xyz[at], axis=2) + np.eye(count)
+        assert at.size == count
+        assert gap.min() > apart
 
 
 def test_hammer_points_avoid_the_nodes_of_the_modes() -> None:

@@ -15,7 +15,6 @@ from ringtrue.cli.show import json_target, out, progress, rows, write_json
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.nastran.reader import read_deck
-from ringtrue.model.frames import positions
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plan.exciters import reciprocity_pairs
 from ringtrue.plan.rehearsal import missed_words
@@ -55,7 +54,9 @@ def plan(
     ] = None,
     exclude: Annotated[str, typer.Option(metavar="LIST", help="Nodes that cannot be measured.")] = "",
     fixed: Annotated[str, typer.Option(metavar="LIST", help="Nodes that are measured in any case.")] = "",
-    distance: Annotated[float | None, typer.Option(metavar="M", help="Least distance of two points.", min=0)] = None,
+    distance: Annotated[
+        float | None, typer.Option(metavar="M", help="Least distance of two points; else from the structure.", min=0)
+    ] = None,
     redundancy: Annotated[int, typer.Option(help="Points that may fail.", min=0)] = 0,
     hang: Annotated[int, typer.Option(help="Points to hang the structure from.", min=0)] = 0,
     sensor_mass: Annotated[float, typer.Option(metavar="KG", help="Mass of a sensor.", min=0)] = 0.0,
@@ -85,6 +86,7 @@ def plan(
         raise ConfigError(f"--out {folder}: holds a study.toml; name a folder for the plan alone")
     section: dict[str, Any] = {
         "sensors": points,
+        "min_distance": "even" if distance is None else distance,
         "ambient": False,
         "strike": strike,
         "directions": directions,
@@ -105,7 +107,7 @@ def plan(
     }
     with progress("test plan") as show:
         show(0.0, f"reading {deck}")
-        section |= _from_deck(deck, band, section["modes"], distance, points, LENGTH[units])
+        section |= _from_deck(deck, band, section["modes"])
         study = _write_study(folder, deck, units, section, seed)
         run = run_study(study, out=folder, until="plan", progress=show)
         deliver(run)
@@ -154,16 +156,11 @@ def _box(option: str, text: str) -> list[float]:
     return values
 
 
-def _from_deck(
-    deck: Path, band: tuple[float, float] | None, modes: list[int], distance: float | None, points: int, length: float
-) -> dict[str, Any]:
-    """Band, fmax of the model and distance of points, taken from the deck where they are not given."""
+def _from_deck(deck: Path, band: tuple[float, float] | None, modes: list[int]) -> dict[str, float]:
+    """The band, taken from the deck where it is not given."""
     if band is not None and not 0 <= band[0] < band[1]:
         raise ConfigError(f"--band {band[0]} {band[1]}: must be 0 <= F0 < F1")
     model = read_deck(deck)
-    if distance is None:  # a quarter of the even spacing of the points over the largest extent
-        size = np.ptp(positions(model), axis=0) * length
-        distance = float(0.25 * np.linalg.norm(size) / points)
     if band is None:
         with EmbeddedSolver().open(model) as analysis:
             f = analysis.modes(ModesRequest(max([21, *(m + 1 for m in modes)]))).modes.frequencies
@@ -172,8 +169,7 @@ def _from_deck(
             raise ConfigError(f"{deck}: none of the {f.size} lowest modes is elastic; give --band")
         last = f[max(modes) - 1] if modes and max(modes) <= f.size else elastic[-2 if elastic.size > 1 else -1]
         band = (0.5 * float(elastic[0]), 1.001 * float(last))
-    rounded = {"fmin": band[0], "fmax": band[1], "min_distance": distance}
-    return {k: float(f"{v:.6g}") for k, v in rounded.items()}
+    return {k: float(f"{v:.6g}") for k, v in zip(("fmin", "fmax"), band, strict=True)}
 
 
 def _write_study(folder: Path, deck: Path, units: str, section: dict[str, Any], seed: int) -> Path:

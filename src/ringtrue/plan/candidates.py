@@ -10,6 +10,8 @@ from scipy.spatial import cKDTree
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import InputError
 
+HALF = 0.47  # less than a half, so that two rounded digits cannot bring it above
+
 
 def in_boxes(xyz: Float, boxes: Sequence[Sequence[float]] | Float) -> Bool:
     """Points (n,) inside at least one box, borders included.
@@ -70,6 +72,26 @@ def select_candidates(
     if not keep.any():
         raise InputError(f"none of {nodes.size} nodes is a candidate: widen the boxes or exclude less")
     return np.asarray(keep)
+
+
+def even_distance(xyz: Float, count: int) -> float:
+    """Half of the spacing that `count` points can keep, m: as least distance it parts clusters and is always possible.
+
+    The spacing is that of points each of which is chosen farthest from all before it (Gonzalez 1985). However the
+    points are chosen then, in any set that none can be added to at least `count` are this far apart.
+
+    Parameters
+    ----------
+    xyz : (n, k) float64
+    count : int
+    """
+    if not 1 < count <= len(xyz):
+        return 0.0
+    far = np.sum((xyz - xyz.mean(axis=0)) ** 2, axis=1)
+    far = np.sum((xyz - xyz[np.argmax(far)]) ** 2, axis=1)
+    for _ in range(count - 2):  # over points to choose
+        far = np.minimum(far, np.sum((xyz - xyz[np.argmax(far)]) ** 2, axis=1))
+    return float(f"{HALF * np.sqrt(far.max()):.2g}")
 
 
 def surface_normals(xyz: Float, triangles: Int) -> Float:

@@ -102,8 +102,12 @@ def thinned(score: Float, xyz: Float, held: Bool, distance: float) -> Int:
     return np.sort(np.array(kept, dtype=np.int64))
 
 
-def lower_auto_mac(shapes: Float, chosen: Int, target: float, most: int) -> Int:
+def lower_auto_mac(
+    shapes: Float, chosen: Int, target: float, most: int, *, xyz: Float | None = None, min_distance: float = 0.0
+) -> Int:
     """Adds the points that lower the worst off-diagonal auto-MAC most, until it is below `target` or `most` are in.
+
+    It ends before where no point is farther than `min_distance` from all that are in.
 
     Parameters
     ----------
@@ -111,15 +115,25 @@ def lower_auto_mac(shapes: Float, chosen: Int, target: float, most: int) -> Int:
     chosen : (k,) int64
     target : float, 0..1
     most : int
+    xyz : (n, 3) float64, m, optional
+    min_distance : float, m
     """
     n, _, m = shapes.shape
     chosen = np.array(chosen)
+    open_ = np.ones(n, dtype=np.bool_)
+    open_[chosen] = False
+    if xyz is not None and min_distance > 0:
+        open_ &= cKDTree(xyz[chosen]).query(xyz)[0] > min_distance
     while chosen.size < most:
         now = shapes[chosen].reshape(-1, m)
-        if worst_off_diagonal(auto_mac(now)) <= target:
+        rest = np.flatnonzero(open_)
+        if not rest.size or worst_off_diagonal(auto_mac(now)) <= target:
             break
-        rest = np.setdiff1d(np.arange(n), chosen)
-        chosen = np.append(chosen, rest[_best_addition(now.T @ now, shapes[rest])])
+        best = rest[_best_addition(now.T @ now, shapes[rest])]
+        chosen = np.append(chosen, best)
+        open_[best] = False
+        if xyz is not None and min_distance > 0:
+            open_ &= np.linalg.norm(xyz - xyz[best], axis=1) > min_distance
     return np.sort(chosen)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -32,7 +32,8 @@ class PlanSection(_Section):
     ambient_sensors: int = Field(default=12, gt=0)  # measuring points for the ambient tests
     references: int = Field(default=4, gt=0)
     candidates: dict[str, list[int]] = {}  # region -> candidate nodes; empty: the skin of the model
-    min_distance: float = Field(default=0.8, ge=0)  # m
+    # m; "even": half of the spacing that the structure gives so many points; not given: that, but at most 0.8 m
+    min_distance: Annotated[float, Field(ge=0)] | Literal["even"] | None = None
     damping: float = Field(default=0.01, gt=0)  # expected, for the resolution
     max_auto_mac: float = Field(default=0.25, gt=0, lt=1)
     method: Method = "independence"

@@ -13,7 +13,7 @@ from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError
 from ringtrue.fem.response import frf
 from ringtrue.model.frames import positions
-from ringtrue.plan.candidates import along, select_candidates
+from ringtrue.plan.candidates import along, even_distance, select_candidates
 from ringtrue.plan.exciters import appropriate_exciters, qr_exciters, rank_sets
 from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
 from ringtrue.plan.layout import lower_auto_mac, reached, select_points, select_references
@@ -32,6 +32,7 @@ from ringtrue.study.results import ModelStage, PlanStage
 from ringtrue.study.workbench import Workbench
 
 SEED = 7919  # of the virtual test, added to that of the study
+APART = 0.8  # m, most that measuring points must be apart where nothing is said
 RESIDUE: dict[str, Callable[[Float, int], Int]] = {
     "greedy": select_references,
     "worst": lambda rows, count: rank_sets(rows, min(count, len(rows)), most=1)[0].rows,
@@ -156,10 +157,11 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     able = arranged(nodes, region, xyz, plan.directions, model.scene)
     shapes = able.seen(motion)
     first = np.concatenate([np.flatnonzero((f > 1e-3 * f.max()) & (f <= edge)), targets[: plan.ambient_sensors]])
-    ambient_at = _ambient(plan, able, shapes[:, :, first]) if plan.ambient else np.zeros(0, dtype=np.int64)
+    apart = _apart(plan, able.apart, plan.sensors)
+    ambient_at = _ambient(plan, able, shapes[:, :, first], apart) if plan.ambient else np.zeros(0, dtype=np.int64)
     fixed = np.isin(np.arange(able.at.size), ambient_at) | np.isin(able.node, plan.fixed)
     progress(0.3, "measuring points")
-    chosen = _points(desk, plan, able, shapes, targets, fixed)
+    chosen = _points(desk, plan, able, shapes, targets, fixed, apart)
     rows = shapes[chosen][:, :, targets].reshape(-1, targets.size)
     labels = able.labels(chosen)
     progress(0.5, "where to excite")
@@ -183,7 +185,7 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         every.std_frequency,
         every.std_damping,
         f"{SENSORS[plan.directions]} {METHODS[plan.method]} of {targets.size} target modes, at least "
-        f"{plan.min_distance:g} m apart, then points that lower the worst auto-MAC; {SAID[plan.strike]} "
+        f"{apart:g} m apart, then points that lower the worst auto-MAC; {SAID[plan.strike]} "
         f"(least share reached {100 * float(reached(rows, hits).min()):.0f} %)",
         target_frequencies=f[targets],
         reach=reached(rows, hits),
@@ -193,15 +195,25 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         forces=forces,
     )
     progress(0.6, "what the plan shows and misses")
-    return _judged(desk, plan, stage, able, motion, chosen, progress)
+    return _judged(desk, plan, stage, able, motion, chosen, apart, progress)
 
 
-def _points(desk: Workbench, plan: PlanSection, able: Arrangement, shapes: Float, targets: Int, fixed: Bool) -> Int:
+def _apart(plan: PlanSection, places: Float, count: int) -> float:
+    """Least distance of measuring points, m."""
+    if isinstance(plan.min_distance, float):
+        return plan.min_distance
+    even = even_distance(places, count)
+    return even if plan.min_distance == "even" else min(even, APART)
+
+
+def _points(
+    desk: Workbench, plan: PlanSection, able: Arrangement, shapes: Float, targets: Int, fixed: Bool, apart: float
+) -> Int:
     """Sensors by the method asked for, with the auto-MAC lowered and the redundancy asked for."""
     phi, xyz = shapes[:, :, targets], able.apart
     seen = kinetic_weighted(phi, _mass(desk, able)) if plan.weigh else phi
     cost = np.array([plan.cost.get(r, 1.0) for r in able.region]) if plan.cost else None
-    count, apart = plan.sensors, plan.min_distance
+    count = plan.sensors
     if plan.method == "independence":
         chosen = select_points(seen, xyz, count, fixed=fixed, min_distance=apart)
     elif plan.method == "qr":
@@ -211,7 +223,8 @@ def _points(desk: Workbench, plan: PlanSection, able: Arrangement, shapes: Float
     else:
         aims = _aims(desk, plan, able, seen, phi, targets)
         chosen = greedy_logdet(aims, count, xyz=xyz, min_distance=apart, fixed=fixed, cost=cost)
-    chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, plan.sensors + 15)
+    kept = 0.0 if plan.min_distance is None else apart  # what was asked for holds for additions, too
+    chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, plan.sensors + 15, xyz=xyz, min_distance=kept)
     if plan.redundancy:
         chosen = np.sort(make_redundant(phi, chosen, plan.redundancy, most=2 * plan.sensors + 15))
     return chosen
@@ -293,6 +306,7 @@ def _judged(
     able: Arrangement,
     motion: Float,
     chosen: Int,
+    apart: float,
     progress: Progress,
 ) -> PlanStage:
     """The stage with what was asked for besides: drawing, loading, suspension, virtual test."""
@@ -318,7 +332,7 @@ def _judged(
     if plan.suspension:
         xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(able.nodes)] * desk.length
         hung = suspension_points(
-            motion[:, 2:, targets], xyz, plan.suspension, model.cg * desk.length, min_distance=plan.min_distance
+            motion[:, 2:, targets], xyz, plan.suspension, model.cg * desk.length, min_distance=apart
         )
         places = tuple(able.nodes[hung.points].tolist())
         stage = replace(stage, suspension=places, suspension_motion=hung.motion, steady=hung.steady)
@@ -341,13 +355,16 @@ def _rehearsed(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float
     return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
 
 
-def _ambient(plan: PlanSection, able: Arrangement, shapes: Float) -> Int:
+def _ambient(plan: PlanSection, able: Arrangement, shapes: Float, apart: float) -> Int:
     """Sensors of the ambient tests: in the first two regions, half of them in each."""
     names = list(dict.fromkeys(able.region))[:2]
     out = []
     for name in names:
         at = np.flatnonzero(np.array([r == name for r in able.region]))
         count = max(plan.ambient_sensors // len(names), -(-shapes.shape[2] // able.each))
-        apart = 2 * plan.min_distance
-        out.append(at[select_points(shapes[at], able.apart[at], min(count, at.size), min_distance=apart)])
+        count = min(count, at.size)
+        wide = (
+            2 * apart if isinstance(plan.min_distance, float) else min(2 * apart, even_distance(able.apart[at], count))
+        )
+        out.append(at[select_points(shapes[at], able.apart[at], count, min_distance=wide)])
     return np.sort(np.concatenate(out))
