@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from errno import ENOSPC
 from pathlib import Path
 
 import h5py
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import small_study
 
+from ringtrue.cli.main import run
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io import codec
 from ringtrue.study import results
@@ -45,6 +47,36 @@ def test_an_error_while_saving_keeps_the_last_good_store(tmp_path: Path, monkeyp
     monkeypatch.setattr(codec, "save", real)
     store.save("plan", "k2", np.array([3.0]))
     assert (held(store, "model"), held(store, "plan"), store.key("model")) == ([1.0, 2.0], [3.0], "k1")
+
+
+def test_a_full_disk_keeps_the_last_good_store_and_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = Store(tmp_path / "study.h5")
+    store.save("model", "k1", np.array([1.0, 2.0]))
+    before = store.path.read_bytes()
+
+    def full(path: Path, data: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(data[: len(data) // 2])
+        raise OSError(ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space left"):
+        store.save("model", "k2", np.array([3.0]))
+    assert store.path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["study.h5"]
+    monkeypatch.setattr("ringtrue.cli.main.application", lambda _: store.save("model", "k2", np.array([3.0])))
+    assert run([]) == 1
+    assert "what is stored is whole" in capsys.readouterr().err
+
+
+def test_large_arrays_are_stored_small_and_come_back_the_same(tmp_path: Path) -> None:
+    store = Store(tmp_path / "study.h5")
+    triangles = np.arange(60_000, dtype=np.int64).reshape(-1, 3) // 3
+    store.save("model", "k", triangles)
+    assert store.path.stat().st_size < 0.1 * triangles.nbytes
+    np.testing.assert_array_equal(np.asarray(store.load("model")), triangles)
 
 
 def test_stages_that_went_stale_leave_with_the_new_one(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from errno import EDQUOT, ENOSPC
 from importlib import import_module
 from signal import SIGTERM, default_int_handler, signal
 from typing import NoReturn
@@ -84,6 +85,11 @@ def run(arguments: list[str] | None = None) -> int:
         err.print(f"error: {e}")
         return 1
     except OSError as e:  # a file that cannot be read or written
+        if e.errno in (ENOSPC, EDQUOT):
+            err.print(
+                f"error: {e.strerror}: free some; what is stored is whole, the same command resumes", markup=False
+            )
+            return 1
         if e.filename is None:
             raise
         err.print(f"error: {e.filename}: {e.strerror}")

@@ -21,6 +21,7 @@ from scipy import sparse
 from ringtrue.errors import DataError
 
 PLAIN = "_plain"
+LARGE = 1 << 16  # bytes from which on an array is compressed: a fifth of noise, most of meshes and tables
 _SPARSE = {name: getattr(sparse, name) for name in ("csr_array", "csc_array", "csr_matrix", "csc_matrix")}
 
 
@@ -139,6 +140,8 @@ def _put_array(group: h5py.Group, name: str, a: np.ndarray[Any, Any]) -> None:
         if not all(isinstance(x, str) for x in a.ravel().tolist()):
             raise DataError(f"{group.name}/{name}: an array of objects that are not text cannot be stored")
         group.create_dataset(name, data=a.astype(object), dtype=h5py.string_dtype())
+    elif a.nbytes >= LARGE:
+        group.create_dataset(name, data=a, compression="gzip", compression_opts=1, shuffle=True)
     else:
         group.create_dataset(name, data=a)
 

@@ -28,9 +28,12 @@ class Store:
             return str(f[stage].attrs["key"]) if stage in f else None
 
     def save(self, stage: str, key: str, result: object, *, drop: Collection[str] = ()) -> None:
-        """Write a stage into a copy of the file, without the stages of `drop`, then put the copy in its place."""
+        """Write a stage into a copy of the file, without the stages of `drop`, then put the copy in its place.
+
+        The copy is made in memory: HDF5 does not survive a disk that is full.
+        """
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(self.path) as part, h5py.File(part, "w") as new:
+        with h5py.File(self.path.name, "w", driver="core", backing_store=False) as new:
             if self.path.exists():
                 with self._open() as old:
                     for name in old:
@@ -39,6 +42,10 @@ class Store:
             group = new.create_group(stage)
             codec.save(group, result)
             group.attrs["key"] = key
+            new.flush()
+            image = new.id.get_file_image()
+        with atomic_write(self.path) as part:
+            part.write_bytes(image)
 
     def load(self, stage: str) -> object:
         """The result of a stage.
