@@ -1,6 +1,9 @@
 """Seconds and peak memory of correlating two large sets of modes, beside the MAC as a loop over pairs of modes.
 
     python bench/correlation.py [--modes 200] [--channels 5000]
+    python bench/correlation.py --study lsf/study.h5
+
+The second: how far the modes of a finished study's deck are from orthogonal over each mass at its channels.
 
 Each job runs in a process of its own, so that its peak memory is its own; it includes what it takes to hold the two
 sets (2 x channels x modes x 8 bytes). Not covered: reading the files, complex shapes, the reduction of a model to the
@@ -14,6 +17,7 @@ import multiprocessing
 import resource
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +25,10 @@ from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlate.complete import complete
 from ringtrue.correlate.pairing import pair_modes
 from ringtrue.shapes.mac import mac
+from ringtrue.shapes.orthogonality import self_orthogonality
+from ringtrue.study.evidence import channel_mass
+from ringtrue.study.reference import reference_modes
+from ringtrue.study.run import load_study
 
 Job = Callable[[ModeSet, ModeSet], object]
 
@@ -78,12 +86,32 @@ def measure(job: Job, modes: int, channels: int) -> tuple[float, float]:
     return result
 
 
+def masses(store: Path) -> None:
+    """Print the largest entry off the diagonal, that each mass at the channels gives the modes of the deck."""
+    desk = load_study(store).desk
+    opened, config = desk.remodelled, desk.config.correlate
+    look, modes = desk.bridge(opened), opened.modes(desk.fmax).modes
+    channels = reference_modes(desk.get("identify"), desk.config).elastic.channels
+    seen = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels).rows(channels).shapes
+    print(
+        f"{len(opened.analysis.system.free)} DOFs, {len(channels)} channels, {len(modes)} modes to {desk.fmax:.0f} Hz"
+    )
+    for tam in ("irs", "guyan"):
+        mass = channel_mass(opened, look, channels, config.model_copy(update={"tam": tam}), desk.fmax).matrix
+        off = np.abs(self_orthogonality(seen, mass) - np.eye(len(modes))).max()
+        print(f"{tam:8s} {100 * off:5.1f} % off the diagonal at most")
+
+
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--modes", type=int, default=200)
     parser.add_argument("--channels", type=int, default=5000)
+    parser.add_argument("--study", type=Path)
     options = parser.parse_args()
+    if options.study:
+        masses(options.study)
+        return
     print(f"{options.modes} modes x {options.channels} channels")
     for job in (mac_by_pairs, mac_alone, pairing, everything):
         seconds, peak = measure(job, options.modes, options.channels)

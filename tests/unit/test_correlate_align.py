@@ -58,7 +58,7 @@ def test_no_mirror_image() -> None:
 
 def test_nearest_points_from_anywhere() -> None:
     rng = np.random.default_rng(3)
-    for _ in range(4):  # over tests
+    for _ in range(2):  # over tests
         nodes = body(rng)
         test, turn = away(nodes[rng.permutation(2000)[:120]] + 0.01 * rng.standard_normal((120, 3)), rng)
         test[:4] += 2.0
