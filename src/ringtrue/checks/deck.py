@@ -117,7 +117,7 @@ def _groups(model: Model) -> Iterator[tuple[Int, Int]]:
             column = table.columns[name]
             ragged = isinstance(column, Ragged)
             ids.append(column.values if isinstance(column, Ragged) else column)
-            count = np.diff(column.offsets) if isinstance(column, Ragged) else 1
+            count = column.sizes if isinstance(column, Ragged) else 1
             owner.append(np.repeat(np.arange(len(table)), count) if ragged else np.arange(len(table)))
         yield np.concatenate(ids), np.concatenate(owner)
 
@@ -181,8 +181,7 @@ def _lost_sets(model: Model) -> Iterator[Finding]:
 
 
 def _naming_none(sets: Ragged, there: Int) -> Int:
-    owner = np.repeat(np.arange(len(sets)), np.diff(sets.offsets))
-    return np.unique(owner[~np.isin(sets.values, there)])
+    return np.unique(sets.owner[~np.isin(sets.values, there)])
 
 
 def _reductions(model: Model) -> list[Finding]:

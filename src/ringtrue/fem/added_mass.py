@@ -93,7 +93,7 @@ def chosen(model: Model) -> Iterator[Lists]:
                 raise UnsupportedCard(t.card, why=f"TYPE {kind}; allowed are {', '.join(TYPES)}")
             if t.card.endswith("1"):
                 ids = t.ragged("ID")
-                of = np.repeat(np.arange(rows.size), np.diff(ids.offsets)[rows])
+                of = np.repeat(np.arange(rows.size), ids.sizes[rows])
                 yield Lists(t, kind, rows, of, np.concatenate([ids.row(i) for i in rows.tolist()]))
             else:
                 yield Lists(t, kind, rows, np.arange(rows.size), t["ID"][rows])

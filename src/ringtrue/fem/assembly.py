@@ -24,7 +24,7 @@ _PIECE = 8192  # elements whose matrices are held at once
 
 @dataclass(frozen=True, slots=True, eq=False)
 class System:
-    """K (1 + ...) x + i S x + B ẋ + M ẍ over the free DOFs; nothing is added to hold a DOF, it is eliminated.
+    """K x + i S x + B ẋ + M ẍ over the free DOFs; nothing is added to hold a DOF, it is eliminated.
 
     Attributes
     ----------

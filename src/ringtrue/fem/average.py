@@ -7,7 +7,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.fem.algebra import arm, rotation
-from ringtrue.fem.equations import ROUNDING, Equations, listed, names, owners
+from ringtrue.fem.equations import ROUNDING, Equations, listed, names
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components, node_dofs
 from ringtrue.model.model import Table
@@ -20,7 +20,7 @@ def rbe3(m: Mesh) -> Equations:
     """
     t = m.model["RBE3"]
     G = t.ragged("G")
-    of = owners(G)
+    of = G.owner
     ref = m.nodes(t["REFGRID"], t, np.arange(len(t)))
     g = m.nodes(G.values, t, of)
     arms = m.xyz[g] - m.xyz[ref[of]]
@@ -71,7 +71,7 @@ def _spread(m: Mesh, t: Table, X: Float, of: Int, g: Int, ref: Int) -> Equations
 def _resolved(m: Mesh, t: Table, eq: Equations, of: Int) -> Equations:
     """The equations (owner `of` (k,)) of cards with UM, solved for the DOFs that UM names."""
     gm = t.ragged("GM")
-    at, node, c = listed(m, t, (owners(gm), gm.values, components(t.ragged("CM").values)))
+    at, node, c = listed(m, t, (gm.owner, gm.values, components(t.ragged("CM").values)))
     wanted, there = np.bincount(at, minlength=len(t)), np.bincount(of, minlength=len(t))
     wrong = (wanted > 0) & (wanted != there)
     if wrong.any():

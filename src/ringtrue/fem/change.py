@@ -102,7 +102,7 @@ def _with_fields(
 
 def _equal(entries: Ragged, column: NDArray[Any], rows: Int) -> Int:
     """Places of the entries of `rows` that have the value of the row in `column`."""
-    of = np.repeat(np.arange(len(entries)), np.diff(entries.offsets))
+    of = entries.owner
     return np.flatnonzero(np.isin(of, rows) & (entries.values == column[of]))
 
 
@@ -138,7 +138,7 @@ def _filled(ragged: Ragged, rows: Int) -> NDArray[Any]:
     values = ragged.values.copy()
     if values.dtype.kind not in "fc":
         return values
-    of = np.repeat(np.arange(len(ragged)), np.diff(ragged.offsets))
+    of = ragged.owner
     given = np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(values.size)))
     use = np.isin(of, rows) & (given >= ragged.offsets[of])
     values[use] = values[given[use]]
@@ -204,8 +204,7 @@ def _naming(table: Table, field: str, ids: Int) -> Int:
     column = table.columns[field]
     if not isinstance(column, Ragged):
         return np.flatnonzero(np.isin(column, ids))
-    of = np.repeat(np.arange(len(column)), np.diff(column.offsets))
-    return np.unique(of[np.isin(column.values, ids)])
+    return np.unique(column.owner[np.isin(column.values, ids)])
 
 
 def within(model: Model, rows: Rows, elements: Sequence[int]) -> Rows:
@@ -320,8 +319,7 @@ def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh:
     table = model[card]
     column = table.columns[field]
     if isinstance(column, Ragged):
-        of = np.repeat(np.arange(len(column)), np.diff(column.offsets))
-        values = np.where(np.isin(of, rows) & (column.values == old), fresh, column.values)
+        values = np.where(np.isin(column.owner, rows) & (column.values == old), fresh, column.values)
         columns = {**table.columns, field: Ragged(values, column.offsets)}
         return replace(model, tables={**model.tables, card: replace(table, columns=columns)})
     out = column.copy()

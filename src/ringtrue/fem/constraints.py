@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DeckError
-from ringtrue.fem.equations import Equations, names, owners
+from ringtrue.fem.equations import Equations, names
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components
 from ringtrue.fem.rigid import RIGID
@@ -21,10 +21,10 @@ def _mpc(m: Mesh) -> Equations:
     t = m.model["MPC"]
     rows = np.flatnonzero(np.isin(t["SID"], _sets(m, "MPCADD", m.model.case.mpc)))
     G, C, A = (t.ragged(c) for c in "GCA")
-    of = owners(G)
+    of = G.owner
     dof = m.dof(G.values, C.values.astype(np.int64), t, of)
     first = np.zeros(of.size, dtype=bool)
-    first[G.offsets[:-1][np.diff(G.offsets) > 0]] = True
+    first[G.offsets[:-1][G.sizes > 0]] = True
     use = np.isin(of, rows)
     lead = A.values[G.offsets[:-1]]
     if (lead[rows] == 0).any():
@@ -71,7 +71,7 @@ def supports(m: Mesh) -> Bool:
         _hold(m, held, t, at, t["G"][at], t["C"][at])
     if "SPC1" in m.model:
         t = m.model["SPC1"]
-        of = owners(t.ragged("G"))
+        of = t.ragged("G").owner
         at = np.flatnonzero(np.isin(t["SID"][of], sids))
         _hold(m, held, t, of[at], t.ragged("G").values[at], t["C"][of[at]])
     return held

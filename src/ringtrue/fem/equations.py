@@ -9,7 +9,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.fem.algebra import arm
 from ringtrue.fem.mesh import Mesh, error
-from ringtrue.model.model import Ragged, Table
+from ringtrue.model.model import Table
 
 ROUNDING = 1e-14  # of the largest coefficient of a card: what is smaller is a zero
 
@@ -33,11 +33,6 @@ class Equations:
     column: Int
     value: Float
     owner: tuple[str, ...]
-
-
-def owners(ragged: Ragged) -> Int:
-    """The row that each value of a ragged column belongs to."""
-    return np.repeat(np.arange(len(ragged)), np.diff(ragged.offsets))
 
 
 def names(t: Table, at: Int) -> tuple[str, ...]:

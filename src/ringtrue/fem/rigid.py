@@ -11,7 +11,7 @@ from ringtrue.fem.algebra import arm, rotation
 from ringtrue.fem.average import rbe3
 from ringtrue.fem.elements import fast, weld
 from ringtrue.fem.elements.patch import End
-from ringtrue.fem.equations import ROUNDING, Equations, names, owners, rigid
+from ringtrue.fem.equations import ROUNDING, Equations, names, rigid
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components, node_dofs, segment
 from ringtrue.model.model import Table
@@ -21,7 +21,7 @@ ALONG = 1e-3  # least part of the dependent component along a rod
 
 def rbe2(m: Mesh) -> Equations:
     t = m.model["RBE2"]
-    of = owners(t.ragged("GM"))
+    of = t.ragged("GM").owner
     gn, gm = m.nodes(t["GN"][of], t, of), m.nodes(t.ragged("GM").values, t, of)
     same = gn == gm
     if same.any():
@@ -36,8 +36,8 @@ def rbe2(m: Mesh) -> Equations:
 def rbe1(m: Mesh) -> Equations:
     t = m.model["RBE1"]
     n, k = t.ragged("GN"), t.ragged("GM")
-    independent = owners(n), n.values, components(t.ragged("CN").values)
-    return rigid(m, t, independent, (owners(k), k.values, components(t.ragged("CM").values)))
+    independent = n.owner, n.values, components(t.ragged("CN").values)
+    return rigid(m, t, independent, (k.owner, k.values, components(t.ragged("CM").values)))
 
 
 def rrod(m: Mesh) -> Equations:
@@ -127,7 +127,7 @@ def rspline(m: Mesh) -> Equations:
     """
     t = m.model["RSPLINE"]
     G, flags = t.ragged("G"), components(t.ragged("C").values)
-    of = owners(G)
+    of = G.owner
     node = m.nodes(G.values, t, of)
     end = np.asarray(~flags.any(axis=1))
     _refuse_splines(m, t, of, end)

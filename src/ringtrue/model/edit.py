@@ -53,7 +53,7 @@ def resolve_target(model: Model, target: Target | FieldChange) -> Int:
         raise InputError(f"{target.card} {target.id} is not in the model; the nearest ids are {near}")
     ply = ply_field(target.field)
     if ply and target.field not in table.columns:
-        count = int(np.diff(table.ragged(ply[0]).offsets)[rows].min())
+        count = int(table.ragged(ply[0]).sizes[rows].min())
         if not 1 <= ply[1] <= count:
             what = {"PBEAM": "stations between its ends"}.get(
                 target.card, "dimensions" if target.card in MADE else "plies"

@@ -27,6 +27,16 @@ class Ragged:
         """Row i."""
         return self.values[self.offsets[i] : self.offsets[i + 1]]
 
+    @property
+    def sizes(self) -> Int:
+        """Length of each row, (n,) int64."""
+        return np.diff(self.offsets)
+
+    @property
+    def owner(self) -> Int:
+        """The row that each value belongs to, (k,) int64."""
+        return np.repeat(np.arange(len(self)), self.sizes)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:

@@ -184,5 +184,5 @@ def missing(model: Model, elsewhere: Mapping[str, Collection[int]] | None = None
 def _values(model: Model, ref: Reference) -> tuple[NDArray[np.int64], Int]:
     column = model[ref.card].columns[ref.field]
     if isinstance(column, Ragged):
-        return column.values, np.repeat(np.arange(len(column)), np.diff(column.offsets))
+        return column.values, column.owner
     return column, np.arange(column.size)

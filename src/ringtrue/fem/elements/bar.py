@@ -256,7 +256,7 @@ def _stations(p: Table, row: Int) -> tuple[Float, Int]:
     if "X" not in p.columns or not p.ragged("X").values.size:
         return np.tile([0.0, 1.0], (row.size, 1)), np.full((row.size, 2), -1)
     every = p.ragged("X")
-    first, count = every.offsets[row], np.diff(every.offsets)[row]
+    first, count = every.offsets[row], every.sizes[row]
     k = np.arange(count.max(initial=0))
     entry = np.where(k < count[:, None], first[:, None] + k, -1)
     x = np.where(entry < 0, 1.0, every.values[entry])

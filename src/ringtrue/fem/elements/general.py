@@ -21,7 +21,7 @@ from ringtrue.model.model import Model, Table
 def alike(model: Model, at: Int) -> Iterator[Int]:
     """The rows `at` in groups of as many UI and UD."""
     t = model["GENEL"]
-    sizes = np.stack([np.diff(t.ragged(c).offsets)[at] for c in ("UI", "UD")], axis=1)
+    sizes = np.stack([t.ragged(c).sizes[at] for c in ("UI", "UD")], axis=1)
     _, group = np.unique(sizes, axis=0, return_inverse=True)
     for k in range(int(group.max(initial=-1)) + 1):
         yield at[group.reshape(-1) == k]
@@ -30,7 +30,7 @@ def alike(model: Model, at: Int) -> Iterator[Int]:
 def _listed(t: Table, name: str, at: Int) -> Any_:
     """A ragged column of rows with lists of one length, (e, n)."""
     column = t.ragged(name)
-    first, size = column.offsets[at], int(np.diff(column.offsets)[at[0]])
+    first, size = column.offsets[at], int(column.sizes[at[0]])
     return np.asarray(column.values[first[:, None] + np.arange(size)])
 
 
@@ -51,7 +51,7 @@ def _symmetric(values: Any_, n: int) -> Any_:
 
 def _motion(m: Mesh, t: Table, at: Int, n: int, d: int) -> Any_:
     """S (e, n, d): as given, else that of a rigid body."""
-    given = np.diff(t.ragged("S").offsets)[at] > 0
+    given = t.ragged("S").sizes[at] > 0
     S = np.zeros((at.size, n, d), dtype=t.ragged("S").values.dtype)
     if given.any():
         S[given] = _listed(t, "S", at[given]).reshape(-1, n, d)

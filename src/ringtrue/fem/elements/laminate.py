@@ -81,7 +81,7 @@ def _options(model: Model, t: Table, rows: Int) -> Any_:
 def _plies(model: Model, t: Table, rows: Int, option: Any_) -> Plies:
     """The plies from the bottom up; LAM=SYM is mirrored."""
     mid, T, theta = t.ragged("MID"), t.ragged("T"), t.ragged("THETA")
-    first, count = mid.offsets[rows], np.diff(mid.offsets)[rows]
+    first, count = mid.offsets[rows], mid.sizes[rows]
     k = np.arange(max(int(count.max(initial=1)), 1))
     there = k < count[:, None]
     at = np.where(there, first[:, None] + k, first[:, None])

@@ -198,7 +198,7 @@ def _without_gaps(tables: Mapping[str, Table], found: Cards) -> Table:
     nodes = [tables["GRID"].ids] if "GRID" in tables else []
     nodes += [tables["SPOINT"].ragged("ID").values] if "SPOINT" in tables else []
     g = spc1.ragged("G")
-    owner = np.repeat(np.arange(len(g)), np.diff(g.offsets))
+    owner = g.owner
     keep = ~thru[owner] | np.isin(g.values, np.concatenate([np.empty(0, dtype=np.int64), *nodes]))
     offsets = np.concatenate([[0], np.cumsum(np.bincount(owner[keep], minlength=len(g)))])
     return replace(spc1, columns={**spc1.columns, "G": Ragged(g.values[keep], offsets)})

@@ -76,7 +76,7 @@ def _joined(parts: Sequence[NDArray[Any] | Ragged], order: Int) -> NDArray[Any] 
         return frozen(plain[0] if sorted_ else np.concatenate(plain)[order])
     ragged = [p for p in parts if isinstance(p, Ragged)]
     values = np.concatenate([p.values for p in ragged])
-    count = np.concatenate([np.diff(p.offsets) for p in ragged])
+    count = np.concatenate([p.sizes for p in ragged])
     start = np.cumsum(count) - count
     offsets = np.concatenate([[0], np.cumsum(count[order])])
     take = np.repeat(start[order] - offsets[:-1], count[order]) + np.arange(offsets[-1])
