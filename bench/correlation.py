@@ -90,12 +90,12 @@ def masses(store: Path) -> None:
     """Print the largest entry off the diagonal, that each mass at the channels gives the modes of the deck."""
     desk = load_study(store).desk
     opened, config = desk.remodelled, desk.config.correlate
-    look, modes = desk.bridge(opened), opened.modes(desk.fmax).modes
-    channels = reference_modes(desk.get("identify"), desk.config).elastic.channels
+    test, look = reference_modes(desk.get("identify"), desk.config).elastic, desk.bridge(opened)
+    channels, top = test.channels, test.frequencies.max()
+    modes = opened.modes(desk.fmax).modes
+    modes = modes.take(np.flatnonzero(modes.frequencies <= top))
     seen = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels).rows(channels).shapes
-    print(
-        f"{len(opened.analysis.system.free)} DOFs, {len(channels)} channels, {len(modes)} modes to {desk.fmax:.0f} Hz"
-    )
+    print(f"{len(opened.analysis.system.free)} DOFs, {len(channels)} channels, {len(modes)} modes to {top:.1f} Hz")
     for tam in ("irs", "guyan"):
         mass = channel_mass(opened, look, channels, config.model_copy(update={"tam": tam}), desk.fmax).matrix
         off = np.abs(self_orthogonality(seen, mass) - np.eye(len(modes))).max()
