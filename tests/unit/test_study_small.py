@@ -297,6 +297,7 @@ def test_a_suspension_is_tuned_to_the_modes_below_the_stated_frequency(
     sure = small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
     toml = small_study.MODEL + small_study.TEST + sure + small_study.candidates(candidates)
     toml += '[correlate]\nrigid_below = 3.0\n[[suspension]]\nname = "lowest storey"\ntargets = ["MAT1 1 E"]\n'
+    toml += '[localise]\nkinds = ["material"]\n'  # sections beside them take most of the time
     run = run_study(small_study.write_study(tmp_path, toml))
     final = run.results["final"]
     assert len(final.rigid) == 3
