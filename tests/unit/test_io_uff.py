@@ -217,6 +217,19 @@ def test_frfs_of_several_kinds_and_units_are_one_kind_in_si(tmp_path: Path) -> N
     np.testing.assert_allclose(frfs.data[:, :, 0], np.repeat(h[:, None], 3, axis=1), rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.parametrize("kind", [4, 5])
+def test_a_motion_over_that_of_the_base_is_read_as_an_acceleration(tmp_path: Path, kind: int) -> None:
+    f, h = np.arange(1, 9) * 0.5, np.arange(1, 9) * (1 + 1j)
+    (tmp_path / "f.uff").write_bytes(write_function(kind, f, h, (1, 3), (2, 3), codes=(18, 12, 12)))
+    frfs = read_frfs(tmp_path / "f.uff")
+    assert (frfs.kind, frfs.inputs[0].id) == ("accelerance", "2+Z")
+    np.testing.assert_allclose(frfs.data[:, 0, 0], h, rtol=1e-6)
+    table = tmp_path / "f.csv"
+    rows = [f"{a},{b.real},{b.imag}" for a, b in zip(f, h, strict=True)]
+    table.write_text("\n".join(["Frequency [Hz],1+Z/2+Z real [m/s^2/g],1+Z/2+Z imag [m/s^2/g]", *rows]))
+    np.testing.assert_allclose(read_frfs(table).data[:, 0, 0], h / 9.80665, rtol=1e-9)
+
+
 def test_a_force_over_a_motion_is_no_frf(tmp_path: Path) -> None:
     f = np.arange(1, 9) * 0.5
     (tmp_path / "f.uff").write_bytes(write_function(4, f, f + 1j, (1, 3), (2, 3), codes=(18, 13, 12)))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import FRF_KIND, SI_UNIT
+from ringtrue.core.motions import FRFFRF_KIND, SI_UNIT
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError
 from ringtrue.io.delimited import read_columns
@@ -95,7 +95,7 @@ def read_frf_table(path: Path) -> FrfSet:
         tuple(Channel(n, "force", "N") for n in inputs),
         coherence,
         np.full(len(inputs), np.nan),
-        FRF_KIND[kind],
+        FRFFRF_KIND[kind],
         source=str(path),
     )
 
@@ -141,7 +141,12 @@ def _kind(unit: str, path: Path) -> tuple[Quantity, float]:
     if not text or text.lower() in ("deg", "rad", "°", "-"):
         return "acceleration", 1.0
     over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
-    if not known(over) or not known(under) or to_si(under)[0] != "force" or to_si(over)[0] not in FRF_KIND:
-        raise DataError(f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, mm/N")
-    quantity, factor, _ = to_si(over)
+    quantity, factor, _ = to_si(over) if known(over) else ("unknown", 1.0, "")
+    if quantity not in FRF_KIND or not known(under) or to_si(under)[0] not in ("force", quantity):
+        raise DataError(
+            f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, mm/N, or over the same "
+            "motion of the base, g/g"
+        )
+    if to_si(under)[0] == quantity:  # like the accelerations of a held base for a force of inertia, constants apart
+        return "acceleration", factor / to_si(under)[1]
     return quantity, factor / to_si(under)[1]

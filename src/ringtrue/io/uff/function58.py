@@ -12,7 +12,7 @@ from ringtrue.errors import DataError
 from ringtrue.io.uff.fields import numbers, parse_int, reals, row, words
 from ringtrue.io.uff.scan import Block
 
-TIME, FRF, COHERENCE = 1, 4, 6  # function types
+TIME, FRF, TRANSMISSIBILITY, COHERENCE = 1, 4, 5, 6  # function types
 _PLACE = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
 _FORM = (10, 10, 10, 13, 13, 13)
 _AXIS = (10, 5, 5, 5, 21, 21)
@@ -47,7 +47,7 @@ class Function:
     Attributes
     ----------
     kind : int
-        Function type: 1 time, 2 auto spectrum, 3 cross spectrum, 4 FRF, 6 coherence, ...
+        Function type: 1 time, 2 auto spectrum, 3 cross spectrum, 4 FRF, 5 transmissibility, 6 coherence, ...
     ids : tuple of str
         The five lines of text.
     response, reference : (node, direction)

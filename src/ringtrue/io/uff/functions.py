@@ -16,7 +16,7 @@ from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.plain import RawTable
 from ringtrue.io.si import known, to_si
-from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, Function, read_function, write_function
+from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TRANSMISSIBILITY, Function, read_function, write_function
 from ringtrue.io.uff.scan import scan
 from ringtrue.io.uff.tables import Units, read_units
 
@@ -72,7 +72,7 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
     """A table for each acquisition where every channel comes as often: triggered blows, one after the other."""
     functions, units = _functions(path)
     found = _time_functions(functions, path)
-    keys = [(*f.response, _motion(f.axes[1].unit, f, units)[0]) for f in found]
+    keys = [(*f.response, _motion(f.axes[1].unit, f.axes[1].data_type, units)[0]) for f in found]
     times = {keys.count(k) for k in dict.fromkeys(keys)}
     if len(set(keys)) < 2 or len(times) > 1 or times == {1}:
         return (_time_table(found, units, path),)
@@ -96,7 +96,7 @@ def _time_table(found: Sequence[Function], units: Units | None, path: Path) -> R
     if max(rates) - min(rates) > 1e-4 * max(rates):
         raise DataError(f"{path}: different rates, {min(rates):g} to {max(rates):g} Hz; split the file")
     length = min(f.y.size for f in found)
-    kinds, factors = zip(*(_motion(f.axes[1].unit, f, units) for f in found), strict=True)
+    kinds, factors = zip(*(_motion(f.axes[1].unit, f.axes[1].data_type, units) for f in found), strict=True)
     data = np.stack([np.real(f.y[:length]) * x for f, x in zip(found, factors, strict=True)])
     return RawTable(data, rates[0], _names(found, kinds), tuple(_SI.get(k, "") for k in kinds), tuple(kinds))
 
@@ -135,9 +135,9 @@ def read_frf_sets(path: str | Path) -> FrfSet:
         If there are none, references are missing, the lines differ, or a pair of response and reference is absent.
     """
     functions, units = _functions(path)
-    frfs = [f for f in functions if f.kind == FRF]
+    frfs = [f for f in functions if f.kind in (FRF, TRANSMISSIBILITY)]
     if not frfs:
-        raise DataError(f"{path}: no frequency response functions (58, function type 4) in the file")
+        raise DataError(f"{path}: no frequency response functions (58, function type 4 or 5) in the file")
     if all(f.reference[0] == 0 for f in frfs):
         raise DataError(f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}")
     freqs = frfs[0].x
@@ -179,18 +179,25 @@ def _as_kind(data: Complex, freqs: Float, outputs: Sequence[Channel], kind: str)
 
 
 def _si(f: Function, units: Units | None) -> tuple[Quantity, float]:
-    """Quantity of the response of an FRF and the factor to SI: by the units on its axes, else by data set 164."""
+    """Quantity of the response of an FRF and the factor to SI: by the units on its axes, else by data set 164.
+
+    A motion over the same motion of a base is taken as an acceleration: the base is what forces of inertia act for.
+    """
     over, under = f.axes[1], f.axes[2]
     text, tail = over.unit.strip(), under.unit.strip()
+    base = _QUANTITY.get(under.data_type, "unknown")
+    if f.kind == TRANSMISSIBILITY or base in FRF_KIND:
+        (what, size), (_, moved) = _motion(text, over.data_type, units), _motion(tail, under.data_type, units)
+        return "acceleration" if what in ("unknown", base) or base == "unknown" else what, size / moved
     if not _measures(tail, "force") and _measures(text.rpartition("/")[2], "force"):
         text, _, tail = text.rpartition("/")
-    quantity, motion = _motion(text, f, units)
+    quantity, motion = _motion(text, over.data_type, units)
     return quantity, motion / (to_si(tail)[1] if _measures(tail, "force") else _factor("force", units))
 
 
-def _motion(unit: str, f: Function, units: Units | None) -> tuple[Quantity, float]:
-    """Quantity of the ordinate and its factor to SI; the unit counts where it is known and not another quantity's."""
-    quantity = _QUANTITY.get(f.axes[1].data_type, "unknown")
+def _motion(unit: str, data_type: int, units: Units | None) -> tuple[Quantity, float]:
+    """Quantity of an axis and its factor to SI; the unit counts where it is known and not another quantity's."""
+    quantity = _QUANTITY.get(data_type, "unknown")
     unit = unit.strip("() ")
     if unit and known(unit) and quantity in ("unknown", to_si(unit)[0]):
         return to_si(unit)[:2]
