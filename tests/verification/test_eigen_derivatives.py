@@ -15,6 +15,7 @@ from ringtrue.eigen.derivatives import (
     Slope,
     eigenvalue_derivatives,
     eigenvector_derivatives,
+    modal_coefficients,
     split_derivatives,
 )
 from ringtrue.eigen.factor import Pencil
@@ -145,3 +146,16 @@ def test_vectors_where_nodes_move_across_a_shell() -> None:
     near = {j: shapes(1 + j * h) for j in (-2, -1, 1, 2)}
     want = (8 * (near[1] - near[-1]) - near[2] + near[-2]) / (12 * h)
     np.testing.assert_allclose(got[:, :, 0], want, atol=1e-4 * np.abs(want).max())
+
+
+def test_a_light_node_far_above_does_not_join_low_modes() -> None:
+    """Suspension modes at 11 to 25 Hz, elastic ones to 550 Hz, and a node nearly without mass at 1e9 Hz."""
+    rng = np.random.default_rng(11)
+    low = np.array([5178.0, 5272.0, 10807.0, 10873.0, 15945.0, 23926.0, 5e5, 1.2e7])
+    values = np.append(low, 4e19)
+    k = rng.standard_normal((9, 9))
+    k, m = 1e4 * (k + k.T)[:, :8], np.zeros((9, 8))
+    c = modal_coefficients(k, m, values)
+    apart = ~np.eye(9, 8, dtype=bool)
+    gap = np.where(apart, low - values[:, None], 1.0)
+    np.testing.assert_allclose(c[apart], (k / gap)[apart], rtol=1e-12)

@@ -36,9 +36,12 @@ class Slope:
     structural: sparse.csr_array | None = None
 
 
-def groups(values: Float) -> Int:
-    """(m,) int64, equal for eigenvalues (ascending) that are repeated within `CLOSE`; rigid-body modes are one."""
-    noise = 1e-9 * np.abs(values).max(initial=0.0)
+def groups(values: Float, scale: float | None = None) -> Int:
+    """(m,) int64, equal for eigenvalues (ascending) that are repeated within `CLOSE`; rigid-body modes are one.
+
+    Differences below 1e-9 of `scale`, the largest if not given, are noise.
+    """
+    noise = 1e-9 * (np.abs(values).max(initial=0.0) if scale is None else scale)
     apart = np.diff(values) > np.maximum(CLOSE * np.abs(values[1:]), noise)
     return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(apart)]).astype(np.int64)
 
@@ -95,9 +98,9 @@ def modal_coefficients(stiffness: Float, mass: Float, values: Float, *, low: int
         In a group of repeated roots −½ΦᵀM'Φ: normalisation is kept and the rotation inside the group is zero.
     """
     m = stiffness.shape[-1]
-    size = np.abs(values)
-    top = max(1e4 * size[: low or m].max(initial=0.0), 1e-6 * size.max(initial=0.0))
-    at = groups(np.minimum(values, top))  # motions almost without mass must not set the noise of the low modes
+    scale = float(np.abs(values[: low or m]).max(initial=0.0))
+    # motions almost without mass, as of a bearing's light node, must not set the noise of the low modes
+    at = groups(np.minimum(values, 1e4 * scale), scale)
     same = at[:, None] == at[:m]
     gap = np.where(same, 1.0, values[:m] - values[:, None])
     return np.where(same, -0.5 * mass, (stiffness - mass * values[:m]) / gap)
