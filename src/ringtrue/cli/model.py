@@ -16,6 +16,7 @@ from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
 from ringtrue.checks.mass import mass_properties, unconstrained
 from ringtrue.cli.convert import writable
 from ringtrue.cli.show import json_file, json_target, out, progress, rows, write_json
+from ringtrue.core.arrays import Float
 from ringtrue.core.progress import part
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
@@ -23,6 +24,8 @@ from ringtrue.io.modes_json import dump_modes, write_modes
 from ringtrue.io.nastran.reader import Survey, read_deck, survey
 from ringtrue.model.method import asked_modes
 from ringtrue.model.ports import ModesRequest
+
+ROUNDING = 1e-12  # of the largest value: below is 0
 
 Deck = Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")]
 Json = Annotated[
@@ -128,12 +131,18 @@ def _rigid(found: Survey, findings: list[Finding]) -> dict[str, Any]:
     }
 
 
+def _clean(values: list[Any]) -> Float:
+    """With 0 for what is rounding beside the largest."""
+    x = np.asarray(values, dtype=np.float64)
+    return np.asarray(np.where(np.abs(x) > ROUNDING * np.abs(x).max(initial=0.0), x, 0.0))
+
+
 def _print_check(deck: Path, summary: dict[str, Any]) -> None:
     rows(f"{deck}: cards", ("card", "number"), sorted(summary["cards"].items()))
     if "mass" in summary:
-        cg = ", ".join(f"{x:.4g}" for x in summary["centre_of_gravity"])
+        cg = ", ".join(f"{x:.4g}" for x in _clean(summary["centre_of_gravity"]))
         out.print(f"mass {summary['mass']:.6g}, centre of gravity ({cg})")
-        for row in np.asarray(summary["inertia"]):
+        for row in _clean(summary["inertia"]):
             out.print("inertia  " + "  ".join(f"{x: .5e}" for x in row))
         if summary["ground_check"]["ok"]:
             out.print("ground check: rigid-body motion takes no strain energy")

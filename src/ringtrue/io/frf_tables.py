@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import FRFFRF_KIND, SI_UNIT
+from ringtrue.core.motions import FRF_KIND, SI_UNIT
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError
 from ringtrue.io.delimited import read_columns
@@ -95,7 +95,7 @@ def read_frf_table(path: Path) -> FrfSet:
         tuple(Channel(n, "force", "N") for n in inputs),
         coherence,
         np.full(len(inputs), np.nan),
-        FRFFRF_KIND[kind],
+        FRF_KIND[kind],
         source=str(path),
     )
 
