@@ -64,7 +64,7 @@ from ringtrue.identify.stabilise import (
     refined,
     steady,
 )
-from ringtrue.identify.stretches import gathered, steady_sines
+from ringtrue.identify.stretches import gathered, steady_sines, without_machines
 from ringtrue.identify.struck import by_references, even_halves, event_weights
 from ringtrue.identify.wander import wander, widened
 from ringtrue.signal.harmonics import steady_amplitudes
@@ -317,7 +317,8 @@ def identify_stretches(
     refs = references(good, settings.references)
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
     tell(0.0, "filtering into bands")
-    whole = uncut(good, states)  # an amplitude that is cut off looks steady
+    # an amplitude that is cut off looks steady
+    good, whole, swept = without_machines(good, uncut(good, states))
     sines = steady_sines(good, whole, bands, leave, once=second is not None)
     places = [h.frequency for h in sines]
     clean = without_lines(good, places)
@@ -339,7 +340,7 @@ def identify_stretches(
         return identify_stretches((first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady))
     result = replace(result, harmonics=(*sines, *result.harmonics))
     tell(1.0, f"{len(result.modes)} modes")
-    notes = tuple(s.note for s in states) + late
+    notes = tuple(s.note for s in states) + late + swept
     if whole is None:
         notes += ("every channel is clipped: machines are not told from modes",)
     if motion:

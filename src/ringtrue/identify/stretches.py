@@ -14,9 +14,32 @@ from ringtrue.identify.ssi import SsiCov
 from ringtrue.signal.events import NONE, Events, find_events
 from ringtrue.signal.lines import steady_lines, with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic
+from ringtrue.signal.strokes import without_strokes
+from ringtrue.signal.sweeps import without_sweeps
 from ringtrue.signal.threads import abreast
 
 Progress = Callable[[float, str], None]
+
+
+def without_machines(
+    good: TimeHistory, whole: TimeHistory | None
+) -> tuple[TimeHistory, TimeHistory | None, tuple[str, ...]]:
+    """Both records (`whole`: some channels of `good`) without regular blows and run-ups of machines, and notes."""
+    quiet, strokes = without_strokes(good)
+    clean, sweeps = without_sweeps(quiet)
+    notes = ()
+    if strokes:
+        notes += (
+            f"{strokes.count} blows {strokes.interval:.3g} s apart (a press, a pile driver): the mean response to "
+            "them is taken out",
+        )
+    if sweeps:
+        low, high = min(x.low for x in sweeps), max(x.high for x in sweeps)
+        notes += (
+            f"{len(sweeps)} tone{'s' if len(sweeps) > 1 else ''} of changing frequency between {low:.3g} and "
+            f"{high:.3g} Hz (run-ups of machines): taken out where and when they stood",
+        )
+    return clean, whole if clean is good else whole and clean.pick([c.id for c in whole.channels]), notes
 
 
 def steady_sines(
@@ -69,7 +92,7 @@ def _one(
     share = part.duration / first.duration
     if share < 0.5:  # edges of the filters would weigh too much
         return None, NONE
-    part = without_lines(part, places)
+    part = without_lines(without_machines(part, None)[0], places)
     events = find_events(part.data, part.rate)
     out = of_stretch(sums, part.data, part.rate, events)
     lost = np.asarray(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))

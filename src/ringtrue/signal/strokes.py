@@ -1,0 +1,93 @@
+"""Blows of a machine in regular succession (a press, a pile driver): found, and the response to them taken out.
+
+Correlations that reach from one blow to the next do not average out where the intervals are alike. Strokes whose
+times are known are an input: the mean response to one is the least-squares filter from them to the record. What is
+left of each varies from stroke to stroke without memory, and does no harm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import solve_toeplitz
+from scipy.ndimage import maximum_filter1d
+
+from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.signal.sweeps import mixes
+
+ORDER = 60  # of the prediction: what it does not foresee is the force of the moment
+WINDOW = 4  # samples
+ABOVE = 10.0  # times the median power of the error: of a normal one none of a million windows
+APART = 4  # windows to either side without a second stroke
+FEWEST = 30  # strokes
+REGULAR, ALIKE = 0.8, 0.15  # share of the intervals that are within so much of the median
+TAPS, EARLY = 2000, 3  # samples of the response at most, and before the stroke
+SHARE = 0.05  # of the samples of the record, at most
+RIDGE = 1e-2  # equal intervals tell the response to one stroke from that to the next no more
+
+
+@dataclass(frozen=True, slots=True)
+class Strokes:
+    """How many blows, and their median interval, s."""
+
+    count: int
+    interval: float
+
+
+def without_strokes(history: TimeHistory) -> tuple[TimeHistory, Strokes | None]:
+    """The record without the mean response to regular blows, and these; the same object where there are none."""
+    at = _strokes(mixes(history.data))
+    if at.size < FEWEST:
+        return history, None
+    interval = np.diff(at)
+    usual = float(np.median(interval))
+    if (np.abs(interval / usual - 1) < ALIKE).mean() < REGULAR:
+        return history, None
+    taps = min(TAPS, int(SHARE * history.data.shape[1]))
+    return replace(history, data=_left(history.data, at, taps)), Strokes(at.size, usual / history.rate)
+
+
+def _strokes(some: Any_) -> Int:
+    """(k,) samples at which the signals (ch, sample) are struck."""
+    error = np.stack([_unforeseen(x) ** 2 for x in some])
+    n = error.shape[1] // WINDOW * WINDOW
+    power = error[:, :n].reshape(len(error), -1, WINDOW).mean(axis=2)
+    typical = np.median(power, axis=1, keepdims=True)
+    if not n or not (typical > 0).all():
+        return np.empty(0, dtype=np.int64)
+    power = (power / typical).mean(axis=0)
+    top = np.flatnonzero((power > ABOVE) & (power >= maximum_filter1d(power, 2 * APART + 1)))
+    around = np.clip(WINDOW * top[:, None] + np.arange(-2, WINDOW + 2), 0, error.shape[1] - 1)
+    each = (error / typical).mean(axis=0)[around]
+    return np.asarray(np.unique(around[np.arange(top.size), each.argmax(axis=1)]), dtype=np.int64)
+
+
+def _unforeseen(x: Any_) -> Any_:
+    """Error (sample,) of the linear prediction of a signal (sample,) from what went before (Yule and Walker)."""
+    n = int(next_fast_len(x.size + ORDER, real=True))
+    spectrum = rfft(x, n)
+    r = irfft(spectrum.real**2 + spectrum.imag**2, n)[: ORDER + 1].astype(np.float64)
+    if not r[0] > 0:
+        return np.zeros_like(x)
+    r[0] *= 1 + 1e-6
+    filter_ = np.concatenate([[1.0], -solve_toeplitz(r[:-1], r[1:])]).astype(x.dtype)
+    return irfft(spectrum * rfft(filter_, n), n)[: x.size]
+
+
+def _left(data: Any_, at: Int, taps: int) -> Any_:
+    """`data` (ch, sample) less what a filter of so many `taps` makes of unit blows at the samples `at`."""
+    samples = data.shape[1]
+    n = int(next_fast_len(samples + taps, real=True))
+    blows = rfft(np.bincount(at, minlength=samples).astype(np.float64), n)
+    r = irfft(blows.real**2 + blows.imag**2, n)[:taps]
+    r[0] *= 1 + RIDGE
+    shift = np.exp(2j * np.pi * EARLY / n * np.arange(blows.size))
+    out = np.empty_like(data)
+    for y, x in zip(out, data, strict=True):  # channels: one transform is long
+        cross = irfft(rfft(x - x.mean(dtype=np.float64), n) * (blows * shift).conj(), n)[:taps]
+        response: Float = solve_toeplitz(r, cross)
+        y[:] = x - irfft(rfft(response, n) * blows * shift, n)[:samples]
+    return out
