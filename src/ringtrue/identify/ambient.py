@@ -35,6 +35,7 @@ from ringtrue.identify.ambient_record import (
 from ringtrue.identify.ambient_verdict import (
     Found,
     confidence,
+    fastest_decay,
     machine,
     overtones,
     reason,
@@ -45,7 +46,7 @@ from ringtrue.identify.ambient_verdict import (
     unresolved,
     without_echoes,
 )
-from ringtrue.identify.bands import STEP, BandSums
+from ringtrue.identify.bands import STEP, BandSums, with_fewer_lags
 from ringtrue.identify.choice import chosen, with_picks
 from ringtrue.identify.poles import PoleSet, StableDiagram, unit
 from ringtrue.identify.repeated import loosened, with_pairs
@@ -332,6 +333,9 @@ def identify_stretches(
     for k, modes_of in enumerate(abreast(lambda x: _band(x, settings, known), sums)):
         tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
         found.append(modes_of)
+    tries = settings.order_max // ssi.order_step
+    heavy = [with_fewer_lags(x, fastest_decay(y.table, tries)) for x, y in zip(sums, found, strict=True)]
+    found += abreast(lambda x: _band(x, settings, replace(known, choice=None)), [x for x in heavy if x])
     result = _assemble(good, found, lines, bands, settings, choice, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.reasons)
@@ -391,7 +395,7 @@ def _assemble(
     return AmbientResult(
         modes,
         uncertainty(found, at, len(history.channels)),
-        tuple(x.diagram for x in found),
+        tuple(x.diagram for x in found[: len(bands)]),
         tuple("; ".join(filter(None, (by_hand.said.get((b, i)), reason(found[b], i)))) for b, i in at),
         lines,
         tuple(with_nothing_found(history, left_out, len(at), bands)),

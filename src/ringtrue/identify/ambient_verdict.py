@@ -61,6 +61,12 @@ def settled(c: Candidates, orders: int) -> bool:
     return not ((sure > DOUBTFUL) & ((sure < SURE) | (c.orders[:, 0] < 0.6 * c.orders[:, 1]))).any()
 
 
+def fastest_decay(c: Candidates, orders: int) -> float:
+    """Largest ζω, 1/s, of what may be a mode; 0 where all of the candidates are settled."""
+    sure = confidence(c, orders)
+    return 0.0 if settled(c, orders) else float((-c.pole.real[sure > 0.5 * DOUBTFUL]).max(initial=0.0))
+
+
 def select(found: list[Found], least: float) -> list[tuple[int, int]]:
     """(band, row) of the modes to report: confident ones, each once, ascending in frequency."""
     rows = [(b, i) for b, x in enumerate(found) for i in np.flatnonzero(_automatic(x, least)).tolist()]

@@ -26,6 +26,7 @@ IN_STEP = 8  # channels that are transformed together: memory of more is mapped 
 STEP = 4  # from one rate to the next
 MOST_BLOCKS = 32
 NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
+LONG, TELLING, FEWEST_ROWS = 5.0, 2.2, 10  # decays over all lags that are too many, those that tell most; block rows
 PERIODOGRAM = 1 << 18  # samples at the rate of a band: lines finer than the bins
 
 
@@ -156,6 +157,18 @@ def of_stretch(sums: list[BandSums], data: Any_, rate: float, events: Events = N
         got, y = _pass(x, y, events, x is sums[-1])
         out.append(got)
     return out
+
+
+def with_fewer_lags(x: BandSums, decay: float) -> BandSums | None:
+    """The sums without the lags at which a motion of this decay, 1/s, has died away; None where few have that.
+
+    Noise is all that these tell of it; modes of little damping need them.
+    """
+    seconds = 2 * x.ssi.block_rows / x.band.rate
+    rows = max(int(x.ssi.block_rows * TELLING / max(decay * seconds, TELLING)), FEWEST_ROWS)
+    if decay * seconds < LONG or rows >= x.ssi.block_rows:
+        return None
+    return replace(x, ssi=replace(x.ssi, block_rows=rows), parts=tuple(p[:, : 2 * rows] for p in x.parts))
 
 
 def joined(sums: list[BandSums], stretch: list[BandSums]) -> list[BandSums]:

@@ -18,6 +18,8 @@ from ringtrue.errors import InputError
 from ringtrue.identify.common import common_faults, undone
 from ringtrue.shapes.mac import mac
 
+EXACT = 1e-4  # of the largest component: a deviation is no smaller
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
@@ -115,7 +117,7 @@ def _spread_out(record: Record, rows: Int, n: int) -> tuple[Complex, Float]:
     psi[rows[here]] = record.modes.shapes[here]
     size = np.abs(record.modes.shapes).max(0, initial=1e-300)
     v = np.where(np.isfinite(record.uncertainty.shape), record.uncertainty.shape, 0.02 * size) ** 2
-    var[rows[here]] = np.maximum(v, (1e-4 * size) ** 2)[here]
+    var[rows[here]] = np.maximum(v, (EXACT * size) ** 2)[here]
     return psi, var
 
 
@@ -137,7 +139,9 @@ def _glue(group: _Group, psi: Complex, var: Float, member: tuple[int, int], freq
     ratio = (np.abs(group.shape[both]) ** 2).sum() / np.maximum((np.abs(psi[both]) ** 2).sum(), 1e-300)
     w = 1 / (group.var[both] + ratio * var[both])
     scale = (w * psi[both].conj() * group.shape[both]).sum() / (w * np.abs(psi[both]) ** 2).sum()
-    new, v = psi * scale, var * np.abs(scale) ** 2
+    # the scale is no better known than the common channels tell it
+    new = psi * scale
+    v = var * np.abs(scale) ** 2 + np.abs(psi) ** 2 / (w * np.abs(psi[both]) ** 2).sum()
     wa = np.where(np.isfinite(group.var), 1 / group.var, 0.0)
     wb = np.where(np.isfinite(v), 1 / v, 0.0)
     total = wa + wb
@@ -246,6 +250,17 @@ def _mended(record: Record, channels: tuple[str, ...]) -> Record:
     return Record(undone(record.modes, channels), replace(record.uncertainty, shape=std), record.name)
 
 
+def _of_unit(shape: Complex, var: Float) -> Float:
+    """Variances (ch, m) of shapes (ch, m), times their largest component, once that is divided out: its own are theirs."""
+    if not shape.size:
+        return var
+    size = np.nan_to_num(np.abs(shape))
+    at = (size.argmax(axis=0), np.arange(size.shape[1]))
+    out = var + (size / np.maximum(size[at], 1e-300)) ** 2 * var[at]
+    out[at] = (EXACT * size[at]) ** 2
+    return np.asarray(out)
+
+
 def _result(
     records: Sequence[Record],
     groups: list[_Group],
@@ -262,6 +277,7 @@ def _result(
     var = np.stack([g.var[pick] for _, g in both], axis=1) if both else np.empty((n, 0))
     top = np.nan_to_num(np.abs(shape)).max(axis=0, initial=0.0)
     top = np.where(top > 0, top, 1.0)
+    var = _of_unit(shape, var)
     confidence = np.array([max(records[r].modes.confidence[k] for r, k in g.members) for _, g in both])
     names = " + ".join(r.name for r in records)
     modes = ModeSet(values[:, 0], values[:, 2], shape / top, channels, source=names, confidence=confidence)

@@ -21,6 +21,8 @@ from ringtrue.identify.whittle import SpectralBins, refine
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
 
+KNOWN, WITHIN = 0.025, 0.5  # standard deviation of a frequency: of itself, and of the half bandwidth of the mode
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
@@ -88,7 +90,8 @@ class Candidates:
 def stable_poles(band: BandPoles, damping_max: float = 0.2, strength: float = 2.0, collinearity: float = 0.3) -> Bool:
     """(k,) poles worth clustering: damped, known to a few per cent, of some strength, and not wildly complex."""
     p = band.poles
-    known = (p.std_frequency < 0.025 * p.frequencies) & (p.std_damping < np.maximum(p.damping, 2e-3))
+    sharp = p.std_frequency < np.maximum(KNOWN, WITHIN * p.damping) * p.frequencies
+    known = sharp & (p.std_damping < np.maximum(p.damping, 2e-3))
     return (p.damping < damping_max) & known & (band.strength > strength) & (mpc(p.shape) > collinearity)
 
 

@@ -1,0 +1,94 @@
+"""Machines that stamp or change their speed beside random forces, and motions of much damping that overlap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.identify.ambient import AmbientResult, identify_ambient
+from ringtrue.signal.strokes import without_strokes
+from ringtrue.signal.sweeps import without_sweeps
+
+RATE, F, Z = 50.0, np.array([2.2, 3.7, 4.1, 6.9, 9.4]), np.array([0.012, 0.008, 0.015, 0.01, 0.02])
+N = int(900 * RATE)
+TIME = np.arange(N) / RATE
+PUSH = np.array([[1.0, 0.7, -0.8, 0.6, 0.9]]).T
+
+
+def forces(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((F.size, N))
+
+
+def record(force: np.ndarray, f: np.ndarray = F, z: np.ndarray = Z, rate: float = RATE) -> TimeHistory:
+    """Accelerations at seven points, noise 30 dB below."""
+    phi = np.linalg.qr(np.random.default_rng(14).standard_normal((7, f.size)))[0]
+    y = np.zeros((7, force.shape[1]))
+    for shape, s, x in zip(phi.T, 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2)), force, strict=True):
+        y += np.outer(shape, (s * lfilter([1.0], [1.0, -np.exp(s / rate)], x.astype(complex))).imag)
+    y += 0.03 * y.std() * np.random.default_rng(1).standard_normal(y.shape)
+    return TimeHistory(y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(7)), "made")
+
+
+def swept() -> np.ndarray:
+    """The turns of a machine between 1 and 5 Hz, three times up and down."""
+    turns = np.cumsum(3 - 2 * np.cos(2 * np.pi * TIME / 300)) / RATE
+    return 3 * PUSH * np.sin(2 * np.pi * turns) + 2 * PUSH[::-1] * np.sin(4 * np.pi * turns)
+
+
+def stamps(intervals: np.ndarray) -> np.ndarray:
+    at = np.cumsum(intervals) * RATE
+    return 40 * PUSH * np.bincount(at[at < N].astype(int), minlength=N)
+
+
+def check(r: AmbientResult) -> None:
+    assert len(r.modes) == F.size, (r.modes.frequencies, r.notes)
+    assert np.abs(r.modes.frequencies / F - 1).max() < 4e-3
+    assert (np.abs(r.modes.frequencies - F) < 3 * r.uncertainty.frequency).all()
+    assert (np.abs(r.modes.damping - Z) < 3.5 * r.uncertainty.damping).all()
+
+
+def test_run_ups_leave_no_modes_where_they_turn() -> None:
+    r = identify_ambient(record(forces() + swept()))
+    check(r)
+    assert any("tones of changing frequency" in n for n in r.notes)
+
+
+def test_only_what_moves_is_taken_out() -> None:
+    quiet, loud = record(forces()), record(forces() + swept())
+    clean, found = without_sweeps(loud)
+    assert min(x.low for x in found) == pytest.approx(1.0, abs=0.1)
+    assert max(x.high for x in found) == pytest.approx(10.0, abs=0.2)
+    assert (clean.data - quiet.data).std() < 0.25 * (loud.data - quiet.data).std()
+    bursts = forces() * np.where(TIME % 90 < 9, 30.0, 1.0)
+    for still in (quiet, record(bursts), record(forces() + 20 * PUSH * np.sin(2 * np.pi * 5 * TIME))):
+        assert without_sweeps(still) == (still, ())
+
+
+def test_a_press_moves_no_mode() -> None:
+    rng = np.random.default_rng(2)
+    r = identify_ambient(record(forces() + stamps(1.7 * (1 + 0.02 * rng.standard_normal(600)))))
+    check(r)
+    assert any("1.7 s apart" in n for n in r.notes)
+
+
+def test_regular_blows_are_taken_out_and_others_left() -> None:
+    rng = np.random.default_rng(2)
+    struck = forces() + stamps(1.7 * (1 + 0.003 * rng.standard_normal(600)))
+    clean, found = without_strokes(record(struck))
+    assert found is not None
+    assert found.interval == pytest.approx(1.7, abs=0.02)
+    assert found.count == pytest.approx(900 / 1.7, rel=0.05)
+    quiet = record(forces())
+    assert (clean.data - quiet.data).std() < 0.5 * quiet.data.std() < 0.3 * record(struck).data.std()
+    for other in (quiet, record(forces() + stamps(rng.exponential(1.7, 600)))):
+        assert without_strokes(other) == (other, None)
+
+
+def test_three_overlapping_modes_of_much_damping() -> None:
+    f, z = np.array([0.5, 0.7, 1.1]), np.array([0.12, 0.1, 0.15])
+    r = identify_ambient(record(np.random.default_rng(0).standard_normal((3, 36000)), f, z, 10.0))
+    assert len(r.modes) == 3, (r.modes.frequencies, r.notes)
+    np.testing.assert_allclose(r.modes.frequencies, f, rtol=0.06)
+    np.testing.assert_allclose(r.modes.damping, z, rtol=0.35)
