@@ -58,13 +58,7 @@ from ringtrue.identify.ssi import (
     identify_band,
     part_of,
 )
-from ringtrue.identify.stabilise import (
-    Candidates,
-    candidates,
-    half_agreement,
-    refined,
-    steady,
-)
+from ringtrue.identify.stabilise import Candidates, candidates, half_agreement, refined, steady
 from ringtrue.identify.stretches import gathered, steady_sines, without_machines
 from ringtrue.identify.struck import by_references, even_halves, event_weights
 from ringtrue.identify.wander import wander, widened
@@ -122,7 +116,7 @@ class AmbientResult:
         Unscaled complex shapes, largest component 1; `confidence` 0..1 for each.
     uncertainty : Uncertainty
     diagrams : tuple of StableDiagram
-        One for each band, from the highest; clusters are numbered within the band.
+        One for each band, from the highest; clusters are numbered within it.
     reasons : tuple of str
         Why each mode is believed.
     harmonics : tuple of Harmonic
@@ -333,9 +327,9 @@ def identify_stretches(
     for k, modes_of in enumerate(abreast(lambda x: _band(x, settings, known), sums)):
         tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
         found.append(modes_of)
-    tries = settings.order_max // ssi.order_step
-    heavy = [with_fewer_lags(x, fastest_decay(y.table, tries)) for x, y in zip(sums, found, strict=True)]
-    found += abreast(lambda x: _band(x, settings, replace(known, choice=None)), [x for x in heavy if x])
+    decays = [fastest_decay(x.table, settings.order_max // ssi.order_step) for x in found]
+    heavy = [short for x, d in zip(sums, decays, strict=True) if (short := with_fewer_lags(x, d))]
+    found += abreast(lambda x: _band(x, settings, replace(known, choice=None)), heavy)
     result = _assemble(good, found, lines, bands, settings, choice, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.reasons)

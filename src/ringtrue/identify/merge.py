@@ -251,7 +251,7 @@ def _mended(record: Record, channels: tuple[str, ...]) -> Record:
 
 
 def _of_unit(shape: Complex, var: Float) -> Float:
-    """Variances (ch, m) of shapes (ch, m), times their largest component, once that is divided out: its own are theirs."""
+    """Variances (ch, m) of shapes (ch, m) whose largest component is to be the unit: those of this one are theirs."""
     if not shape.size:
         return var
     size = np.nan_to_num(np.abs(shape))

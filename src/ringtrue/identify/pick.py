@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify.cluster import cluster_poles
@@ -14,15 +14,21 @@ from ringtrue.shapes.mac import mac
 
 
 def modes_of(
-    poles: PoleSet, channels: tuple[str, ...], *, share: float = 0.5, damping_max: float = 0.2, source: str = ""
+    poles: PoleSet,
+    channels: tuple[str, ...],
+    *,
+    share: float = 0.5,
+    damping_max: float = 0.2,
+    source: str = "",
+    shape_std: Float | None = None,
 ) -> tuple[ModeSet, Uncertainty]:
     """One mode for each cluster of stable poles that `share` of the orders, from the first that shows it, show.
 
     A pole is stable if the order before has one within 1 % of its frequency and 5 % of its damping (or four of its
     standard deviations, where known), MAC above 0.98. `identify.ambient` judges by more than this, and invents less.
 
-    Frequency, damping and standard deviations are medians over the cluster, or the means by inverse variance where
-    the standard deviations are known; the shape is that of the pole nearest to them. The confidence is the share of
+    Frequency and damping are medians over the cluster, or with their standard deviations the means by inverse variance
+    where these are known; the shape is that of the pole nearest to them. The confidence is the share of
     the orders times the square root of the modal phase collinearity.
 
     Parameters
@@ -35,8 +41,11 @@ def modes_of(
     damping_max : float
         Poles with more are dropped.
     source : str
+    shape_std : (ch, k) float64, optional
+        Standard deviations of the shapes of all poles.
     """
-    good = poles.take(_physical(poles, damping_max))
+    known = _physical(poles, damping_max)
+    good = poles.take(known)
     label = cluster_poles(good.pole, good.shape, good.order)
     groups = [np.flatnonzero(label == g) for g in range(int(label.max(initial=-1)) + 1)]
     shown = np.array([g.size / (poles.orders >= good.order[g].min()).sum() if g.size else 0.0 for g in groups])
@@ -48,7 +57,8 @@ def modes_of(
     shape = unit(good.shape[:, at])
     confidence = np.clip(part[rank] * np.sqrt(mpc(shape)), 0, 1) if at.size else np.empty(0)
     modes = ModeSet(rows[:, 0], rows[:, 1], shape, channels, source=source, confidence=confidence)
-    return modes, Uncertainty.independent(rows[:, 2], rows[:, 3], np.full(shape.shape, np.nan))
+    std = np.full(shape.shape, np.nan) if shape_std is None else shape_std[:, known][:, at]
+    return modes, Uncertainty.independent(rows[:, 2], rows[:, 3], std)
 
 
 def _physical(poles: PoleSet, damping_max: float) -> Bool:
@@ -74,4 +84,5 @@ def centre(p: PoleSet, at: Int) -> tuple[float, float, float, float, float]:
     w = z / (sf / f) ** 2 if known else np.ones(at.size)
     mf, mz = (float(w @ x / w.sum()) if known else float(np.median(x)) for x in (f, z))
     best = at[np.argmin((f / mf - 1) ** 2 + (0.01 * (z / mz - 1)) ** 2)]
-    return mf, mz, float(np.median(sf)), float(np.median(sz)), float(best)
+    # the orders see one record: their mean is no better known than they are in the mean
+    return mf, mz, float(w @ sf / w.sum()), float(w @ sz / w.sum()), float(best)

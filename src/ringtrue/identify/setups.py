@@ -4,6 +4,9 @@ The block-Hankel matrices of the references of all setups, side by side, share t
 observability matrix is brought to that basis, which takes out the force of that day (Döhler, Reynders, Magalhães,
 Mevel, De Roeck and Cunha 2010; Reynders et al. 2009). `merge.merge_modes` glues separately identified modes instead
 (PoSER); where frequencies differ from setup to setup, that is the better choice.
+
+Deviations are to first order: the correlations of each setup are changed by the deviation of each of its blocks in
+turn, and what that does to the transition matrix of each order moves its poles and shapes.
 """
 
 from __future__ import annotations
@@ -12,15 +15,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Any_, Complex, Float
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import TimeHistory
+from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
-from ringtrue.identify.era import gathered, modal
-from ringtrue.identify.poles import PoleSet
+from ringtrue.identify import variance as var
+from ringtrue.identify.pick import modes_of
+from ringtrue.identify.poles import PoleSet, unit
 from ringtrue.identify.ssi import SsiCov, decompose, positions, prepared
-from ringtrue.identify.variance import hankel
-from ringtrue.signal.psd import correlations
+from ringtrue.signal.preprocess import block_bounds
+from ringtrue.signal.psd import block_correlations
+
+MOST_BLOCKS = 12  # of a setup
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,21 +39,37 @@ class GlobalPoles:
     Attributes
     ----------
     poles : PoleSet
-        Rows of the shapes are `channels`; standard deviations are NaN.
+        Rows of the shapes are `channels`.
+    shape_std : (ch, k) float64
+        Standard deviations of the moduli, the largest component held.
     channels : tuple of str
         References first, then the other channels of each setup.
     """
 
     poles: PoleSet
+    shape_std: Float
     channels: tuple[str, ...]
+
+    def modes(self, source: str = "PreGER") -> tuple[ModeSet, Uncertainty]:
+        """Modes that most orders show (`identify.pick.modes_of`) with their standard deviations."""
+        return modes_of(self.poles, self.channels, source=source, shape_std=self.shape_std)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setup:
-    """Block-Hankel matrices of one setup, the references' of unit norm."""
+    """Correlations (lag, ch, ref) of one setup, references first, and their deviations by its blocks.
 
-    fixed: Float
-    moved: Float
+    In units of each channel's root mean square, that of the references' in the first setup, over the norm of those of
+    the references.
+    """
+
+    r: Float
+    dr: Any_
+
+    def hankels(self, rows: int, refs: int, block: int = -1) -> tuple[Float, Float]:
+        """Block-Hankel matrices of the references and of the others, changed by the deviation of a block."""
+        r = self.r if block < 0 else self.r + self.dr[block]
+        return var.hankel(r[:, :refs], rows), var.hankel(r[:, refs:], rows)
 
 
 def _channels(setups: Sequence[TimeHistory], references: tuple[str, ...]) -> list[list[str]]:
@@ -60,15 +85,20 @@ def _channels(setups: Sequence[TimeHistory], references: tuple[str, ...]) -> lis
     return moved
 
 
-def _hankels(history: TimeHistory, references: tuple[str, ...], moved: list[str], s: SsiCov) -> tuple[_Setup, Float]:
-    """Block-Hankel matrices in units of each channel's root mean square, and those, references first."""
-    at = np.concatenate([positions(history, references), positions(history, tuple(moved))]).astype(np.int64)
+def _setup(history: TimeHistory, ids: Sequence[str], refs: int, first: Float | None, s: SsiCov) -> tuple[_Setup, Float]:
+    """Correlations of one setup, and the root mean squares of its channels; `first`: of the references in the first."""
     data, scale = prepared(history)
-    k = len(references)
-    r = correlations(data[at], np.arange(k), 2 * s.block_rows - 1)
-    fixed, other = hankel(r[:, :k], s.block_rows), hankel(r[:, k:], s.block_rows)
-    size = np.linalg.norm(fixed)
-    return _Setup(fixed / size, other / size), scale[at]
+    at, lags = positions(history, tuple(ids)), 2 * s.block_rows - 1
+    samples = data.shape[1]
+    blocks = s.blocks or min(var.blocks_for(samples, lags), MOST_BLOCKS)
+    r, count = block_correlations(data[at], np.arange(refs), lags, block_bounds(samples, blocks))
+    scale = scale[at]
+    own = np.ones(len(at)) if first is None else np.concatenate([scale[:refs] / first, np.ones(len(at) - refs)])
+    r *= own[:, None]  # the columns are but combinations and may stay
+    weights = count[:, 0] / count[:, 0].sum()
+    mean, dr = var.deviations(r, weights) if blocks > 1 else (r[0], r[:0])
+    size = np.linalg.norm(var.hankel(mean[:, :refs], s.block_rows))
+    return _Setup(mean / size, dr / size), scale
 
 
 def preger(setups: Sequence[TimeHistory], references: Sequence[str], settings: SsiCov | None = None) -> GlobalPoles:
@@ -81,7 +111,7 @@ def preger(setups: Sequence[TimeHistory], references: Sequence[str], settings: S
     references : sequence of str
         Ids of the channels common to all.
     settings : SsiCov
-        `blocks` is not used.
+        `blocks` of each setup; 1 leaves the standard deviations out (NaN), 0 chooses.
 
     Raises
     ------
@@ -92,34 +122,78 @@ def preger(setups: Sequence[TimeHistory], references: Sequence[str], settings: S
     """
     s, refs = settings or SsiCov(), tuple(references)
     moved = _channels(setups, refs)
-    parts = [_hankels(h, refs, m, s) for h, m in zip(setups, moved, strict=True)]
-    # one scale of the references for all setups: that of the first
-    first = parts[0][1][: len(refs)]
-    fixed = [_common(x.fixed, scale[: len(refs)] / first) for x, scale in parts]
-    u, sv, _ = decompose(np.concatenate(fixed, axis=1), min(s.order_max, (s.block_rows - 1) * len(refs)))
+    parts: list[_Setup] = []
+    scales: list[Float] = []
+    for h, m in zip(setups, moved, strict=True):
+        part, scale = _setup(h, refs + tuple(m), len(refs), scales[0][: len(refs)] if scales else None, s)
+        parts.append(part)
+        scales.append(scale)
+    plain = [x.hankels(s.block_rows, len(refs)) for x in parts]
+    u, sv, v = decompose(
+        np.concatenate([x[0] for x in plain], axis=1), min(s.order_max, (s.block_rows - 1) * len(refs))
+    )
     n = int((sv > 1e-10 * sv[0]).sum())
-    seen = [u[:, :n].T @ h for h in fixed]
-    gram = [x @ x.T for x in seen]
-    cross = [x.moved @ y.T for (x, _), y in zip(parts, seen, strict=True)]
+    right = v[:, :n] / sv[:n]
     orders = list(range(2, n + 1, s.order_step))
-    found = [
-        _order(u[:, :k], [(c[:, :k], g[:k, :k]) for c, g in zip(cross, gram, strict=True)], s, setups[0].rate)
-        for k in orders
-    ]
-    scales = np.concatenate([first, *(scale[len(refs) :] for _, scale in parts)])
-    return GlobalPoles(gathered(orders, found).rescaled(scales), refs + tuple(c for m in moved for c in m))
+    base = _realised(u[:, :n], plain, orders, s.block_rows)
+    changed = []
+    for j, x in enumerate(parts):
+        for b in range(len(x.dr)):
+            some = [*plain[:j], x.hankels(s.block_rows, len(refs), b), *plain[j + 1 :]]
+            # the same right vectors, the same signs: a basis that changes as little as the correlations do
+            q, r = np.linalg.qr(np.concatenate([y[0] for y in some], axis=1) @ right)
+            changed.append(_realised(q * np.sign(np.diag(r)), some, orders, s.block_rows))
+    scale = np.concatenate([scales[0], *(x[len(refs) :] for x in scales[1:])])
+    found = [_order(base[k], [c[k] for c in changed], s, setups[0].rate, scale) for k in range(len(orders))]
+    poles = PoleSet(
+        np.repeat(np.asarray(orders, dtype=np.int64), [len(x[0]) for x in found]),
+        np.concatenate([x[0] for x in found]),
+        unit(np.concatenate([x[1] for x in found], axis=1)),
+        np.concatenate([x[2] for x in found]),
+        np.concatenate([x[3] for x in found]),
+    )
+    shape_std = np.concatenate([x[4] for x in found], axis=1)
+    return GlobalPoles(poles, shape_std, refs + tuple(c for m in moved for c in m))
 
 
-def _common(h: Float, ratio: Float) -> Float:
-    """Rows of the references' matrix in the units of the first setup; its columns are but combinations and may stay."""
-    return np.asarray(h * np.tile(ratio, h.shape[0] // ratio.size)[:, None])
+def _realised(
+    u: Float, hankels: Sequence[tuple[Float, Float]], orders: Sequence[int], rows: int
+) -> list[tuple[Float, Float]]:
+    """A (n, n) and C (ch, n) of each order: O_moved = H_moved Xᵀ (X Xᵀ)⁻¹ of each setup under the references' O."""
+    seen = [u.T @ fixed for fixed, _ in hankels]
+    gram, cross = [x @ x.T for x in seen], [h @ x.T for (_, h), x in zip(hankels, seen, strict=True)]
+    out = []
+    for n in orders:
+        own = [np.linalg.lstsq(g[:n, :n], c[:, :n].T, rcond=1e-14)[0].T for g, c in zip(gram, cross, strict=True)]
+        by_row = np.concatenate([x.reshape(rows, -1, n) for x in (u[:, :n], *own)], axis=1)
+        ch = by_row.shape[1]
+        o = by_row.reshape(-1, n)
+        q, r = np.linalg.qr(o[:-ch])
+        out.append((solve_triangular(r, q.T @ o[ch:]), o[:ch].copy()))
+    return out
 
 
-def _order(fixed: Float, own: list[tuple[Float, Float]], s: SsiCov, rate: float) -> tuple[Complex, Complex]:
-    """Poles and shapes of one order: O_moved = H_moved Xᵀ (X Xᵀ)⁻¹ of each setup under the references' O."""
-    n = fixed.shape[1]
-    moved = [np.linalg.lstsq(g, c.T, rcond=1e-14)[0].T for c, g in own]
-    by_row = np.concatenate([x.reshape(s.block_rows, -1, n) for x in (fixed, *moved)], axis=1)
-    ch = by_row.shape[1]
-    o = by_row.reshape(-1, n)
-    return modal(np.linalg.lstsq(o[:-ch], o[ch:], rcond=None)[0], o[:ch], rate, s.damping_max)
+def _order(
+    base: tuple[Float, Float], changed: Sequence[tuple[Float, Float]], s: SsiCov, rate: float, scale: Float
+) -> tuple[Complex, Complex, Float, Float, Float]:
+    """Damped poles (k,), shapes (ch, k) and the standard deviations of frequency, damping and moduli of one order."""
+    a, c = base
+    mu, right = np.linalg.eig(a)
+    right = right.astype(np.complex128)
+    every = np.log(np.where(mu == 0, 1e-300, mu).astype(np.complex128)) * rate
+    zeta = -every.real / np.maximum(np.abs(every), 1e-300)
+    keep = np.flatnonzero((mu.imag > 0) & (zeta > 0) & (zeta < s.damping_max))
+    pole: Complex = every[keep]
+    psi = np.asarray(scale[:, None] * (c @ right[:, keep]), dtype=np.complex128)
+    if not changed or not keep.size:
+        return pole, psi, np.full(keep.size, np.nan), np.full(keep.size, np.nan), np.full(psi.shape, np.nan)
+    d_a, d_c = (np.stack([x[i] - base[i] for x in changed]) for i in (0, 1))
+    load = np.linalg.solve(right, d_a @ right[:, keep])  # (block, n, k)
+    at = np.arange(keep.size)
+    d_mu = load[:, keep, at].T
+    gain = mu[keep] - mu[:, None]
+    gain[keep, at] = np.inf
+    d_psi = scale[:, None] * (d_c @ right[:, keep] + c @ (right @ (load / gain)))
+    d_pole: Complex = d_mu / mu[keep, None] * rate
+    df, dz = var.frequency_damping(pole, d_pole)
+    return pole, psi, var.std(df), var.std(dz), var.modulus_std(psi, d_psi.transpose(2, 1, 0))

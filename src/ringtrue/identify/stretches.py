@@ -27,7 +27,7 @@ def without_machines(
     """Both records (`whole`: some channels of `good`) without regular blows and run-ups of machines, and notes."""
     quiet, strokes = without_strokes(good)
     clean, sweeps = without_sweeps(quiet)
-    notes = ()
+    notes: tuple[str, ...] = ()
     if strokes:
         notes += (
             f"{strokes.count} blows {strokes.interval:.3g} s apart (a press, a pile driver): the mean response to "

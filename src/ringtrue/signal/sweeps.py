@@ -101,7 +101,7 @@ def _moving(white: Any_, step: float) -> tuple[Bool, list[Sweep]]:
         if (ends := _ridge(power, first)) is not None:
             mask[places[k]] |= own
             sweeps.append(Sweep(step * ends[0], step * ends[1], 0.5 * int((power > 0).any(axis=1).sum()) / step))
-    return binary_dilation(mask, np.ones((1, 3))), sweeps
+    return binary_dilation(mask, np.ones((1, 3), dtype=np.bool_)), sweeps
 
 
 def _ridge(power: Float, first: int) -> tuple[float, float] | None:
