@@ -41,6 +41,7 @@ from ringtrue.identify.ambient_verdict import (
     reason,
     select,
     settled,
+    surer_groups,
     uncertainty,
     unexplained,
     unresolved,
@@ -328,8 +329,11 @@ def identify_stretches(
         tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
         found.append(modes_of)
     decays = [fastest_decay(x.table, settings.order_max // ssi.order_step) for x in found]
-    heavy = [short for x, d in zip(sums, decays, strict=True) if (short := with_fewer_lags(x, d))]
-    found += abreast(lambda x: _band(x, settings, replace(known, choice=None)), heavy)
+    heavy = [(k, y) for k, (x, d) in enumerate(zip(sums, decays, strict=True)) if (y := with_fewer_lags(x, d))]
+    again = abreast(lambda x: _band(x[1], settings, replace(known, choice=None)), heavy)
+    for (k, _), other in zip(heavy, again, strict=True):
+        found[k], other = surer_groups(found[k], other, settings.confidence_min)
+        found.append(other)
     result = _assemble(good, found, lines, bands, settings, choice, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.reasons)

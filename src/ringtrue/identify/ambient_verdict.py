@@ -22,6 +22,7 @@ FEW = 4  # channels: with three any shape is like any other
 ECHO, LIKE, ROUGH = 1.25, 0.9, 0.2  # ratio of frequencies, MAC, and deviation of the damping over it
 STEADY = 2.5  # deviations of the logarithm of a fourth moment
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
+CHANCE = 0.1  # of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +70,29 @@ def fastest_decay(c: Candidates, orders: int) -> float:
         if len(c.shape) < FEW or settled(c, orders)
         else float((-c.pole.real[sure > 0.5 * DOUBTFUL]).max(initial=0.0))
     )
+
+
+def surer_groups(one: Found, two: Found, least: float) -> tuple[Found, Found]:
+    """Two looks at one band, with the confidence of overlapping modes left to that which is surer of all of them.
+
+    The second must be so by more than chance. Modes hang together where their half-power bandwidths touch.
+    """
+    both = [(x, np.flatnonzero(_automatic(x, least))) for x in (one, two)]
+    f, z = (np.concatenate([getattr(x.table, name)[at] for x, at in both]) for name in ("frequencies", "damping"))
+    sure = np.concatenate([x.confidence[at] for x, at in both])
+    look = np.repeat([0, 1], [at.size for _, at in both])
+    rank = np.argsort(f - z * f, kind="stable")
+    reach = np.maximum.accumulate((f + z * f)[rank])
+    group = np.empty(f.size, dtype=np.int64)
+    group[rank] = np.concatenate([[0], np.cumsum((f - z * f)[rank][1:] > reach[:-1])])[: f.size]
+    first, second = (np.bincount(group[look == k], sure[look == k], group.max(initial=0) + 1) for k in (0, 1))
+    lost = np.where(second > first + CHANCE, 0, 1)[group] == look
+    out = []
+    for k, (x, at) in enumerate(both):
+        kept = x.confidence.copy()
+        kept[at[lost[look == k]]] = 0.0
+        out.append(replace(x, confidence=kept))
+    return out[0], out[1]
 
 
 def select(found: list[Found], least: float) -> list[tuple[int, int]]:

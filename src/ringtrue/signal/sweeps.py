@@ -24,6 +24,7 @@ GROUP = 32  # bins with a common level
 LOW, HIGH = 4.0, 12.0  # times the level of bin and frame: what hangs together, and what noise does not reach
 LEAST, ODD = 8, 2  # frames of a ridge, and how many at either end of its range may be by chance
 LOWEST = 4  # bin
+FEW, QUIET = 500, 0.5  # frames that tell what is typical; level of a frame at least
 MOVES = 1.15  # largest over smallest frequency: five half-power bandwidths of 3 % damping
 SPAN, THIN = 6, 2.5  # bins, and widths of the ridge itself, that it moves by
 STEADY = 0.25  # of its range: how far it may jump from frame to frame
@@ -75,17 +76,28 @@ def _frames(x: Any_, n: int) -> Any_:
 
 
 def _whitened(mixes: Any_, n: int) -> Any_:
-    """(frame, bin) power over the typical one of the bin in the record and of neighbouring bins in the frame."""
-    bins = n // 2 // GROUP * GROUP
+    """(frame, bin) power over the typical one of the bin in the record and of neighbouring bins in the frame.
+
+    Zero throughout where too few cells stand out for a ridge.
+    """
+    bins, taper = n // 2 // GROUP * GROUP, _window(n)
     total = np.zeros((len(_frames(mixes[0], n)), bins), dtype=np.float32)
     for x in mixes:
-        y = rfft(_frames(x, n) * _window(n), axis=1)[:, :bins]
+        y = rfft(_frames(x, n) * taper, axis=1)[:, :bins]
         power = y.real**2 + y.imag**2
-        total += power / np.maximum(np.median(power, axis=0) * len(mixes) / np.log(2), 1e-30)
-    level = np.median(total.reshape(len(total), -1, GROUP), axis=2)
-    total /= np.repeat(np.maximum(level, 0.5), GROUP, axis=1)
+        typical = np.median(power[:: max(1, len(power) // FEW)], axis=0) * (len(mixes) / np.log(2))
+        total += power / np.maximum(typical, np.finfo(np.float32).tiny).astype(np.float32)
     total[:, :LOWEST] = 0
-    return total
+    groups = total.reshape(len(total), -1, GROUP)
+    some = groups[groups.max(axis=2) > HIGH * QUIET]  # levels take longer than all else
+    if (some > HIGH * _levels(some)).sum() < LEAST:
+        return np.zeros_like(total)
+    return (groups / _levels(groups)).reshape(total.shape)
+
+
+def _levels(groups: Any_) -> Any_:
+    """Median over the last axis, which stays."""
+    return np.maximum(np.median(groups, axis=-1, keepdims=True), np.float32(QUIET))
 
 
 def _moving(white: Any_, step: float) -> tuple[Bool, list[Sweep]]:
