@@ -180,10 +180,10 @@ def _order(
     a, c = base
     mu, right = np.linalg.eig(a)
     right = right.astype(np.complex128)
-    every = np.log(np.where(mu == 0, 1e-300, mu).astype(np.complex128)) * rate
+    every = np.asarray(np.log(np.where(mu == 0, 1e-300, mu).astype(np.complex128)) * rate, dtype=np.complex128)
     zeta = -every.real / np.maximum(np.abs(every), 1e-300)
     keep = np.flatnonzero((mu.imag > 0) & (zeta > 0) & (zeta < s.damping_max))
-    pole: Complex = every[keep]
+    pole = every[keep]
     psi = np.asarray(scale[:, None] * (c @ right[:, keep]), dtype=np.complex128)
     if not changed or not keep.size:
         return pole, psi, np.full(keep.size, np.nan), np.full(keep.size, np.nan), np.full(psi.shape, np.nan)
@@ -194,6 +194,6 @@ def _order(
     gain = mu[keep] - mu[:, None]
     gain[keep, at] = np.inf
     d_psi = scale[:, None] * (d_c @ right[:, keep] + c @ (right @ (load / gain)))
-    d_pole: Complex = d_mu / mu[keep, None] * rate
+    d_pole = np.asarray(d_mu / mu[keep, None] * rate, dtype=np.complex128)
     df, dz = var.frequency_damping(pole, d_pole)
     return pole, psi, var.std(df), var.std(dz), var.modulus_std(psi, d_psi.transpose(2, 1, 0))
