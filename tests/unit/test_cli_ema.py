@@ -287,6 +287,8 @@ def test_titles_of_tables(tmp_path: Path) -> None:
     np.testing.assert_allclose(frfs.data[:, 0, 0], [1 + 2j, 2 + 2j, 3 + 2j])
     np.testing.assert_allclose(frfs.data[:, 1, 0], 3 * np.exp(0.5j))
     assert ([c.id for c in frfs.outputs], [c.id for c in frfs.inputs]) == (["1+Z", "2+Z"], ["3+Z"])
+    (tmp_path / "t.csv").write_text("f,1+Z/3+Z mag [dB re 2 g/N],1+Z/3+Z phase [deg]\n" + "1,20,0\n2,20,0\n3,20,0\n")
+    np.testing.assert_allclose(read_frfs(tmp_path / "t.csv").data[:, 0, 0], 10 * 2 * 9.80665)
     (tmp_path / "t.csv").write_text("f,a real,b imag\n1,1,1\n2,2,2\n3,3,3\n")
     with pytest.raises(DataError, match="needed: real and imag"):
         read_frfs(tmp_path / "t.csv")

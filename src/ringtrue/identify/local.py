@@ -172,9 +172,10 @@ def _joined(batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, l
     n = len(batches) - 1
     spread = np.sqrt(np.maximum(excess / n, 1) / weight.sum(axis=0))
     outputs, rows, which = _best(batches, found)
-    shapes = np.array([found[b].shapes[r] for b, r in zip(which, rows, strict=True)])
+    shapes = np.array([found[b].shapes[r] * found[b].poles.imag for b, r in zip(which, rows, strict=True)])
     omega = 2 * np.pi * mean[0]
     pole = omega * (-mean[1] + 1j * np.sqrt(np.maximum(1 - mean[1] ** 2, 0)))
+    shapes = shapes / pole.imag  # residues of one modal mass go with 1/ω
     none = np.zeros((len(outputs), part.shape[1]), dtype=np.complex128)
     first = batches[lead]
     model = normalise(ModalModel(pole, shapes, part, none, none, outputs, first.inputs, first.kind))

@@ -26,6 +26,7 @@ _PARTS = {
 }
 _PART = {k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in _PARTS.items()}
 _BRACKETS = re.compile(r"(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*$")
+_LEVEL = re.compile(r"\bdB\b(\s*re[fl]?\b[.:]?\s*(?P<one>(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)?)?", re.IGNORECASE)
 _TURN = 2 * np.pi + 0.1  # a phase beyond is in degrees
 
 
@@ -136,10 +137,12 @@ def _complex(columns: Mapping[str, Float], title: Mapping[str, str], key: Sequen
 
 
 def _kind(unit: str, path: Path) -> tuple[Quantity, float]:
-    """Quantity of the response and the factor to SI of a unit such as `m/s^2/N`, `(mm/s)/lbf`, `g/N`, `dB`."""
-    text = re.sub(r"(?i)\bdB\b(\s*re\b.*)?", "", unit).strip(" ,()")
+    """Quantity of the response and the factor to SI of a unit such as `m/s^2/N`, `(mm/s)/lbf`, `dB re 1 g/N`."""
+    level = _LEVEL.search(unit)
+    one = float(level["one"] or 1) if level else 1.0
+    text = _LEVEL.sub("", unit).strip(" ,()")
     if not text or text.lower() in ("deg", "rad", "°", "-"):
-        return "acceleration", 1.0
+        return "acceleration", one
     over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
     quantity, factor, _ = to_si(over) if known(over) else ("unknown", 1.0, "")
     if quantity not in FRF_KIND or not known(under) or to_si(under)[0] not in ("force", quantity):
@@ -148,5 +151,5 @@ def _kind(unit: str, path: Path) -> tuple[Quantity, float]:
             "motion of the base, g/g"
         )
     if to_si(under)[0] == quantity:  # like the accelerations of a held base for a force of inertia, constants apart
-        return "acceleration", factor / to_si(under)[1]
-    return quantity, factor / to_si(under)[1]
+        quantity = "acceleration"
+    return quantity, one * factor / to_si(under)[1]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import bdtr
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT
@@ -27,6 +28,10 @@ from ringtrue.signal.hits import (
 log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 
+_RISE = 8  # samples
+_QUIET, _FLOOR = 0.02, 6.0  # of the response; times the typical power, above which a line is no noise
+_SLOW, _FILTER = 3, 0.75  # lines that a drift takes; share of half the rate, that no filter rings at
+_PULSE = 16  # samples at least that the force is kept: an anti-aliasing filter rings on
 _SAME_END = 2e-3  # of the block, by which pulses of other width move its end
 _ENDS_AT = 0.01  # of its start, a response under an automatic exponential window
 
@@ -172,15 +177,37 @@ def _block(data: Any_, start: int, length: int) -> Float:
     return np.asarray(block - block[:, length // 2 :].mean(axis=1, keepdims=True))
 
 
-def _lead(cut: _Cut, hits: Int, settings: HammerSettings) -> int:
-    """Samples of a block before the peak: those of the pulse and no more, within the pretrigger.
+def _lead(cut: _Cut, hits: Int) -> tuple[int, int]:
+    """Samples of a block before the peak, and how many of them a smooth rise takes.
 
-    What rings on from the blow before would else stand in the pretrigger, where the model of a blow has nothing; from
-    the blow on it decays as the response does.
+    What rings on from the blow before would stand in the pretrigger, where the model of a blow has nothing; from the
+    blow on it decays as the response does. So a block begins with the pulse, at an edge. Where the anti-aliasing filter
+    rings before a short pulse, in force and response, an edge leaves a part of that at all lines: there, if the
+    structure is quiet, the block begins earlier and smoothly.
     """
     force = np.asarray(cut.record.data[cut.force], dtype=np.float64)
-    wide = max(pulse_width(force - np.median(force), h) for h in hits.tolist())
-    return min(round(settings.pretrigger * cut.record.rate), 2 * wide + 2)
+    force = force - np.median(force)
+    pulse, room = 2 * max(pulse_width(force, h) for h in hits.tolist()) + 2, int(hits.min())
+    rise = max(min(room - pulse, _RISE), 0)
+    if rise and _unrest(cut, hits - pulse) > _QUIET:
+        rise = 0
+    return min(room, pulse + rise), rise
+
+
+def _unrest(cut: _Cut, starts: Int) -> float:
+    """Level of the responses before the blows over that after them, at the line that rings on most."""
+    responses = np.delete(np.arange(len(cut.record.channels)), cut.force)
+    length = max(min(cut.length // 4, int(starts.min())), 4)
+    taper = np.hanning(length)
+    power = np.zeros((2, length // 2 + 1))
+    for a in starts.tolist():  # a few dozen blows
+        for row, at in zip(power, (a - length, a), strict=True):
+            block = cut.record.data[responses, at : at + length]
+            block = block - block.mean(axis=1, keepdims=True)
+            row += (np.abs(np.fft.rfft(block * taper)) ** 2).sum(axis=0)
+    power = power[:, _SLOW : max(int(_FILTER * length / 2), _SLOW + 1)]
+    left = np.maximum(power[0] - _FLOOR * np.median(power[0]), 0)
+    return float(np.sqrt(left / np.maximum(power[1], 1e-300)).max(initial=0.0))
 
 
 def _decay(cut: _Cut, hits: Int, length: int, settings: HammerSettings) -> float:
@@ -200,7 +227,7 @@ def _force_window(force: Float, pre: int, rate: float, settings: HammerSettings)
     """1 over the pulse, then a half cosine of the same length down to 0."""
     half = np.flatnonzero(np.abs(force[pre:]) < 0.5 * abs(force[pre]))
     width = 2 * (int(half[0]) if half.size else 1)
-    keep = round(settings.force_window * rate) if settings.force_window else max(4 * width, round(0.001 * rate))
+    keep = round(settings.force_window * rate) if settings.force_window else max(4 * width, round(0.001 * rate), _PULSE)
     t = np.arange(force.size) - pre
     down = 0.5 + 0.5 * np.cos(np.pi * np.clip((t - keep) / max(keep, 1), 0, 1))
     up = np.clip((t + max(keep, 1) + 1) / max(keep / 2, 1), 0, 1)
@@ -209,16 +236,18 @@ def _force_window(force: Float, pre: int, rate: float, settings: HammerSettings)
 
 def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSettings) -> _Sums:
     rate, at = cut.record.rate, cut.force
-    lead = _lead(cut, hits, settings)
+    (lead, rise), last = _lead(cut, hits), cut.record.data.shape[1] - length
     fade = np.exp(-decay * np.arange(length) / rate)
+    fade[:rise] *= bdtr(np.arange(rise), rise, 0.5)
     lines = length // 2 + 1
     outputs = tuple(c for i, c in enumerate(cut.record.channels) if i != at)
     ff = np.zeros(lines)
     xf, xx = np.zeros((lines, len(outputs)), dtype=np.complex128), np.zeros((lines, len(outputs)))
     kept = 0.0
     for hit in hits.tolist():  # a few dozen hits; all at once would hold the record twice
-        block = _block(cut.record.data, hit - lead, length)
-        pulse = block[at] * _force_window(block[at], lead, rate, settings)
+        start = min(hit - lead, last)
+        block = _block(cut.record.data, start, length)
+        pulse = block[at] * _force_window(block[at], hit - start, rate, settings)
         kept += (length - float(np.arange(length) @ pulse) / float(pulse.sum())) / rate / hits.size
         f = np.fft.rfft(pulse * fade)
         x = np.fft.rfft(np.delete(block, at, axis=0) * fade, axis=1).T

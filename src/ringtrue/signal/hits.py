@@ -17,6 +17,7 @@ Estimator = Literal["H1", "H2", "Hv"]
 _NEAR_FULL = 0.985  # of the range counts as an overload
 _FLAT = 4  # equal extreme samples in a row that give clipping away where no range is known
 _HAMMER = re.compile(r"(?<![a-z])(force|hammer|impact|impulse|kraft|f)(?![a-z])", re.IGNORECASE)
+_BEGUN = 0.05  # of the peak, that no sample before it is below
 _BAD_RINGING = 0.2  # rms before the hit to rms after it
 
 
@@ -40,7 +41,7 @@ class HammerSettings:
     weak : float
         A hit below this share of the median hit is left out.
     force_window : float, s, optional
-        Length after the hit that the force is kept; by default four pulse widths, 1 ms at least.
+        Length after the hit that the force is kept; by default four pulse widths, 1 ms and 16 samples at least.
     exp_end : float, optional
         Value of the exponential window at the end of the block, 1 for none; by default what lets the responses end
         at 1 % of their start.
@@ -89,7 +90,7 @@ class HitReport:
         Of the pulse at half its peak.
     accepted : bool
     reasons : tuple of str
-        Why it was left out; empty if it was used.
+        Why it was left out, or what is wrong with one that was used.
     """
 
     source: str
@@ -216,8 +217,17 @@ def check_hits(
             why += _ringing(_unrest(block[responses], pre), quietest)
         name = input_id(record.channels[at].id)
         width = pulse_width(force, hit) / record.rate
-        reports.append(HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, tuple(why)))
+        told = tuple(why) or _begun(force[: hit + 1])
+        reports.append(HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, told))
     return tuple(reports)
+
+
+def _begun(rise: Float) -> tuple[str, ...]:
+    """A remark where the force never was near 0 before its peak: the record begins within the pulse."""
+    share = np.sign(rise[-1]) * rise / max(abs(rise[-1]), 1e-300)
+    if not share.min() > _BEGUN:
+        return ()
+    return (f"the record begins within the pulse, at {100 * share[0]:.0f} % of its peak: no modal mass can be exact",)
 
 
 def _place(start: int, stop: int, samples: int, later: Int, rate: float) -> list[str]:

@@ -56,8 +56,12 @@ def full_scale(path: Path) -> dict[str, float]:
 
 
 def refused_blows(hits: Sequence[HitReport]) -> tuple[str, ...]:
-    """A line for each blow that does not count."""
-    return tuple(f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: {', '.join(h.reasons)}" for h in hits if not h.accepted)
+    """A line for each blow that does not count, or of which something is to be said."""
+    return tuple(
+        f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: {'used, but ' if h.accepted else ''}{', '.join(h.reasons)}"
+        for h in hits
+        if h.reasons
+    )
 
 
 def kept_blows(hits: Sequence[HitReport]) -> str:

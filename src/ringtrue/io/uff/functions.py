@@ -265,14 +265,14 @@ def _pair(dofs: DofSet, i: int) -> tuple[int, int]:
 def write_time(path: str | Path, history: TimeHistory, *, binary: bool = True) -> None:
     """Write a time record as data sets 58b (or 58), double precision.
 
-    A channel whose id is no point and direction (`101+Z`) gets its number as point and no direction; its id is kept
-    as the first line of text.
+    A force channel `F:101+Z` is written at the point that was struck. A channel whose id is no point and direction
+    (`101+Z`) gets its number as point and no direction; its id is kept as the first line of text.
     """
     t = np.arange(history.data.shape[1]) / history.rate
     with atomic_write(path) as part, part.open("wb") as file:
         for i, channel in enumerate(history.channels):
             code = (_TIME_AXIS, _CODE.get(channel.quantity, 0), 0)
-            here = _point(channel.id, i)
+            here = _point(channel.id.removeprefix("F:") if channel.quantity == "force" else channel.id, i)
             y = np.asarray(history.data[i], dtype=np.float64)
             file.write(write_function(TIME, t, y, here, (0, 0), codes=code, text=channel.id, binary=binary))
 
