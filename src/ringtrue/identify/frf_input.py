@@ -24,6 +24,7 @@ _CURED = 0.3  # of the misfit of the residues may be left when one fault is undo
 _MISFIT = 1e-3  # share of the residues that no single shape explains, and that calls for a reason
 _CUT = 1.5  # lines in a half-power bandwidth: 1 % of the response is left at the end of the block
 _POOR = 0.05  # of an FRF, that a fit of its modes leaves
+_MODES, _REAL, _DELAYED = 4, 0.9, 0.97  # modes that tell a delay; how real a shape is without and with it
 _LOOKS = 500  # lines that tell the typical coherence
 _MOST_TRIALS = 400_000
 
@@ -128,6 +129,29 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
     return tuple(out)
 
 
+def late_channels(modes: ModeSet) -> tuple[str, ...]:
+    """Responses whose phase against all others falls with frequency from mode to mode: a delay.
+
+    Of real shapes; a half period of the highest mode at most is looked for.
+    """
+    if len(modes) < _MODES:
+        return ()
+    omega = 2 * np.pi * modes.frequencies
+    delay = np.linspace(-1, 1, 401) * np.pi / omega.max()
+    size = np.abs(modes.shapes) / np.maximum(np.linalg.norm(modes.shapes, axis=0), 1e-300)
+    weight = size**2 / np.maximum((size**2).sum(axis=1, keepdims=True), 1e-300)
+    turned = np.exp(2j * np.angle(modes.shapes)) * weight
+    real = (turned @ np.exp(2j * omega[:, None] * delay)).real  # (channel, delay), 1 where all phases are 0 or 180°
+    now, best = real[:, delay.size // 2], real.max(axis=1)
+    seen = 1 / np.maximum((weight**2).sum(axis=1), 1e-300) > _MODES - 1  # modes that count
+    late = (now < _REAL) & (best > _DELAYED) & seen & (np.median(now) > _DELAYED)
+    return tuple(
+        f"response {modes.channels[k]} looks {1e3 * abs(delay[real[k].argmax()]):.2g} ms "
+        f"{'late' if real[k].argmax() > delay.size // 2 else 'early'}: its phase goes with the frequency"
+        for k in np.flatnonzero(late).tolist()
+    )
+
+
 def sound_pairs(frfs: FrfSet) -> list[tuple[int, int, float]]:
     """(output, input, sign) of the driving points but for those that give power to the hammer: turned ones."""
     return [(o, i, sign) for o, i, sign in driving_pairs(frfs) if sign * passive(frfs, o, i) > -_TURNED]
@@ -203,7 +227,7 @@ def odd_channel(frfs: FrfSet, poles: Complex) -> str:
                 told = f"responses {pair} look swapped under reference {under[i]}"
     if best > _CURED * now:
         return ""
-    return f"{told}: undone, {100 * best:.2g} % instead of {100 * now:.2g} % of the residues fit no single shape"
+    return f"{told}: {100 * now:.2g} % of the residues fit no single shape, {100 * best:.2g} % if that is mended"
 
 
 def _distinct(poles: Complex) -> Complex:

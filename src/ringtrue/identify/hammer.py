@@ -18,13 +18,14 @@ from ringtrue.errors import DataError
 from ringtrue.identify.bands_hammer import band_candidates, choose_bands, merged
 from ringtrue.identify.choice_hammer import hand_poles
 from ringtrue.identify.deflate import missed, support
-from ringtrue.identify.frf_input import fit_notes, frf_notes, odd_channel, refuse_bad_frfs, sound_pairs
+from ringtrue.identify.frf_input import fit_notes, frf_notes, late_channels, odd_channel, refuse_bad_frfs, sound_pairs
 from ringtrue.identify.judge import Candidates, Verdict, judge
 from ringtrue.identify.lsfd import Lines, lsfd, noise, noise_left, prepare, synthesise_windowed, weighted_rest
 from ringtrue.identify.peaks import cmif
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
 from ringtrue.identify.repeated_hammer import twins, united
+from ringtrue.identify.scale import scale_deviations
 from ringtrue.signal.reciprocal import exchanged
 
 Progress = Callable[[float, str], None]
@@ -174,8 +175,10 @@ def identify_hammer(
     odd = odd_channel(used, fit.refined.poles)
     result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
     said = fit_notes(lines_between(used, low, high), result.modes, result.synthesis_error)
+    late = late_channels(result.modes)
     told = (roving,) if roving else ()
-    return replace(result, notes=(*told, *frf_notes(frfs, search.pairs), *said, *((odd,) if odd else ()), *notes))
+    told = (*told, *frf_notes(frfs, search.pairs), *result.notes, *said, *late, *((odd,) if odd else ()), *notes)
+    return replace(result, notes=told)
 
 
 def band_limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
@@ -353,11 +356,14 @@ def _report(
     shape = shape_deviations(lines, fit, pairs) * phi
     for i, j in twins(fit.poles):  # any turn in their plane is as good
         shape[:, [i, j]] = np.hypot(shape[:, [i, j]], phi[:, [j, i]] / np.sqrt(2))
-    std = Uncertainty(fit.std_frequency, fit.std_damping, shape, fit.factor).take(told)
     fitted = synthesise_windowed(model, lines)
+    scale, note = scale_deviations(frfs, fitted, fit, pairs)
+    shape = np.hypot(shape, phi * scale)
+    std = Uncertainty(fit.std_frequency, fit.std_damping, shape, fit.factor).take(told)
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
     size = np.linalg.norm(frfs.data[at], axis=0)
     error = np.linalg.norm(frfs.data[at] - fitted[at], axis=0) / np.maximum(size, 1e-300)
     doubled = dict.fromkeys(range(f.size), "") | {k: f"; {PAIR}" for both in twins(fit.poles) for k in both}
     reasons = tuple(verdict.reason[k] + doubled[k] for k in told.tolist())
-    return HammerResult(model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error)
+    notes = (note,) if note else ()
+    return HammerResult(model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error, notes)

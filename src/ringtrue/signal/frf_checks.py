@@ -12,6 +12,7 @@ from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 
 _SURE, _FLIPPED = 0.8, -0.3
+_BANDS = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ def mobility(frfs: FrfSet) -> Complex:
 def check_driving_points(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -> tuple[DrivingPoint, ...]:
     """Does every driving point take power from the force? The real part of its mobility must be positive.
 
-    Lines count by their size, so that the resonances decide, between `low` and `high` Hz.
+    Lines of a band count by their size, so that the resonances decide, between `low` and `high` Hz.
     """
     out = []
     for o, i in frfs.driving_points():
@@ -71,10 +72,15 @@ def check_driving_points(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
 
 
 def passive(frfs: FrfSet, output: int, reference: int, *, low: float = 0.0, high: float = np.inf) -> float:
-    """Sum of the real part of a driving point's mobility over that of its size, -1 to 1, from `low` to `high` Hz."""
+    """Sum of the real part of a driving point's mobility over that of its size, -1 to 1, from `low` to `high` Hz.
+
+    Taken in bands of as many lines, each of which counts as far as it has a sign: a drift at the lowest lines, which no
+    weight by size would survive, is one of many.
+    """
     use = (frfs.freqs > max(low, 0.0)) & (frfs.freqs <= high)
     real = mobility(frfs)[use, output, reference].real
-    return float(real.sum() / max(float(np.abs(real).sum()), 1e-300))
+    share = np.array([x.sum() / max(np.abs(x).sum(), 1e-300) for x in np.array_split(real, min(_BANDS, real.size))])
+    return float((share * np.abs(share)).sum() / max(np.abs(share).sum(), 1e-300))
 
 
 def check_reciprocity(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -> tuple[Reciprocity, ...]:

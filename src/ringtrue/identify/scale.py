@@ -1,0 +1,99 @@
+"""How well driving points tell the modal mass: what the fit of the FRFs alone cannot see.
+
+An error that all responses to a blow share, as of a weak force or of what rings on from the blow before, is an error of
+the participation factors and leaves nothing in the fit; the coherence tells it. Where points disagree about the scale
+of a mode, a blow was skewed, a sensor stood beside the point, or a sensitivity is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.signals import FrfSet
+from ringtrue.identify.refine import Refined
+
+SHARED = 3.0  # times what the fit leaves is noise by the coherence, where responses share it
+APART = 3.0  # standard deviations of a sum of squares
+TOLD = 0.1  # of the residues at the driving points
+
+Pairs = Sequence[tuple[int, int, float]]
+
+
+def scale_deviations(frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs) -> tuple[Float, str]:
+    """Relative standard deviations (m,) of the scale of the modes, beside that of their residues, and a note.
+
+    Parameters
+    ----------
+    frfs : FrfSet
+        The lines of the fit.
+    fitted : (f, out, in) complex128
+        The FRFs of the fit.
+    fit : Refined
+    pairs : sequence of (output, input, sign)
+        Driving points.
+    """
+    if not pairs or not fit.poles.size:
+        return np.zeros(fit.poles.size), ""
+    _, i, _ = (np.array(x) for x in zip(*pairs, strict=True))
+    weight = np.abs(fit.participation[:, i]) ** 2
+    weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+    shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, i]).sum(axis=1)
+    apart, error = _apart(fit, pairs)
+    return np.sqrt(shared + apart**2), _note(frfs, pairs, error)
+
+
+def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
+    """(m, in) relative variance of the real part of a residue by noise that all responses share."""
+    n = np.where(np.isfinite(frfs.averages), frfs.averages, 1.0)
+    out = np.zeros((poles.size, len(frfs.inputs)))
+    if not np.isfinite(frfs.coherence).all() or (n < 2).all():
+        return out
+    far = np.abs(2 * np.pi * frfs.freqs[:, None] - poles.imag)
+    near = far <= np.maximum(far.min(axis=0), np.abs(poles.real) + frfs.window_decay)
+    for k, at in enumerate(near.T):  # a few dozen modes, each with its own lines
+        g = np.clip(frfs.coherence[at], 1e-3, 1.0)
+        power = np.abs(frfs.data[at]) ** 2
+        size = np.maximum(power.sum(axis=0), 1e-300)
+        due = (power * (1 - g) / g).sum(axis=0) / size / np.maximum(n - 1, 1)
+        left = (np.abs(frfs.data[at] - fitted[at]) ** 2).sum(axis=0) / size
+        due, left = np.median(due, axis=0), np.median(left, axis=0)
+        out[k] = np.where((due > SHARED * left) & (n > 1), 0.5 * (due - left), 0.0)
+    return out
+
+
+def _apart(fit: Refined, pairs: Pairs) -> tuple[Float, float]:
+    """Relative deviations (m,) of the scales by points that disagree, and their error over the size of a component.
+
+    The error at a point is taken as independent from mode to mode and in proportion to the typical component there,
+    as that of a skewed blow is.
+    """
+    o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
+    psi, part = (fit.shapes[o] * sign[:, None]).T, fit.participation[:, i]
+    square = np.maximum((np.abs(part) ** 2).sum(axis=1), 1e-300)
+    ratio = (part.conj() * psi).sum(axis=1) / square
+    unit = np.sqrt(np.abs(fit.poles) / np.maximum(np.abs(ratio), 1e-300))[:, None]  # of unit modal mass
+    rest, size = unit * (psi - ratio[:, None] * part), unit * np.abs(ratio[:, None] * part)
+    state = fit.known.state
+    noise = unit**2 * (state.shape_var * fit.known.own)[o].T
+    free = 1 - np.abs(part) ** 2 / square[:, None]
+    typical = (size**2).mean(axis=0)
+    found, due = (np.abs(rest) ** 2).sum(), (free * noise).sum()
+    freedom = max(2 * psi.shape[0] * (len(pairs) - 1), 1)
+    if len(pairs) < 2 or found < due * (1 + APART * np.sqrt(2 / freedom)):
+        return np.zeros(psi.shape[0]), 0.0
+    error2 = float((found - due) / max(float((free * typical).sum()), 1e-300))
+    total = np.maximum((size**2).sum(axis=1), 1e-300)
+    return 0.5 * np.sqrt(error2 * (size**2 * typical).sum(axis=1)) / total, float(np.sqrt(error2))
+
+
+def _note(frfs: FrfSet, pairs: Pairs, error: float) -> str:
+    if error < TOLD:
+        return ""
+    ids = " ".join(dict.fromkeys(frfs.inputs[i].id for _, i, _ in pairs))
+    return (
+        f"driving points {ids} disagree by {100 * error:.0f} % of their residues: a skewed blow, a sensor beside the "
+        "point or a sensitivity; the modal masses are that doubtful"
+    )
