@@ -108,8 +108,10 @@ def lvm(columns: str = "No", segments: int = 1, gap: float = 0.0, comma: bool = 
         ]
         names = "X_Value\tacc\tX_Value\tforce" if columns == "Multi" else "X_Value\tacc\tforce"
         special = "***Start_of_Special***\nChannels\t77\n***End_of_Special***\n" if k else ""
-        text += special + f"Channels\t2\nSamples\t300\t300\nTime\t10:00:{start:09.6f}\nY_Unit_Label\tg\tNewtons\n"
-        text += f"X0\t0.0\t0.0\nDelta_X\t{1 / RATE:.6f}\t{1 / RATE:.6f}\n***End_of_Header***\t\n{names}\tComment\n"
+        next_ = "\t\t" if columns == "Multi" else "\t"
+        text += special + f"Channels\t2\nSamples\t300{next_}300\nTime\t10:00:{start:09.6f}\n"
+        text += f"Y_Unit_Label\tg{next_}Newtons\nX0\t0.0{next_}0.0\nDelta_X\t{1 / RATE:.6f}{next_}{1 / RATE:.6f}\n"
+        text += f"***End_of_Header***\t\n{names}\tComment\n"
         text += "\n".join(rows) + "\n\n"
     return text.replace(".", ",") if comma else text
 

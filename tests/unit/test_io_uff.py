@@ -237,3 +237,20 @@ def test_a_force_over_a_motion_is_no_frf(tmp_path: Path) -> None:
     (tmp_path / "f.uff").write_bytes(write_function(4, f, f + 1j, (1, 3), (2, 3), codes=(18, 13, 12)))
     with pytest.raises(DataError, match=r"response 1\+Z is a force; an FRF here is motion over force"):
         read_frfs(tmp_path / "f.uff")
+
+
+def test_repeated_functions_are_averaged_and_the_line_at_0_may_be_missing(tmp_path: Path) -> None:
+    freqs, h = np.arange(9) * 0.5, np.arange(9) + 1j
+    h[0] = np.nan
+    again = [write_function(4, freqs, h * k, (1, 3), (2, 3), codes=(18, 12, 13)) for k in (1.0, 2.0, 6.0)]
+    (tmp_path / "f.uff").write_bytes(b"".join(again))
+    got = read_frfs(tmp_path / "f.uff")
+    np.testing.assert_allclose(got.data[:, 0, 0], 3 * h[1:])
+    assert got.freqs[0] == 0.5
+    h[5] = np.inf
+    (tmp_path / "f.uff").write_bytes(write_function(4, freqs, h, (1, 3), (2, 3), codes=(18, 12, 13)))
+    with pytest.raises(DataError, match=r"1\+Z/2\+Z has values that are not finite"):
+        read_frfs(tmp_path / "f.uff")
+    (tmp_path / "f.uff").write_bytes(write_function(9, freqs, freqs, (1, 3), (2, 3), codes=(18, 12, 13)))
+    with pytest.raises(DataError, match="its types are 9"):
+        read_record(tmp_path / "f.uff")

@@ -101,7 +101,9 @@ def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
 
 
 def _without_footer(lines: list[str]) -> list[str]:
-    """The lines without words at the end, such as `End of data`."""
+    """The lines without words at the end, such as `End of data`, and without empty rows of a spreadsheet."""
+    while len(lines) > 1 and not lines[-1].strip(" ;,\t"):
+        lines = lines[:-1]
     for k in range(min(_MOST_FOOTER, len(lines) - 1)):
         words = lines[len(lines) - 1 - k]
         if any(c.isdigit() for c in words) or not any(c.isalpha() for c in words) or "nan" in words.lower():

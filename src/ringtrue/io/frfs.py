@@ -19,6 +19,7 @@ from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing
+from ringtrue.io.frf_arrays import holds_frf_arrays, read_frf_arrays
 from ringtrue.io.frf_tables import is_frf_table, read_frf_table
 from ringtrue.io.uff.function58 import FRF
 from ringtrue.io.uff.functions import read_frf_sets, read_functions, write_frf_sets
@@ -46,9 +47,10 @@ def read_frfs(path: str | Path) -> FrfSet:
     Parameters
     ----------
     path : path
-        `.h5` written by `write_frfs`; `.npz` with `freq (f,)` and `H1 (reference, response, f)`,
-        optional `coherence` like H1, `outputs`, `inputs` (ids), `kind`; `.uff` with data sets 58; `.csv`, `.txt` with
-        columns of frequency, real and imaginary part or magnitude and phase (`read_frf_table`).
+        `.h5` written by `write_frfs`; `.mat` and `.h5` of others (`read_frf_arrays`); `.npz` with `freq (f,)` and
+        `H1 (reference, response, f)`, optional `coherence` like H1, `outputs`, `inputs` (ids), `kind`; `.uff` with data
+        sets 58; `.csv`, `.txt` with columns of frequency, real and imaginary part or magnitude and phase
+        (`read_frf_table`).
 
     Raises
     ------
@@ -58,7 +60,9 @@ def read_frfs(path: str | Path) -> FrfSet:
     path = existing(path)
     ext = path.suffix.lower()
     if ext in _HDF5:
-        frfs = _read_h5(path)
+        frfs = read_frf_arrays(path) if not _own(path) and holds_frf_arrays(path) else _read_h5(path)
+    elif ext == ".mat":
+        frfs = read_frf_arrays(path)
     elif ext == ".npz":
         frfs = _read_npz(path)
     elif ext in _UFF:
@@ -86,12 +90,19 @@ def holds_frfs(path: str | Path) -> bool:
     if ext in _TEXT:
         return is_frf_table(path)
     if ext in _HDF5:
-        try:
-            with h5py.File(path, "r") as file:
-                return GROUP in file or "averages" in file
-        except OSError:
-            return True  # what is wrong with it `read_frfs` tells
+        return _own(path) or holds_frf_arrays(path)
+    if ext == ".mat":
+        return holds_frf_arrays(path)
     return ext == ".npz"
+
+
+def _own(path: Path) -> bool:
+    """Whether an HDF5 file holds FRFs in ringtrue's layout."""
+    try:
+        with h5py.File(path, "r") as file:
+            return GROUP in file or "averages" in file
+    except OSError:
+        return True  # what is wrong with it `read_frfs` tells
 
 
 def write_frfs(path: str | Path, frfs: FrfSet) -> None:

@@ -95,11 +95,18 @@ def _table(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
     return {r[0]: [v.strip() for v in r[1:]] for r in rows if r and r[0]}
 
 
+def _one_each(values: list[str]) -> list[str]:
+    """Values without the empty cells between them that stand over columns of time, one a channel."""
+    return values[::2] if len(values) > 2 and not any(values[1::2]) else values
+
+
 def _segment(
     lines: Sequence[str], head: Mapping[str, Sequence[str]], separator: str, path: Path
 ) -> tuple[float, RawTable]:
     end = next(i for i, x in enumerate(lines) if x.startswith(_END))
     table = _table(lines[:end], separator)
+    if (head.get("X_Columns") or [""])[0].lower() == "multi":
+        table = {k: _one_each(v) for k, v in table.items()}
     comma = list(head.get("Decimal_Separator", ())[:1]) == [","]
     try:
         n = int(table["Channels"][0])

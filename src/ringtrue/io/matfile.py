@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,8 +23,9 @@ from ringtrue.io.si import known
 
 _SIZE_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of level 4, by its precision
 _PEEK = 1 << 16
-_NAMES = ("channels", "names", "labels", "channel_names", "ids")
+_NAMES = ("channels", "names", "labels", "channel_names", "ids", "name")
 _UNITS = ("units", "unit")
+_NAME, _UNIT = ("name", "signalname", "channelname"), ("unit", "unit_string", "label")  # of one channel
 _BROKEN = (MatReadError, ValueError, OSError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
 
 
@@ -38,22 +40,37 @@ def read_mat(path: Path) -> RawTable:
     DataError
         If the file is damaged or holds no such variable.
     """
-    values = _flat(_read_73(path) if h5py.is_hdf5(path) else _read_5(path))
+    values = mat_values(path)
     arrays = [v for v in values.values() if isinstance(v, np.ndarray) and v.ndim == 2 and v.dtype.kind in "fiu"]
     if not arrays or max(a.size for a in arrays) < 2:
         raise DataError(f"{path}: no real 2-D variable; there are {', '.join(values) or 'none'}")
     short = {k.rpartition(".")[2]: v for k, v in values.items()}
     largest = max(arrays, key=lambda a: a.size)
+    place = next(k for k, v in values.items() if v is largest)
     samples, rate = max(largest.shape), named_rate(short)
     rate = time_rate(short, samples, path) if rate is None else rate
     if min(largest.shape) == 1 and len(vectors := _vectors(values, samples)) > 1:
         table = numbered(np.stack([np.ravel(v).astype(np.float64) for v in vectors.values()]), rate)
-        table = replace(table, names=tuple(vectors))
+        told = tuple(_beside(values, k, _NAME) or k for k in vectors)
+        table = replace(table, names=told if len(set(told)) == len(told) else tuple(vectors))
+        table = replace(table, units=tuple(_beside(values, k, _UNIT) for k in vectors))
     else:
         table = without_time(numbered(columns_first(largest, path), rate), path)
-    names = _texts(values, _NAMES, table.data.shape[0]) or table.names
-    units = tuple(known(u) for u in _texts(values, _UNITS, table.data.shape[0]) or table.units)
+        table = replace(table, units=(_beside(values, place, _UNIT),) * len(table.units))
+    names = texts(values, _NAMES, table.data.shape[0]) or table.names
+    units = tuple(known(u) for u in texts(values, _UNITS, table.data.shape[0]) or table.units)
     return replace(table, names=names, units=units)
+
+
+def mat_values(path: Path) -> dict[str, Any]:
+    """The variables of a MATLAB file, fields of structures as `name.field`.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged.
+    """
+    return _flat(_read_73(path) if h5py.is_hdf5(path) else _read_5(path))
 
 
 def _vectors(values: Mapping[str, Any], samples: int) -> dict[str, Any]:
@@ -62,14 +79,33 @@ def _vectors(values: Mapping[str, Any], samples: int) -> dict[str, Any]:
     return {k: v for k, v in found.items() if not is_time(k.rpartition(".")[2])}
 
 
+def _beside(values: Mapping[str, Any], key: str, names: tuple[str, ...]) -> str:
+    """The text of such a name in the structure of a channel, or in that beside it: `Channel_1_Data`, `_Header.Unit`."""
+    stem = key.partition(".")[0] if "." in key else key.rpartition("_")[0]
+    found = [
+        v.strip()
+        for k, v in values.items()
+        if stem and isinstance(v, str) and re.match(rf"{re.escape(stem)}[._]", k) and "x_values" not in k
+        if k.rpartition(".")[2].lower() in names
+    ]
+    return found[0] if len(set(found)) == 1 else ""
+
+
 def _read_73(path: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
 
     def keep(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and not name.startswith("#"):
-            text = item.attrs.get("MATLAB_class") == b"char" and item.size < _PEEK
-            raw = item[()]
-            found[name.replace("/", ".")] = "".join(map(chr, np.ravel(raw).tolist())) if text else raw
+        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+            return
+        key = name.replace("/", ".")
+        if item.dtype.kind in "fiu":
+            found[key] = _text_73(item) if item.attrs.get("MATLAB_class") == b"char" and item.size < _PEEK else item[()]
+        elif item.dtype.names == ("real", "imag"):
+            found[key] = (item["real"] + 1j * item["imag"]).T  # MATLAB's order of axes
+        elif h5py.check_ref_dtype(item.dtype) and item.size < _PEEK:  # a cell array
+            cells = [item.file[r] for r in np.ravel(item[()])]
+            if all(isinstance(c, h5py.Dataset) and c.attrs.get("MATLAB_class") == b"char" for c in cells):
+                found[key] = np.array([_text_73(c) for c in cells], dtype=object)
 
     try:
         with h5py.File(path, "r") as file:
@@ -77,6 +113,10 @@ def _read_73(path: Path) -> dict[str, Any]:
     except (OSError, RuntimeError, KeyError, ValueError, MemoryError, TypeError) as exc:
         raise DataError(f"{path}: not a readable MATLAB 7.3 file ({exc})") from exc
     return found
+
+
+def _text_73(item: h5py.Dataset) -> str:
+    return "".join(map(chr, np.ravel(item[()]).tolist()))
 
 
 def _read_5(path: Path) -> dict[str, Any]:
@@ -118,8 +158,8 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def _texts(values: Mapping[str, Any], names: tuple[str, ...], count: int) -> tuple[str, ...] | None:
-    """A cell array or char matrix of `count` texts."""
+def texts(values: Mapping[str, Any], names: tuple[str, ...], count: int) -> tuple[str, ...] | None:
+    """A cell array or char matrix of `count` texts under one of the names, given in small letters."""
     for key, value in values.items():
         if key.rpartition(".")[2].lower() in names and isinstance(value, np.ndarray) and value.size == count:
             texts = [v if isinstance(v, str) else "" for v in value.ravel().tolist()]

@@ -15,7 +15,9 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.errors import DataError, did_you_mean
 
-_RATE_NAMES = ("rate", "fs", "sampling_rate", "sample_rate", "fsamp", "sr")
+_RATE_NAMES = ("rate", "fs", "sampling_rate", "sample_rate", "samplerate", "samplingrate", "fsamp", "sr", "f_s")
+_RATE_WORDS = ("samplefrequency", "sample_frequency", "samplingfrequency", "sampling_frequency")
+_STEP_NAMES = ("dt", "increment", "sampling_interval", "sample_interval", "deltat", "delta_t")
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
 _LONG = 64  # samples: a shorter table is no record
@@ -161,14 +163,13 @@ def check_stored(data: h5py.Dataset, path: str | Path) -> None:
 
 
 def named_rate(values: Mapping[str, Any]) -> float | None:
-    """The sampling rate (Hz) among named scalars: `fs`, `rate`, ... or `dt`."""
+    """The sampling rate (Hz) among named scalars: `fs`, `rate`, ... or a step of time such as `dt`."""
     lower = {k.lower(): float(np.ravel(v)[0]) for k, v in values.items() if _is_real(v) and np.size(v) == 1}
-    for name in _RATE_NAMES:
+    for name in (*_RATE_NAMES, *_RATE_WORDS):
         if name in lower:
             return lower[name]
-    if "dt" in lower:
-        return 1 / lower["dt"] if lower["dt"] else 0.0
-    return None
+    step = next((lower[name] for name in _STEP_NAMES if name in lower), None)
+    return None if step is None else 1 / step if step else 0.0
 
 
 def _is_real(value: Any) -> bool:

@@ -87,7 +87,10 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
 def _time_functions(functions: Sequence[Function], path: Path) -> list[Function]:
     found = [f for f in functions if f.kind == TIME]
     if not found:
-        raise DataError(f"{path}: no time functions (58, function type 1) in the file")
+        types = " ".join(map(str, sorted({f.kind for f in functions})))
+        raise DataError(
+            f"{path}: neither time functions (58, function type 1) nor FRFs (4) in the file; its types are {types}"
+        )
     return found
 
 
@@ -127,7 +130,7 @@ def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ..
 
 
 def read_frf_sets(path: str | Path) -> FrfSet:
-    """Frequency response functions of a universal file, SI (by data set 164 where it is there).
+    """Frequency response functions of a universal file, SI (by data set 164 where it is there); repeated ones averaged.
 
     Raises
     ------
@@ -140,15 +143,20 @@ def read_frf_sets(path: str | Path) -> FrfSet:
         raise DataError(f"{path}: no frequency response functions (58, function type 4 or 5) in the file")
     if all(f.reference[0] == 0 for f in frfs):
         raise DataError(f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}")
+    if bad := [f for f in frfs if not np.isfinite(f.y[f.x > 0]).all()]:
+        name = f"{label(*bad[0].response)}/{label(*bad[0].reference)}"
+        raise DataError(f"{path}: function {name} has values that are not finite")
     freqs = frfs[0].x
     outputs, inputs = _channels(frfs)
     data = _place([replace(f, y=f.y * _si(f, units)[1]) for f in frfs], freqs, outputs, inputs, path)
-    lost = np.argwhere(np.isnan(data[0]))
+    lost = np.argwhere(np.isnan(data[-1]))
     if lost.size:
         o, i = lost[0]
         raise DataError(f"{path}: no function from {inputs[i].id} to {outputs[o].id} ({len(lost)} pairs are absent)")
     coherence = _place([f for f in functions if f.kind == COHERENCE], freqs, outputs, inputs, path).real
     kind = _one_kind(outputs, path)
+    if freqs[0] == 0 and not np.isfinite(data[0]).all():  # 0/0 at 0 Hz
+        freqs, data, coherence = freqs[1:], data[1:], coherence[1:]
     return FrfSet(
         _as_kind(data, freqs, outputs, kind),
         freqs,
@@ -225,12 +233,15 @@ def _place(
     row = {c.id: i for i, c in enumerate(outputs)}
     column = {c.id: i for i, c in enumerate(inputs)}
     data = np.full((freqs.size, len(outputs), len(inputs)), np.nan, dtype=np.complex128)
-    for f in functions:
+    times = np.zeros(data.shape[1:])
+    for f in functions:  # a pair measured several times is averaged
         out, ref = label(*f.response), label(*f.reference)
         if f.x.size != freqs.size or np.abs(f.x - freqs).max() > 1e-6 * max(freqs[-1], 1):
             raise DataError(f"{path}: function {out}/{ref} has other frequency lines")
         if out in row and ref in column:
-            data[:, row[out], column[ref]] = f.y
+            at = row[out], column[ref]
+            data[:, *at] = f.y if not times[at] else data[:, *at] + (f.y - data[:, *at]) / (times[at] + 1)
+            times[at] += 1
     return data
 
 

@@ -1,0 +1,90 @@
+"""Files as measuring systems and MATLAB toolboxes write them, by their structure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from ringtrue.io.frfs import holds_frfs, read_frfs
+from ringtrue.io.records import read_record
+
+SIGNAL = np.random.default_rng(7).standard_normal((3, 500))  # (channel, sample), at 256 Hz
+TIMES = np.arange(500) / 256
+
+
+@pytest.mark.parametrize("name", ["one", "each", "headers"])
+def test_matlab_structures_of_measuring_systems(tmp_path: Path, name: str) -> None:
+    """Testlab's signals with x_values and y_values, all in one or one each; catman's data beside headers."""
+    x = {"start_value": 0.0, "increment": 1 / 256, "quantity": {"label": "s"}}
+
+    def signal(values: np.ndarray, names: object) -> dict[str, object]:
+        return {
+            "x_values": x,
+            "y_values": {"values": values, "quantity": {"label": "g"}},
+            "function_record": {"name": names},
+        }
+
+    titles = ["a", "b", "c"]
+    content = {
+        "one": {"Signal": signal(SIGNAL.T, np.array(titles, dtype=object))},
+        "each": {f"Signal_{k}": signal(SIGNAL[k][:, None], t) for k, t in enumerate(titles)},
+        "headers": {f"Ch_{k}_Data": SIGNAL[k][:, None] for k in range(3)}
+        | {f"Ch_{k}_Header": {"SignalName": t, "Unit": "g", "SampleFrequency": 256.0} for k, t in enumerate(titles)},
+    }[name]
+    savemat(tmp_path / "r.mat", content)
+    got = read_record(tmp_path / "r.mat")
+    assert (got.rate, [c.id for c in got.channels], got.channels[2].unit) == (pytest.approx(256), titles, "m/s^2")
+    np.testing.assert_allclose(got.data, 9.80665 * SIGNAL)
+
+
+@pytest.mark.parametrize("name", ["f-out-in", "out-in-f", "omega", "sdt", "h5"])
+def test_frfs_as_arrays_beside_frequencies(tmp_path: Path, name: str) -> None:
+    rng, f = np.random.default_rng(0), np.arange(1, 41) * 0.5
+    h = rng.standard_normal((40, 3, 2)) + 1j * rng.standard_normal((40, 3, 2))
+    dof = np.array([[o + 0.03, i + 0.09] for i in (1, 2) for o in (1, 2, 3)])
+    content = {
+        "f-out-in": {"freq": f, "Mobility": h, "outputs": np.array(["1+Z", "2+Z", "3+Z"], dtype=object)},
+        "out-in-f": {"results": {"frequency": f, "H": h.transpose(1, 2, 0)}},
+        "omega": {"omega": 2 * np.pi * f, "H": h[:, :, 0]},
+        "sdt": {"XF": {"w": f[:, None], "xf": h.transpose(0, 2, 1).reshape(40, 6), "dof": dof}},
+        "h5": {"f": f, "frf": h},
+    }[name]
+    path = tmp_path / ("r.h5" if name == "h5" else "r.mat")
+    if name == "h5":
+        with h5py.File(path, "w") as file:
+            file["f"], file["frf"] = f, h
+    else:
+        savemat(path, content)
+    assert holds_frfs(path)
+    got = read_frfs(path)
+    np.testing.assert_allclose(got.data, h[:, :, :1] if name == "omega" else h)
+    np.testing.assert_allclose(got.freqs, f)
+    assert got.kind == ("mobility" if name == "f-out-in" else "accelerance")
+    ids = [c.id for c in got.outputs], [c.id for c in got.inputs]
+    assert name != "sdt" or ids == (["1+Z", "2+Z", "3+Z"], ["1-Z", "2-Z"])
+    assert name != "f-out-in" or ids == (["1+Z", "2+Z", "3+Z"], ["in1", "in2"])
+
+
+def test_names_in_cells_of_matlab_7_3(tmp_path: Path) -> None:
+    path = tmp_path / "r.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["data"], file["fs"] = SIGNAL, np.array([[256.0]])
+        texts = [file.create_dataset(f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16)) for t in "abc"]
+        for t in texts:
+            t.attrs["MATLAB_class"] = np.bytes_("char")
+        file.create_dataset("channels", data=np.array([[t.ref for t in texts]], dtype=h5py.ref_dtype))
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    got = read_record(path)
+    assert [c.id for c in got.channels] == ["a", "b", "c"]
+    np.testing.assert_allclose(got.data, SIGNAL)
+
+
+def test_empty_rows_of_a_spreadsheet_end_a_csv(tmp_path: Path) -> None:
+    rows = "\n".join(";".join(f"{v:.9g}".replace(".", ",") for v in r) for r in np.vstack([TIMES, SIGNAL]).T)
+    (tmp_path / "r.csv").write_text(f"Time;a;b;c\n{rows}\n;;;\n")
+    np.testing.assert_allclose(read_record(tmp_path / "r.csv").data, SIGNAL, rtol=1e-6, atol=1e-8)
