@@ -89,7 +89,7 @@ def ema(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="FRFs (.h5 .npz .uff .csv .mat), or time records with a force channel (.uff .h5 .csv .mat .wav .tdms .lvm)"
+            help="FRFs (.h5 .npz .uff .csv .mat), or time records with a force channel (those, .wav .tdms .lvm)"
         ),
     ],
     fmin: Fmin = None,
