@@ -96,6 +96,7 @@ def smooth(model: Model, parameter: Parameter, system: System) -> bool:
 def _alone(m: Mesh, g: Group) -> dict[int, Pair] | None:
     """The parts of a polynomial; None if it is none."""
     try:
+        cubic(m, replace(g, rows=_few(g.rows)))  # most that are none are found on a sample
         return cubic(m, g)
     except UnsupportedError:
         return None
@@ -286,7 +287,8 @@ def _functions(
         weights = np.eye(len(grid))[:, there]
     else:
         u, s, _ = linalg.svd(data, full_matrices=False)
-        weights = linalg.lstsq(tensor, u[:, s > RANK * s[0]])[0]
+        kept = min(int((s > RANK * s[0]).sum()), tensor.shape[1])  # more cannot be told apart: a finer series is tried
+        weights = linalg.lstsq(tensor, u[:, :kept])[0]
     seen = tensor @ weights
     _, _, order = linalg.qr(seen.T, mode="economic", pivoting=True)
     functions = [Function(which, bases, w.reshape(shape)) for w in weights.T]
