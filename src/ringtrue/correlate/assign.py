@@ -16,6 +16,7 @@ TIE = 1e-3
 LOCKED = 1e6  # worth of a forced pair, above that of all others together
 APART = 4.0  # times the distance of close modes: as far may be in B what is close in A
 SOFT = 0.02  # 1 − MAC below this brings no further gain: it is noise
+HOLD = 0.5  # of the MAC gate: a shape that matches less is another, which no rotation mends; of 1/frequency gate
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +180,7 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
             groups_b = _joined(groups_b, _mixed(single[ga], share, settings), settings.largest_group)
     for gb in (np.array(g) for g in groups_b if len(g) > 1):
         share = subspace_mac(a, b[:, gb])  # no rotation inside the group reaches more
-        gains = np.asarray(share > single[:, gb].max(axis=1) + SOFT - TIE)
+        gains = np.asarray(share > np.maximum(single[:, gb].max(axis=1) + SOFT - TIE, HOLD * settings.mac_gate))
         near = np.asarray((np.abs(error[:, gb]) <= settings.frequency_gate).any(axis=1))
         for ga in (g for g in groups_a if gains[g].any() and near[g].any()):
             # a chain of close modes of A may be longer: a neighbour belongs elsewhere
@@ -203,7 +204,8 @@ def _mixed(single: Float, share: Float, settings: PairingSettings) -> Int:
 
 def _joined(groups: tuple[tuple[int, ...], ...], members: Int, largest: int) -> tuple[tuple[int, ...], ...]:
     """The groups with those of `members` made one, unless that is more than `largest` modes."""
-    touched = [g for g in groups if np.isin(g, members).any()]
+    those = set(members.tolist())
+    touched = [g for g in groups if not those.isdisjoint(g)]
     one = tuple(sorted(j for g in touched for j in g))
     if len(touched) < 2 or len(one) > largest:
         return groups

@@ -51,8 +51,8 @@ def rotation(a: Any_, b: Any_) -> Any_:
     a : (n, ka) float64 or complex128
     b : (n, kb) float64 or complex128, kb >= ka
     """
-    raw = linalg.lstsq(np.asarray(b), unit(np.asarray(a)))[0]
-    u, _, vh = linalg.svd(unit(raw), full_matrices=False)
+    raw = np.linalg.lstsq(np.asarray(b), unit(np.asarray(a)), rcond=None)[0]
+    u, _, vh = np.linalg.svd(unit(raw), full_matrices=False)
     return np.asarray(u @ vh)
 
 

@@ -145,9 +145,9 @@ class GaussNewton:
     def _better(self, x: Float, r: Residual, state: State) -> bool:
         """Whether the trial keeps every mode and lowers J (published: keeps every mode) over the modes of the state.
 
-        Pairs of least cost are compared by J itself, which is continuous where they change.
+        Where no pair costs more than a lost mode, J itself is compared.
         """
-        if self.target.rule == "cost" and not self.published:
+        if self.target.rule != "gates" and not self.published:
             std = self.model.parameters.std()
             return objective(self.target, r, x, std) <= objective(self.target, state.residual, state.x, std)
         now, before = shared_cost(r, state.residual), shared_cost(state.residual, state.residual)

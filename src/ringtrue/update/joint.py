@@ -47,7 +47,7 @@ def _kind(term: Term) -> int:
 
 
 def sharper(problem: Problem, frequency: float, mac: float) -> Problem:
-    """With discrepancies of a relative frequency and of 1 − MAC as found, and with pairs of least cost."""
+    """With discrepancies of a relative frequency and of 1 − MAC as found; no pair costs more than a lost mode."""
     weighed = [c.weighed(frequency, mac) for c in problem.configurations]
     return replace(problem, configurations=tuple(replace(c, target=c.target.doubting()) for c in weighed))
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.correlate.assign import NO_LOCKS, Followed, Locks, PairingSettings, Scores, assign, scores
+from ringtrue.correlate.assign import HOLD, NO_LOCKS, Followed, Locks, PairingSettings, Scores, assign, scores
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
@@ -22,7 +22,6 @@ from ringtrue.shapes.subspace import close_groups
 LOST = 100.0  # a used mode without a partner counts like a frequency deviation of ten standard deviations
 DOUBT = 16.0  # four standard deviations
 SURE = 1e-6  # of the cost of a lost mode, by which a pair that the user decides is better
-HOLD = 0.5  # of the MAC gate, and of 1/frequency gate, for modes that are paired already
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +59,12 @@ class Target:
         False: left out of the updating, to judge it by.
     weights : Weights
     pairing : PairingSettings
-    rule : {"gates", "cost"}
-        How modes are paired anew at each point: inside the gates of `pairing`, or where the objective itself is
-        lowest. With "cost" J is a minimum over assignments and continuous where pairs change; it has no gates.
+    rule : {"gates", "capped", "cost"}
+        How modes are paired anew at each point: inside the gates of `pairing`; so, or down to half the MAC gate where
+        nothing better is left, and no pair dearer than a lost mode; or where the objective itself is lowest. With
+        "cost" J is a minimum over assignments and continuous where pairs change; it has no gates.
     lost : float
-        Cost of a used mode without a partner; with "cost" no pair costs more.
+        Cost of a used mode without a partner; with "capped" and "cost" no pair costs more.
     fixed : (pairs (k, 2), close groups of the model), optional
         Pairs that are not made anew.
     followed : Followed, optional
@@ -77,7 +77,7 @@ class Target:
     used: Bool
     weights: Weights = field(default_factory=Weights)
     pairing: PairingSettings = field(default_factory=PairingSettings)
-    rule: Literal["gates", "cost"] = "gates"
+    rule: Literal["gates", "capped", "cost"] = "gates"
     lost: float = LOST
     fixed: tuple[Int, tuple[tuple[int, ...], ...]] | None = None
     followed: Followed | None = None
@@ -90,15 +90,16 @@ class Target:
             raise InputError(
                 f"{m} frequencies, shapes {self.shapes.shape}, std {self.std.shape}, used {self.used.shape}"
             )
-        if self.rule not in ("gates", "cost") or not self.lost > 0:
-            raise InputError(f"pairing rule {self.rule!r} (gates or cost), cost of a lost mode {self.lost} (> 0)")
+        if self.rule not in ("gates", "capped", "cost") or not self.lost > 0:
+            raise InputError(f"pairing rule {self.rule!r} (gates, capped, cost), cost of a lost mode {self.lost} (> 0)")
 
     def doubting(self) -> Target:
-        """The same for a point near the end: pairs of least cost, and a mode that costs more than `DOUBT` has none.
+        """The same for a point near the end: a mode that costs more than `DOUBT` has no partner.
 
-        A test mode that the model does not have then pulls no more than one without a partner.
+        A test mode that the model does not have then pulls no more than one without a partner. Shapes say which modes
+        belong together: in a dense band some mode always has the right frequency.
         """
-        return replace(self, rule="cost", lost=DOUBT)
+        return replace(self, rule="capped", lost=DOUBT)
 
     def settled(self, now: Linearisation) -> Target:
         """The same with the pairs that `doubting` makes at a point, for good; modes without a partner are not used.
@@ -150,7 +151,7 @@ def match(
     """Pairs (k, 2), their MAC (k,) and the close groups of the model, by one assignment over MAC and frequency.
 
     Test modes in `held` (m,) keep a partner down to half the MAC gate: one that stands at the gate must not come and
-    go from step to step.
+    go from step to step. With the rule "capped" these are all.
     """
     if target.fixed is not None:
         pairs, groups = target.fixed
@@ -160,32 +161,41 @@ def match(
     if target.rule == "cost":
         pairs = _cheapest(target, now, s, locks)
         return pairs, s.merged[pairs[:, 0], pairs[:, 1]], s.groups_b
+    if target.rule == "capped":
+        pairs = _gated(target, now, s, locks, np.ones(target.used.size, dtype=np.bool_))
+        forced, _ = locks.mask((target.used.size, now.frequencies.size))
+        pairs = pairs[((_costs(target, s) < target.lost) | forced)[pairs[:, 0], pairs[:, 1]]]
+    else:
+        pairs = _gated(target, now, s, locks, held)
+    return pairs, s.merged[pairs[:, 0], pairs[:, 1]], s.groups_b
+
+
+def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bool | None) -> Int:
+    """Pairs (k, 2) inside the gates, those of modes in `held` (m,) inside wider ones."""
     every = np.ones(target.frequencies.size, dtype=np.bool_)
     elastic = now.frequencies > 0
     rows, cols = assign(s, target.pairing, every, elastic, locks)
     lost = held & ~np.isin(np.arange(every.size), rows) if held is not None else ~every
     if held is not None and lost.any():
         keep = held[rows]  # a mode that had no partner gives way
-        more = _held(target, s, lost, elastic & ~np.isin(np.arange(elastic.size), cols[keep]))
+        more = _held(target, s, lost, elastic & ~np.isin(np.arange(elastic.size), cols[keep]), locks)
         keep |= ~np.isin(cols, more[1])
         rows, cols = np.append(rows[keep], more[0]), np.append(cols[keep], more[1])
         order = np.argsort(rows)
         rows, cols = rows[order], cols[order]
-    return np.stack([rows, cols], axis=1), s.merged[rows, cols], s.groups_b
+    return np.stack([rows, cols], axis=1)
 
 
-def _held(target: Target, s: Scores, lost: Bool, free: Bool) -> tuple[Int, Int]:
+def _held(target: Target, s: Scores, lost: Bool, free: Bool, locks: Locks) -> tuple[Int, Int]:
     """Partners of the test modes `lost` (m,) among the modes `free` (n,) of the model, inside wider gates."""
     gates = target.pairing
     wide = replace(gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD)
-    return assign(s, wide, lost, free)
+    return assign(s, wide, lost, free, Locks((), locks.forbidden))
 
 
 def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> Int:
     """Pairs (k, 2) of least total cost, `lost` for a mode without a partner: first the used modes, then the others."""
-    w = target.weights
-    root = 0.5 / np.sqrt(w.frequency**2 + target.std**2)
-    cost = (root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + (w.shape / w.mac if w.shape else 0.0) * (1 - s.merged)
+    cost = _costs(target, s)
     cost[:, now.frequencies <= 0] = target.lost
     forced, free = locks.mask((cost.shape[0], cost.shape[1]))
     cost = np.where(free, cost, target.lost)
@@ -199,6 +209,14 @@ def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> In
         found += zip(rows[i[keep]].tolist(), free[j[keep]].tolist(), strict=True)
     pairs = np.array(sorted(p for p in found if cost[p] < target.lost), dtype=np.int64)
     return pairs.reshape(-1, 2)
+
+
+def _costs(target: Target, s: Scores) -> Float:
+    """What each pair adds to J, (m, n)."""
+    w = target.weights
+    root = 0.5 / np.sqrt(w.frequency**2 + target.std**2)
+    shape = (w.shape / w.mac if w.shape else 0.0) * (1 - s.merged)
+    return np.asarray((root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + shape)
 
 
 def _inside(target: Target, now: Linearisation, groups: Sequence[Int], pairs: Int) -> Float:

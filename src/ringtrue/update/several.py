@@ -204,7 +204,7 @@ class Problem:
     def shared(self, at: Evaluated, other: Evaluated) -> float | None:
         """J without the cost of lost modes, over the test modes that `other` has paired; None if one is lost in `at`.
 
-        Configurations with pairs of least cost count whole, lost modes too: their J is continuous.
+        Configurations in which no pair costs more than a lost mode count whole, lost modes too.
         """
         gated = np.array([c.target.rule == "gates" for c in self.configurations])
         for g, a, b in zip(gated, at.points, other.points, strict=True):

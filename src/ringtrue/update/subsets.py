@@ -1,13 +1,12 @@
 """Which subset of many candidates explains a test: elimination from all at once, growing sets, exchange.
 
-1. Candidates to which the residuals are not sensitive are left out; of a cluster that the data cannot tell apart one
-   member stands for all.
+1. Candidates to which the residuals are not sensitive are left out; one member stands for a cluster.
 2. Sets of growing size: the best addition by the bounded minimum of the linearised J, confirmed by a short updating
-   with new linearisations, then exchange of members while J falls.
+   with new linearisations, or by J itself far from there; then exchange of members while J falls.
 3. All candidates are updated at once, held back by their priors: from a far start only so are the modes paired right.
    Then the least useful go, one by one.
-4. What the best set leaves as residual replaces the assumed model discrepancy, and pairs of least cost the gates: a
-   test mode that no candidate explains then pulls none. The sets of 2 and 3 compete, members exchanged again.
+4. What the best set leaves as residual replaces the assumed model discrepancy, and no pair costs more than a lost
+   mode: a test mode that no candidate explains then pulls none. The sets of 2 and 3 compete, members exchanged again.
 5. The size is that of the lowest AICc plus the price of the search. Members of the same cluster join, as long as that
    falls; those that it gives no support leave.
 """
@@ -16,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from scipy.special import gammaln
@@ -25,13 +25,14 @@ from ringtrue.errors import InputError, NumericalError
 from ringtrue.update.choose import GAIN, TURNS, Candidates, Choice, predicted, short_update
 from ringtrue.update.identifiable import clusters
 from ringtrue.update.joint import joint_residual, sharper, short_solve
-from ringtrue.update.objective import Residual, Target, comparable_criteria, residual
+from ringtrue.update.objective import Residual, Target, comparable_criteria, objective, residual
 from ringtrue.update.several import Problem
 
 TRIALS = 2  # promising sets that are fitted in one round
 SENSITIVE = 0.05  # least effect of one prior standard deviation, in standard deviations of the residual
 AT_ONCE = 20  # Gauss-Newton steps with all candidates free
 POOL = 12  # candidates for an addition or exchange whose bounded prediction is computed
+STEPS = (-3.0, -1.5, 1.5, 3.0)  # prior standard deviations: how far a candidate is moved by itself
 TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
 TWICE = 2  # searches with the discrepancy that was found
 NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
@@ -87,13 +88,11 @@ class Search:
     @property
     def data(self) -> float:
         """Number of data: two a used mode, and what else was measured."""
-        if self.problem is None:
-            return 2 * int(self.target.used.sum())
-        modes = sum(int(c.target.used.sum()) for c in self.problem.configurations)
-        return 2 * modes + self.point(np.zeros(self.prior.size)).more
+        aims = [self.target] if self.problem is None else [c.target for c in self.problem.configurations]
+        return 2 * sum(int(t.used.sum()) for t in aims) + self.point(np.zeros(self.prior.size)).more
 
     def sharper(self, discrepancy: Float) -> Search:
-        """The same with the discrepancy (relative frequency, 1 − MAC) that was found, and with pairs of least cost.
+        """The same with the discrepancy (relative frequency, 1 − MAC) that was found, capped: see `Target.doubting`.
 
         A test mode that no candidate explains then pulls none of them.
         """
@@ -124,6 +123,23 @@ class Search:
         if self.problem is not None:
             return short_solve(self.problem, members, x, turns)
         return short_update(self.model, self.target, members, x, turns)
+
+    def cost(self, x: Float) -> float:
+        """J at x, modes only; infinite where it cannot be solved."""
+        try:
+            if self.problem is not None:
+                return self.problem.cost(x)
+            return objective(self.target, residual(self.target, self.model.modes(x)), x, self.prior)
+        except NumericalError:
+            return np.inf
+
+    def far(self, now: Choice, free: Int) -> list[tuple[float, list[int], Float]]:
+        """Sets with one of `free` more, too far off for a linearisation: J, members and x (p,), the lowest first."""
+        out = []
+        for c, step in product(free.tolist(), STEPS):
+            x = np.where(np.arange(now.x.size) == c, np.clip(step * self.prior, self.low, self.high), now.x)
+            out.append((self.cost(x), [*now.members.tolist(), c], x))
+        return sorted(out, key=lambda o: o[0])
 
     def refitted(self, c: Choice) -> Choice:
         """A set of another search, updated in this one."""
@@ -279,6 +295,8 @@ def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: 
         free = search.free(stay)
         if not tried and free.size and r.used.any():
             tried += [search.fit(at, now.x) for _, at in search.best(r, now.x, stay, free, r.value)[:TRIALS]]
+        here = search.cost(now.x)
+        tried += [search.fit(at, x) for value, at, x in search.far(now, free)[:TRIALS] if value < here]
         if not tried:
             break
         path.append(_exchanged(search, min(tried, key=lambda c: c.value)))

@@ -160,7 +160,7 @@ def settled(
     method: Method | None = None,
     told: Progress | None = None,
 ) -> tuple[Solution, list[Evaluated]]:
-    """Gates first, then pairs of least cost, then these for good, in all configurations (as in `stages.update`)."""
+    """Gates, then no pair dearer than a lost mode, then these for good, in all configurations (as `stages.update`)."""
     method = method or method_of(u)
     path: list[Evaluated] = []
     if start is None:

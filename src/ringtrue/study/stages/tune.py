@@ -111,7 +111,7 @@ def _others(desk: Workbench, progress: Progress) -> tuple[_Other, ...]:
 
 
 def _jointly(first: Configuration, start: Float, others: Sequence[_Other], iterations: int) -> Solution:
-    """Over all tests from the point that the study's own leads to: gates, pairs of least cost, then these for good."""
+    """Over all tests from the point that the study's own leads to: gates, none dearer than a lost mode, then these."""
     every = (first, *(Configuration(o.active, o.aim, name=o.test.name) for o in others))
 
     def aimed(aims: Sequence[Target]) -> Problem:

@@ -134,8 +134,8 @@ def _one(
 def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | None) -> tuple[UpdateResult, list[State]]:
     """One updating in up to three parts: the result and the way there.
 
-    From the deck with the gates of the pairing, which far deviations need; then with pairs of least cost, so that a
-    mode paired wrongly on the way lets go; then with the pairs made there for good.
+    From the deck with the gates of the pairing, which far deviations need; then no pair costs more than a lost mode,
+    so that one paired wrongly on the way lets go; then with the pairs made there for good.
     """
     limit, published = desk.config.update.iterations, desk.config.update.step == "published"
     states: list[State] = []
