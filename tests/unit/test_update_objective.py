@@ -9,7 +9,7 @@ import pytest
 
 from ringtrue.core.outcome import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlate.assign import PairingSettings
+from ringtrue.correlate.assign import Followed, PairingSettings
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import mac
@@ -218,3 +218,25 @@ def test_a_mode_that_loses_its_partner_comes_before_one_that_had_none() -> None:
     aim = Target(np.array([10.0, 10.5]), np.stack([one, two], axis=1), np.zeros(2), np.ones(2, dtype=bool))
     assert match(aim, now)[0].tolist() == [[1, 0]]
     assert match(aim, now, np.array([True, False]))[0].tolist() == [[0, 0]]
+
+
+@pytest.mark.parametrize("deviation", [0.02, 0.06])
+def test_another_shape_at_the_right_frequency_is_no_partner(deviation: float) -> None:
+    """A dense band: the mode's own shape is off by two or six standard deviations, another is right in frequency."""
+    own, other = np.array([1.0, 0.1, 0.0]), np.sqrt([0.4, 0.0, 0.6])
+    f = np.array([10 * (1 + deviation), 10.0])
+    now = Linearisation(np.zeros(1), f, np.stack([own, other], axis=1), np.zeros((2, 1)), np.zeros((3, 2, 1)))
+    gates = PairingSettings(close=0.0)
+    aim = Target(np.array([10.0]), np.eye(3)[:, :1], np.zeros(1), np.ones(1, dtype=bool), pairing=gates)
+    assert match(aim.doubting(), now)[0].tolist() == ([[0, 0]] if deviation < 0.04 else [])
+    cheap = replace(aim.doubting(), rule="cost")
+    assert match(cheap, now)[0].tolist() == [[0, 0 if deviation < 0.04 else 1]]
+
+
+def test_near_the_end_a_pair_that_is_forbidden_stays_so() -> None:
+    """Inside the wider gates, too."""
+    now = Linearisation(np.zeros(1), np.array([10.0]), np.eye(3)[:, :1], np.zeros((1, 1)), np.zeros((3, 1, 1)))
+    known = Followed((), np.zeros((3, 0)), (0,), np.eye(3)[:, :1])
+    aim = Target(np.array([10.0]), np.eye(3)[:, :1], np.zeros(1), np.ones(1, dtype=bool))
+    assert len(match(aim.doubting(), now)[0]) == 1
+    assert not len(match(replace(aim, followed=known).doubting(), now)[0])

@@ -23,6 +23,7 @@ from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 from ringtrue.update.candidates import CandidateSettings
+from ringtrue.update.dense import DenseModel
 from ringtrue.update.effects import reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import variation
@@ -68,6 +69,23 @@ def test_a_right_model_is_changed_no_more_than_its_noise() -> None:
     aim = replace(aim, frequencies=aim.frequencies * (1 + 0.003 * rng.standard_normal(10)), shapes=shapes)
     found = propose(model, aim, most=5)
     assert max((abs(m.factor - 1) for m in found.members), default=0.0) < 0.05
+
+
+@pytest.mark.parametrize(("wrong", "factor"), [(2, 3.0), (4, 0.35)])
+def test_a_mode_that_left_the_gates_still_names_its_spring(wrong: int, factor: float) -> None:
+    """Eight weakly coupled oscillators: no partner within 40 %, so that no linearisation at the start sees its mode."""
+    n = 8
+    own = (2 * np.pi * np.linspace(10.0, 17.0, n)) ** 2
+    coupled = np.diag(own) + 0.02 * own.mean() * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    springs = np.einsum("i,ij,ik->ijk", own, np.eye(n), np.eye(n))
+    model = DenseModel.springs(coupled, np.eye(n), springs, parameters(n, std=0.3))
+    x = np.where(np.arange(n) == wrong, np.log(factor), 0.0)
+    at = model.modes(x)
+    aim = Target(at.frequencies, at.shapes, np.full(n, 1e-3), np.ones(n, dtype=bool))
+    assert residual(aim, model.linearise(np.zeros(n))).used.sum() < n
+    found = propose(model, aim, most=3)
+    assert [m.name for m in found.members] == [f"p{wrong}"]
+    assert found.members[0].factor == pytest.approx(factor, rel=0.01)
 
 
 def test_at_most_as_many_as_asked_for() -> None:
