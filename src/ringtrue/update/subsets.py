@@ -3,8 +3,7 @@
 1. Candidates to which the residuals are not sensitive are left out; one member stands for a cluster.
 2. Sets of growing size: the best addition by the bounded minimum of the linearised J, confirmed by a short updating
    with new linearisations, or by J itself far from there; then exchange of members while J falls.
-3. All candidates are updated at once, held back by their priors: from a far start only so are the modes paired right.
-   Then the least useful go, one by one.
+3. All candidates are updated at once, held back by their priors; then the least useful go, one by one.
 4. What the best set leaves as residual replaces the assumed model discrepancy, and no pair costs more than a lost
    mode: a test mode that no candidate explains then pulls none. The sets of 2 and 3 compete, members exchanged again.
 5. The size is that of the lowest AICc plus the price of the search. Members of the same cluster join, as long as that
@@ -86,16 +85,18 @@ class Search:
         )
 
     @property
+    def modes(self) -> int:
+        """Number of used modes of all tests."""
+        aims = [self.target] if self.problem is None else [c.target for c in self.problem.configurations]
+        return sum(int(t.used.sum()) for t in aims)
+
+    @property
     def data(self) -> float:
         """Number of data: two a used mode, and what else was measured."""
-        aims = [self.target] if self.problem is None else [c.target for c in self.problem.configurations]
-        return 2 * sum(int(t.used.sum()) for t in aims) + self.point(np.zeros(self.prior.size)).more
+        return 2 * self.modes + self.point(np.zeros(self.prior.size)).more
 
     def sharper(self, discrepancy: Float) -> Search:
-        """The same with the discrepancy (relative frequency, 1 − MAC) that was found, capped: see `Target.doubting`.
-
-        A test mode that no candidate explains then pulls none of them.
-        """
+        """The same with the discrepancy (relative frequency, 1 − MAC) that was found, capped: see `Target.doubting`."""
         w = replace(self.target.weights, frequency=float(discrepancy[0]), mac=float(discrepancy[1]))
         aim = replace(self.target, weights=w).doubting()
         more = None if self.problem is None else sharper(self.problem, w.frequency, w.mac)
@@ -295,8 +296,9 @@ def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: 
         free = search.free(stay)
         if not tried and free.size and r.used.any():
             tried += [search.fit(at, now.x) for _, at in search.best(r, now.x, stay, free, r.value)[:TRIALS]]
-        here = search.cost(now.x)
-        tried += [search.fit(at, x) for value, at, x in search.far(now, free)[:TRIALS] if value < here]
+        if search.target.rule == "gates" and r.used.sum() < search.modes:  # no slope sees a mode without partner
+            here = search.cost(now.x)
+            tried += [search.fit(at, x) for value, at, x in search.far(now, free)[:TRIALS] if value < here]
         if not tried:
             break
         path.append(_exchanged(search, min(tried, key=lambda c: c.value)))
