@@ -14,7 +14,6 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import part
 from ringtrue.eigen.problem import EigenModes
-from ringtrue.fem.dependence import smooth
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import Linearisation, ModesRequest
@@ -27,7 +26,7 @@ from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import reduced_errors
 from ringtrue.update.objective import Target, match
-from ringtrue.update.pool import conflicts, screened
+from ringtrue.update.pool import conflicts, screened, tractable
 from ringtrue.update.proposal import Proposal, propose
 
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test
@@ -72,7 +71,8 @@ def localise(
         moved, lost = moving(every, strain, kinetic)
         pairs = _paired(analysis, modes, count, bridge, aim)
         keep = _close(every, moved, 0.5 * (strain - kinetic)[pairs[:, 1]] / aim.weights.frequency, pool)
-        keep = tuple(c for c in keep if smooth(model, c.parameter, analysis.system))
+        at = tractable(model, analysis.system, keep)
+        keep = tuple(sorted((keep[i] for i in at.tolist()), key=every.index))
         reduced = reduced_candidates(
             model,
             analysis.system,
@@ -112,13 +112,12 @@ def _paired(analysis: EmbeddedAnalysis, modes: EigenModes, count: int, bridge: O
 def _close(
     every: tuple[Candidate, ...], moved: tuple[Candidate, ...], slopes: Float, pool: int
 ) -> tuple[Candidate, ...]:
-    """Those of the candidates that move a mode which tell most apart; `slopes` (k, all) of ln f by its deviation."""
-    if len(moved) <= pool:
-        return moved
+    """Candidates that move a mode, those that tell most apart first; `slopes` (k, all) of ln f by its deviation."""
     names = {c.name for c in moved}
     at = np.array([i for i, c in enumerate(every) if c.name in names])
     close = screened((slopes * parameters(every).std())[:, at], pool)
-    return tuple(every[i] for i in np.sort(at[close]).tolist()) or moved[:pool]
+    rest = np.setdiff1d(np.arange(at.size), close) if at.size <= pool or not close.size else close[:0]
+    return tuple(every[i] for i in at[np.append(close, rest)].tolist())[:pool]
 
 
 def _errors(

@@ -2,6 +2,7 @@
 
 They are taken apart at the nominal model (an anchored decomposition; Rabitz and Alış 1999, sec. 3): what each parameter
 does by itself, and, where several act on the same elements, what they do together beyond that, as E and T of a shell.
+Three and more are looked at where any two of them do something together.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache, partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import linalg, sparse
@@ -35,6 +36,7 @@ KEPT = 5000  # elements of which the matrices at all points fit into memory
 RANK, HOLDS, NOISE = 1e-12, 1e-9, 1e-12  # relative: functions kept, error allowed, no such part below
 INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
 MARGIN = 1.05  # by which the range of a series exceeds the bounds
+Form = Literal["powers", "series", "rough"]
 Members = Sequence[tuple[Group, Basis]]
 Set = tuple[Members, Rows]  # groups that act on the same elements, and the rows of these
 At = Callable[[tuple[float, ...]], Any]  # factors of the groups -> K and M of elements, as arrays or sparse
@@ -73,11 +75,15 @@ def affine_terms(
             for exponent, pair in (parts or {}).items():
                 sums.setdefault(exponent, []).append(pair)
         out += [_term(power(i, e), _total(sums[e]), system) for e in sorted(sums)]
-    return (*out, *_joint(m, [*sets, *_shared(every)], system, part(progress, 0.5, 1.0)))
+    pairs = list(_pairs(every))
+    alone, two = _joint(m, sets, system, quiet), _joint(m, [s for _, s in pairs], system, part(progress, 0.5, 0.7))
+    met = [at for (at, _), found in zip(pairs, two, strict=True) if found]
+    larger = _joint(m, list(_larger(every, met)), system, part(progress, 0.7, 1.0))
+    return (*out, *itertools.chain(*alone, *two, *larger))
 
 
-def smooth(model: Model, parameter: Parameter, system: System) -> bool:
-    """Whether `affine_terms` has parts for a parameter, tried on a sample of its elements.
+def form(model: Model, parameter: Parameter, system: System) -> Form:
+    """How K and M depend on a parameter, tried on a sample of its elements; "rough": `affine_terms` has no parts.
 
     Raises
     ------
@@ -87,10 +93,19 @@ def smooth(model: Model, parameter: Parameter, system: System) -> bool:
     m = mesh(model)
     try:
         some = [replace(g, rows=_few(g.rows)) for g in groups_of(model, 0, parameter)]
-        parts = [_alone(m, g) or _joint(m, [([(g, _series(g, NODES[0]))], g.rows)], system, quiet) for g in some]
+        alone = [_alone(m, g) for g in some]
+        sets = [([(g, _series(g, NODES[0]))], g.rows) for g, parts in zip(some, alone, strict=True) if parts is None]
+        series = any(_joint(m, [one], system, quiet)[0] for one in sets)
     except UnsupportedError:
-        return False
-    return any(parts)
+        return "rough"
+    return "series" if series else "powers" if any(alone) else "rough"
+
+
+def meet(model: Model, first: Parameter, second: Parameter) -> bool:
+    """Whether two parameters do something together on the elements that both act on, tried on a sample of these."""
+    m = mesh(model)
+    every = [(g, Powers((1,))) for i, p in enumerate((first, second)) for g in groups_of(model, i, p)]
+    return any(_beyond(_samples(m, [one])[0], one[0]) for _, one in _pairs(every))
 
 
 def _alone(m: Mesh, g: Group) -> dict[int, Pair] | None:
@@ -122,16 +137,26 @@ def _series(g: Group, n: int) -> Chebyshev:
     return Chebyshev(g.parameter.lower / MARGIN, g.parameter.upper * MARGIN, n)
 
 
-def _shared(every: Members) -> Iterator[Set]:
-    """Groups of two and more parameters that act on the same elements."""
+def _pairs(every: Members) -> Iterator[tuple[tuple[int, int], Set]]:
+    """Groups of two parameters that act on the same elements, and which they are."""
     near = _overlap([g for g, _ in every])
-    sets: list[tuple[tuple[int, ...], Rows]] = [((i,), g.rows) for i, (g, _) in enumerate(every)]
+    for i, j in np.argwhere(np.triu(near, 1)).tolist():
+        first, second = every[i][0], every[j][0]
+        if first.which != second.which and (both := common(first.rows, second.rows)):
+            yield (i, j), ([every[i], every[j]], both)
+
+
+def _larger(every: Members, pairs: Sequence[tuple[int, int]]) -> Iterator[Set]:
+    """Groups of three and more, any two of which do something together: `pairs`."""
+    near = np.zeros((len(every), len(every)), dtype=np.bool_)
+    for i, j in pairs:
+        near[i, j] = near[j, i] = True
+    sets: list[tuple[tuple[int, ...], Rows]] = [((i, j), common(every[i][0].rows, every[j][0].rows)) for i, j in pairs]
     while sets:
         larger: list[tuple[tuple[int, ...], Rows]] = []
         for at, rows in sets:
-            taken = {every[i][0].which for i in at}
             for j in np.flatnonzero(near[list(at)].all(axis=0)).tolist():
-                if j > at[-1] and every[j][0].which not in taken and (both := common(rows, every[j][0].rows)):
+                if j > at[-1] and (both := common(rows, every[j][0].rows)):
                     larger.append(((*at, j), both))
                     yield [every[i] for i in (*at, j)], both
         sets = larger
@@ -153,14 +178,14 @@ def _overlap(groups: Sequence[Group]) -> Bool:
     return np.asarray((member @ member.T).toarray() > 0.0)
 
 
-def _joint(m: Mesh, sets: Sequence[Set], system: System, progress: Progress) -> list[AffineTerm]:
-    """What the groups of each set do together, beyond what fewer of them do."""
+def _joint(m: Mesh, sets: Sequence[Set], system: System, progress: Progress) -> list[list[AffineTerm]]:
+    """What the groups of each set do together, beyond what fewer of them do; empty where that is nothing."""
     found: dict[int, list[AffineTerm]] = {}
     for some in _apart(m.model, sets):
         progress(len(found) / len(sets), "derivatives: parameters on the same elements")
         for i, sample in zip(some, _samples(m, [sets[i] for i in some]), strict=True):
             found[i] = _terms(m, *sets[i], sample, system)
-    return [t for i in sorted(found) for t in found[i]]
+    return [found[i] for i in range(len(sets))]
 
 
 def _apart(model: Model, sets: Sequence[Set]) -> Iterator[list[int]]:
@@ -227,10 +252,9 @@ def _terms(m: Mesh, some: Members, rows: Rows, sample: At, system: System) -> li
 
     whole = cache(every) if sum(at.size for at in rows.values()) < KEPT else every
 
-    noise = [NOISE * size(x) for x in sample((1.0,) * len(groups))]
+    noise = _noise(sample, some)
     try:
-        beyond = _together(sample, tuple(g.parameter.upper**0.4 for g in groups))
-        if all(size(x) <= limit for x, limit in zip(beyond, noise, strict=True)):
+        if not _beyond(sample, some):
             return []
         with np.errstate(all="ignore"):  # a pole between the bounds is found by what does not hold
             for bases in _tries(some):
@@ -245,6 +269,17 @@ def _terms(m: Mesh, some: Members, rows: Rows, sample: At, system: System) -> li
     except INVALID as e:
         raise UnsupportedError(_rough(groups)) from e
     raise UnsupportedError(_rough(groups))
+
+
+def _noise(sample: At, some: Members) -> list[float]:
+    """What of K and of M is rounding."""
+    return [NOISE * size(x) for x in sample((1.0,) * len(some))]
+
+
+def _beyond(sample: At, some: Members) -> bool:
+    """Whether the groups do more together than fewer of them."""
+    found = _together(sample, tuple(g.parameter.upper**0.4 for g, _ in some))
+    return any(size(x) > limit for x, limit in zip(found, _noise(sample, some), strict=True))
 
 
 def _tries(some: Members) -> Iterator[tuple[Basis, ...]]:

@@ -97,7 +97,7 @@ def reduced_candidates(
     Raises
     ------
     UnsupportedError
-        If one of them is not `fem.dependence.smooth`.
+        If the `fem.dependence.form` of one of them is rough.
     """
     chosen = parameters(candidates)
     parts = affine_terms(model, chosen, system, progress=part(progress, 0.0, 0.5))

@@ -9,7 +9,9 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import Parameter
+from ringtrue.fem.assembly import System
 from ringtrue.fem.change import rows_of, within
+from ringtrue.fem.dependence import form, meet
 from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
 from ringtrue.update.candidates import Candidate, Kind, counted, membership
@@ -45,6 +47,26 @@ def screened(slopes: Float, most: int) -> Int:
             break
         out.append(best)
         inverse = inverse - np.outer(spread[:, best], spread[:, best]) / (1 + gain[best])
+    return np.array(out, dtype=np.int64)
+
+
+def tractable(model: Model, system: System, candidates: Sequence[Candidate]) -> Int:
+    """Those whose matrices can be taken apart, in order, without those that are a series together with one before.
+
+    What the constants of a laminate do together is a series in all of them, which has no end.
+    """
+    members = membership(model, candidates)
+    near, out, series = (members @ members.T).toarray() > 0, list[int](), list[int]()
+    for i, c in enumerate(candidates):
+        how = form(model, c.parameter, system)
+        with_one = how == "series" and any(
+            near[i, j] and meet(model, candidates[j].parameter, c.parameter) for j in series
+        )
+        if how == "rough" or with_one:
+            continue
+        out.append(i)
+        if how == "series":
+            series.append(i)
     return np.array(out, dtype=np.int64)
 
 

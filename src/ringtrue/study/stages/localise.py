@@ -12,7 +12,6 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
-from ringtrue.fem.dependence import smooth
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.parametric import ReducedModel
@@ -30,7 +29,7 @@ from ringtrue.update.identifiable import identifiability
 from ringtrue.update.joint import joint_residual
 from ringtrue.update.localise import ElementErrors, expanded_errors, reduced_errors, variation
 from ringtrue.update.objective import Target, match, residual
-from ringtrue.update.pool import conflicts, of_parameter, screened
+from ringtrue.update.pool import conflicts, of_parameter, screened, tractable
 from ringtrue.update.proposal import Proposal, propose
 from ringtrue.update.several import Problem
 
@@ -110,10 +109,9 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     test, fe = table.pairing.a[table.used], table.pairing.b[table.used]
     sigma = np.hypot(aim.weights.frequency, aim.std[test])
     slopes = 0.5 * (strain - kinetic)[fe] / sigma[:, None] * parameters(every).std()
-    first = [
-        i for i in some[screened(slopes[:, some], 2 * asked.pool)].tolist() if smooth(model, every[i].parameter, system)
-    ]
-    close = np.sort(np.array(first, dtype=np.int64)[screened(slopes[:, first], asked.pool)])
+    first = some[screened(slopes[:, some], 2 * asked.pool)]
+    first = first[tractable(model, system, [every[i] for i in first.tolist()])]
+    close = np.sort(first[screened(slopes[:, first], asked.pool)])
     return _Pool(
         tuple(every[i] for i in close.tolist()),
         len(every),
