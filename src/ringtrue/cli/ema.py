@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -32,6 +32,7 @@ from ringtrue.cli.identify import (
 )
 from ringtrue.cli.levels import check_levels, levels_json, print_levels
 from ringtrue.cli.show import progress, write_json
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import ConfigError, about
 from ringtrue.identify.frf_methods import identify_frfs_by
@@ -46,8 +47,6 @@ from ringtrue.signal.hits import HammerSettings, HitReport
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
-
-Progress = Callable[[float, str], None]
 
 
 class Estimator(StrEnum):

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
 from rich.table import Table
 
+from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.update.catalogue import LENGTH
@@ -22,7 +24,7 @@ err = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager
-def progress(label: str) -> Iterator[Callable[[float, str], None]]:
+def progress(label: str) -> Iterator[Progress]:
     """A bar on a terminal, plain lines in a log."""
     if not err.is_terminal:
         last = ""
@@ -41,7 +43,7 @@ def progress(label: str) -> Iterator[Callable[[float, str], None]]:
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=err, transient=True) as bar:
+    with Bars(*columns, console=err, transient=True) as bar:
         task = bar.add_task(label, total=1.0)
         yield lambda fraction, text: bar.update(task, completed=fraction, description=text[:60].ljust(60))
 

@@ -6,7 +6,7 @@ four again and again; each band keeps 0.06 to 0.34 of its rate and overlaps the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -15,6 +15,7 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
@@ -73,7 +74,6 @@ TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at
 BLOCKS_EACH = 4  # of one stretch of a long record
 ENOUGH = 0.6  # of the orders, where the modes appear in the first third of them
 BESIDE = "; where a mode may stand beside it, take the line out (oma --remove-harmonics)"
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ analysis", IOMAC: the correlations at positive lags under an exponential window,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -69,7 +70,7 @@ def identify_ambient_by(
     settings: AmbientSettings | None = None,
     *,
     near: Sequence[float] = (),
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> SecondOpinion:
     """Modes of an ambient record by one of `METHODS`.
 
@@ -135,9 +136,7 @@ def _bayes(history: TimeHistory, s: AmbientSettings, near: Sequence[float]) -> t
     return result.modes, result.uncertainty
 
 
-def _in_bands(
-    method: str, history: TimeHistory, s: AmbientSettings, tell: Callable[[float, str], None]
-) -> tuple[ModeSet, Uncertainty]:
+def _in_bands(method: str, history: TimeHistory, s: AmbientSettings, tell: Progress) -> tuple[ModeSet, Uncertainty]:
     """Modes of every band of the pyramid; in overlaps those of more confidence."""
     bands = long_enough(bands_for(history.rate, history.duration, s), history)
     ids = tuple(c.id for c in history.channels)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal, get_args
 
@@ -12,6 +11,7 @@ from scipy.linalg import qr
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -41,7 +41,7 @@ def identify_frfs_by(
     frfs: FrfSet,
     settings: HammerModes | None = None,
     *,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> SecondOpinion:
     """Modes of FRFs by one of `METHODS`.
 
@@ -85,9 +85,7 @@ def _modes(model: ModalModel, sure: Float, source: str) -> ModeSet:
     return ModeSet(model.frequencies, model.damping, model.shapes * mode_scale(model), labels, norm, source, sure)
 
 
-def _stable(
-    method: str, used: FrfSet, settings: HammerModes, tell: Callable[[float, str], None]
-) -> tuple[ModalModel, Float, list[str]]:
+def _stable(method: str, used: FrfSet, settings: HammerModes, tell: Progress) -> tuple[ModalModel, Float, list[str]]:
     """Modes that stay in place over the orders and pass the verdict, with confidence and reasons."""
     sigma = noise(used)
     curve = cmif(used.data / sigma.response[:, None])

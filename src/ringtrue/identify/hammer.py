@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from ringtrue.core.choice import Choice
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.outcome import Outcome
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
@@ -27,8 +28,6 @@ from ringtrue.identify.refine import Refined, refine, shape_deviations
 from ringtrue.identify.repeated_hammer import twins, united
 from ringtrue.identify.scale import scale_deviations
 from ringtrue.signal.reciprocal import exchanged
-
-Progress = Callable[[float, str], None]
 
 TURNS = 6
 LAST_ITERATIONS = 60

@@ -6,7 +6,7 @@ then splits modes in two; here every batch keeps its own poles, and only the sha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.special import chdtrc
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
@@ -22,7 +23,6 @@ from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer,
 from ringtrue.identify.lsfd import noise, normalise, prepare
 from ringtrue.identify.refine import refine, shape_deviations
 
-Progress = Callable[[float, str], None]
 CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
 SHIFT = 0.1  # half bandwidths that matter
 

@@ -7,7 +7,7 @@ of L21 are those of P (unweighted principal components).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,6 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import qr, solve_triangular
 
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify import variance as var
@@ -66,9 +67,7 @@ def _triangle(data: Float, references: Int, rows: int) -> Float:
     return r
 
 
-def project(
-    data: Float, references: Int, rows: int, blocks: int, progress: Callable[[float, str], None] | None = None
-) -> Projection:
+def project(data: Float, references: Int, rows: int, blocks: int, progress: Progress | None = None) -> Projection:
     """The projection of future outputs on past references of `data` (ch, sample), from `blocks` blocks.
 
     Raises
@@ -110,7 +109,7 @@ def ssi_data(
     settings: SsiCov | None = None,
     *,
     references: Sequence[str] | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> PoleSet:
     """Poles of all orders of the record as it stands by SSI-data, with their standard deviations.
 

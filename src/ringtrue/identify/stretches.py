@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from ringtrue.core.arrays import Int
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.bands import BandSums, begin, joined, of_stretch
@@ -17,8 +18,6 @@ from ringtrue.signal.preprocess import Band, Harmonic
 from ringtrue.signal.strokes import without_strokes
 from ringtrue.signal.sweeps import without_sweeps
 from ringtrue.signal.threads import abreast
-
-Progress = Callable[[float, str], None]
 
 
 def without_machines(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from scipy.special import bdtr
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.hits import (
@@ -26,7 +27,6 @@ from ringtrue.signal.hits import (
 )
 
 log = logging.getLogger(__name__)
-Progress = Callable[[float, str], None]
 
 _RISE = 8  # samples
 _QUIET, _FLOOR = 0.02, 6.0  # of the response; times the typical power, above which a line is no noise

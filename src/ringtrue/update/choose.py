@@ -12,6 +12,7 @@ from scipy.optimize import lsq_linear
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.update.gauss_newton import update
@@ -134,7 +135,7 @@ class _Search:
             values.append(predicted(g[:, at], value, now.x[at], w[at], low[at], high[at]))
         return [options[i] for i in np.argsort(values, kind="stable").tolist()]
 
-    def grown(self, count: int, progress: Callable[[float, str], None] | None) -> Choice:
+    def grown(self, count: int, progress: Progress | None) -> Choice:
         """Forward selection.
 
         Raises
@@ -172,9 +173,7 @@ def _different(sets: Sequence[Int]) -> list[list[int]]:
     return [s.tolist() for s in {tuple(sorted(s.tolist())): s for s in sets}.values()]
 
 
-def best_subset(
-    model: Candidates, target: Target, count: int, progress: Callable[[float, str], None] | None = None
-) -> Choice:
+def best_subset(model: Candidates, target: Target, count: int, progress: Progress | None = None) -> Choice:
     """Forward selection and exchange of `count` candidates on J.
 
     Raises
@@ -190,9 +189,7 @@ def best_subset(
     return min((near.exchanged(near.updated(s, x)) for s, x in rough), key=lambda c: c.value)
 
 
-def joint_subset(
-    problem: Problem, count: int, starts: Sequence[Int] = (), progress: Callable[[float, str], None] | None = None
-) -> Choice:
+def joint_subset(problem: Problem, count: int, starts: Sequence[Int] = (), progress: Progress | None = None) -> Choice:
     """Forward selection and exchange of `count` parameters of a problem with several configurations, on its J.
 
     Parameters

@@ -6,7 +6,6 @@ out: equation (4) as printed, which is the case p₀ = 0 and not stationary for 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.core.iterate import iterate
 from ringtrue.core.outcome import Outcome
+from ringtrue.core.progress import Progress
 from ringtrue.errors import NumericalError, SolverError
 from ringtrue.model.ports import ObservedModel
 from ringtrue.update.objective import Residual, Target, objective, residual, shared_cost
@@ -177,7 +177,7 @@ def update(
     iterations: int = 30,
     published: bool = False,
     start: Float | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> UpdateResult:
     """Minimise J over the parameters of `model`.
 

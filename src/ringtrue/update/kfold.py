@@ -9,7 +9,7 @@ so that the posterior does not collapse.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,12 +17,12 @@ from scipy.special import stdtrit
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.outcome import Outcome
+from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError
 from ringtrue.update.posterior import Posterior, laplace
 from ringtrue.update.several import Configuration, Evaluated, Problem
 from ringtrue.update.trust import Method, solve
 
-Progress = Callable[[float, str], None]
 LEAST = 1e-4  # model discrepancy, relative
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Float, freeze_fields
+from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError, NumericalError, SolverError
 from ringtrue.update.several import Problem
 
@@ -95,7 +96,7 @@ def ensemble(
     rng: np.random.Generator,
     *,
     burn: int = 0,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Chains:
     """Sample a density.
 

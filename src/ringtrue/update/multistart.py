@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,12 +10,12 @@ from scipy.optimize import Bounds, differential_evolution
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, NumericalError, RingtrueError, SolverError
 from ringtrue.update.several import Problem
 from ringtrue.update.trust import Method, Solution, solve
 
 SAME = 1e-3  # largest distance in x, relative to the range of the bounds, of two ends that are one minimum
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ prediction that nothing has checked; `validated_band` says where that begins.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,12 +15,12 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Complex, Float, freeze_fields
+from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import ObservedModel
 from ringtrue.shapes.mac import mac
 from ringtrue.update.harmonic import Damping, Ratios, RegionDamping, Rows, harmonic
 
-Progress = Callable[[float, str], None]
 PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
 
 

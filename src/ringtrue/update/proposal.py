@@ -6,12 +6,13 @@ candidate in its place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError
 from ringtrue.update.choose import Candidates, Choice, largest, orthogonal
 from ringtrue.update.identifiable import ALIKE, identifiability
@@ -27,7 +28,6 @@ LITTLE = 0.02  # share of the errors below which a parameter explains nothing by
 GATHERED = 1.1  # times its share of strain energy, from which on errors gather at a candidate
 KINDS = {"force": "force residual", "constitutive": "constitutive error", "energy": "strain energy change"}
 SHOWN = 10  # candidates of another rule
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True)

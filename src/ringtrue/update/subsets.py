@@ -12,7 +12,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -20,6 +20,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.update.choose import GAIN, TURNS, Candidates, Choice, predicted, short_update
 from ringtrue.update.identifiable import clusters
@@ -37,7 +38,6 @@ TWICE = 2  # searches with the discrepancy that was found
 NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
 PRICE = 0.5  # γ: 0 follows the noise, 1 finds little that is small
 LATER = 2  # sizes beyond the best one that are looked at
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

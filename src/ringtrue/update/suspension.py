@@ -10,7 +10,7 @@ and the posterior is their mixture. What the weights do not settle is reported, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from math import perm
@@ -20,6 +20,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError, NotConverged, NumericalError, SolverError
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.shapes.mac import mac
@@ -142,7 +143,7 @@ def tune(
     start: Float | None = None,
     modes: Sequence[int] | None = None,
     keep: int = KEPT,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Suspended:
     """Tune the suspension under every pairing that the data leave open.
 

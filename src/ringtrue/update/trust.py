@@ -18,6 +18,7 @@ from scipy import linalg
 from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.core.iterate import iterate
 from ringtrue.core.outcome import Outcome
+from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.update.quadratic import least_distance, positive, secant
@@ -34,7 +35,6 @@ KINDS = {
 REJECTIONS = 12
 SMALL = 1e-14  # relative rise of J that is not one
 ROUNDING = 1e-7  # promised relative fall of J that the rounding of eigensolutions may hide
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, Self, runtime_checkable
 
@@ -10,12 +9,11 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.update.several import Problem
 from ringtrue.update.trust import Method, Solution, solve
-
-Progress = Callable[[float, str], None]
 
 
 @runtime_checkable

@@ -15,6 +15,7 @@ from scipy import linalg
 from scipy.optimize import minimize_scalar
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.update.several import Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve
@@ -22,7 +23,6 @@ from ringtrue.update.trust import Method, Solution, solve
 Rule = Literal["l-curve", "gcv", "evidence"]
 GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
 SETTLED = 0.1  # relative change of the factor below which it stands
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
