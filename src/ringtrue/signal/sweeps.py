@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, rfft
-from scipy.ndimage import binary_dilation, find_objects, label, sum_labels
+from scipy.ndimage import binary_dilation, find_objects, label
 
 from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.signals import TimeHistory
@@ -44,14 +44,14 @@ def without_sweeps(history: TimeHistory) -> tuple[TimeHistory, tuple[Sweep, ...]
 
     All channels lose the same cells of time and frequency; a mode that a tone rests on loses that time.
     """
-    found: list[Sweep] = []
+    found, heard = list[Sweep](), mixes(history.data)
     for n in FRAMES:
         if 2 * history.data.shape[1] < LEAST_FRAMES * n:
             continue
-        mask, sweeps = _moving(_whitened(mixes(history.data), n), history.rate / n)
+        mask, sweeps = _moving(_whitened(heard, n), history.rate / n)
         if sweeps:
             history = replace(history, data=np.stack([_masked(x, mask, n) for x in history.data]))
-            found += sweeps
+            found, heard = [*found, *sweeps], mixes(history.data)
     return history, tuple(found)
 
 
@@ -96,24 +96,29 @@ def _whitened(mixes: Any_, n: int) -> Any_:
 
 
 def _levels(groups: Any_) -> Any_:
-    """Median over the last axis, which stays."""
-    return np.maximum(np.median(groups, axis=-1, keepdims=True), np.float32(QUIET))
+    """Upper median over the last axis, which stays."""
+    middle = groups.shape[-1] // 2
+    level: Any_ = np.partition(groups, middle, axis=-1)[..., middle : middle + 1]
+    return np.maximum(level, np.float32(QUIET))
 
 
 def _moving(white: Any_, step: float) -> tuple[Bool, list[Sweep]]:
     """Cells (frame, bin) of ridges that move, and these; bins are `step` Hz apart."""
     cell, count = label(white > LOW, np.ones((3, 3)))
     mask, sweeps = np.zeros(white.shape, dtype=np.bool_), []
-    strong = sum_labels(white > HIGH, cell, np.arange(1, count + 1)) if count else np.empty(0)
-    places = find_objects(cell)
-    for k in np.flatnonzero(strong >= LEAST).tolist():  # a few ridges
+    strong = np.bincount(cell[white > HIGH], minlength=count + 1)[1:]
+    ridges = np.flatnonzero(strong >= LEAST).tolist()
+    places = find_objects(cell) if ridges else []
+    for k in ridges:  # a few
         own = cell[places[k]] == k + 1
         power = np.where(own & (white[places[k]] > HIGH), white[places[k]], 0.0)
         first = places[k][1].start
         if (ends := _ridge(power, first)) is not None:
             mask[places[k]] |= own
             sweeps.append(Sweep(step * ends[0], step * ends[1], 0.5 * int((power > 0).any(axis=1).sum()) / step))
-    return binary_dilation(mask, np.ones((1, 3), dtype=np.bool_)), sweeps
+    if sweeps:
+        mask = np.asarray(binary_dilation(mask, np.ones((1, 3), dtype=np.bool_)))
+    return mask, sweeps
 
 
 def _ridge(power: Float, first: int) -> tuple[float, float] | None:
