@@ -29,6 +29,7 @@ from ringtrue.fem.rows import Rows, common, union
 from ringtrue.model.model import Model
 
 NODES = (6, 12, 24, 48)  # of a function that is no polynomial; more where fewer do not hold
+COARSE = 9  # functions of two parameters, that more may join
 SAMPLE = 40  # elements of a kind that tell its functions
 AT_ONCE = 16  # sets whose samples are evaluated together
 HELD = 200_000  # element matrices of samples that are kept
@@ -101,11 +102,27 @@ def form(model: Model, parameter: Parameter, system: System) -> Form:
     return "series" if series else "powers" if any(alone) else "rough"
 
 
-def meet(model: Model, first: Parameter, second: Parameter) -> bool:
-    """Whether two parameters do something together on the elements that both act on, tried on a sample of these."""
+def together(model: Model, first: Parameter, second: Parameter) -> Literal["", "coarse", "fine"]:
+    """What two parameters do beyond each by itself: nothing, or a coarse or a fine series, tried on a sample."""
     m = mesh(model)
-    every = [(g, Powers((1,))) for i, p in enumerate((first, second)) for g in groups_of(model, i, p)]
-    return any(_beyond(_samples(m, [one])[0], one[0]) for _, one in _pairs(every))
+    every: list[tuple[Group, Basis]] = []
+    for i, p in enumerate((first, second)):
+        for g in groups_of(model, i, p):
+            parts = _alone(m, replace(g, rows=_few(g.rows)))
+            every.append((g, _series(g, NODES[0]) if parts is None else Powers(tuple(parts) or (1,))))
+    sets = [(some, _samples(m, [(some, rows)])[0]) for _, (some, rows) in _pairs(every)]
+    meet = [(some, sample) for some, sample in sets if _beyond(sample, some)]
+    return "" if not meet else "coarse" if all(_coarse(*one) for one in meet) else "fine"
+
+
+def _coarse(some: Members, sample: At) -> bool:
+    which = tuple(g.which for g, _ in some)
+    for bases in itertools.islice(_tries(some), 2):
+        functions, nodes = _functions(sample, which, bases)
+        parts = _parts(sample, functions, nodes, _noise(sample, some))
+        if len(functions) <= COARSE and all(_miss(sample, functions, parts, a) < HOLDS for a in _checks(bases)):
+            return True
+    return False
 
 
 def _alone(m: Mesh, g: Group) -> dict[int, Pair] | None:

@@ -11,7 +11,7 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import Parameter
 from ringtrue.fem.assembly import System
 from ringtrue.fem.change import rows_of, within
-from ringtrue.fem.dependence import form, meet
+from ringtrue.fem.dependence import form, together
 from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
 from ringtrue.update.candidates import Candidate, Kind, counted, membership
@@ -51,22 +51,26 @@ def screened(slopes: Float, most: int) -> Int:
 
 
 def tractable(model: Model, system: System, candidates: Sequence[Candidate]) -> Int:
-    """Those whose matrices can be taken apart, in order, without those that are a series together with one before.
+    """Those whose matrices can be taken apart, in order, without those of which that is too much work.
 
-    What the constants of a laminate do together is a series in all of them, which has no end.
+    Of those that are no powers two may do something together on an element, in a coarse series, but no three: the
+    constants of a laminate would have no end.
     """
-    members = membership(model, candidates)
-    near, out, series = (members @ members.T).toarray() > 0, list[int](), list[int]()
+    members, out = membership(model, candidates), list[int]()
+    near, met = (members @ members.T).toarray() > 0, dict[int, set[int]]()
     for i, c in enumerate(candidates):
         how = form(model, c.parameter, system)
-        with_one = how == "series" and any(
-            near[i, j] and meet(model, candidates[j].parameter, c.parameter) for j in series
-        )
-        if how == "rough" or with_one:
+        if how == "rough":
             continue
-        out.append(i)
         if how == "series":
-            series.append(i)
+            kinds = {j: together(model, candidates[j].parameter, c.parameter) for j in met if near[i, j]}
+            mine = {j for j, kind in kinds.items() if kind}
+            if "fine" in kinds.values() or any(met[j] & mine for j in mine):
+                continue
+            met[i] = mine
+            for j in mine:
+                met[j].add(i)
+        out.append(i)
     return np.array(out, dtype=np.int64)
 
 
