@@ -15,6 +15,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
+from ringtrue.core.signals import FrfKind
 from ringtrue.eigen import damped
 from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
 from ringtrue.eigen.dynamic import DynamicStiffness
@@ -32,7 +33,6 @@ from ringtrue.fem.spins import without_spins
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
-Kind = Literal["receptance", "mobility", "accelerance"]
 STILL = 12  # modes that do not oscillate, for which the basis of complex modes is widened
 LOCAL = 200  # DOFs with dashpots, up to which each gets a residual vector
 BUFFER = 4  # modes above the requested ones that derivatives converge on
@@ -238,7 +238,7 @@ class EmbeddedAnalysis:
         request: ModesRequest,
         *,
         damping: float | Float | None = 0.0,
-        kind: Kind = "receptance",
+        kind: FrfKind = "receptance",
         residual: bool = True,
     ) -> Complex:
         """Frequency responses (freq, out, in) complex128 by modal superposition.
@@ -273,7 +273,13 @@ class EmbeddedAnalysis:
         return superpose(freqs, modes.frequencies, zeta, a, b, kind, residual=rest)
 
     def _coupled_frf(
-        self, modes: EigenModes, out: sparse.csr_array, into: sparse.csr_array, freqs: Float, kind: Kind, residual: bool
+        self,
+        modes: EigenModes,
+        out: sparse.csr_array,
+        into: sparse.csr_array,
+        freqs: Float,
+        kind: FrfKind,
+        residual: bool,
     ) -> Complex:
         values, vectors = modes.values, modes.vectors
         if residual:
@@ -282,7 +288,7 @@ class EmbeddedAnalysis:
         d, h = damped.project(vectors, self.system.viscous, self.system.structural)
         return coupled(freqs, values, d, h, out @ vectors, into @ vectors, kind=kind)
 
-    def frf_direct(self, outputs: DofSet, inputs: DofSet, freqs: Float, *, kind: Kind = "receptance") -> Complex:
+    def frf_direct(self, outputs: DofSet, inputs: DofSet, freqs: Float, *, kind: FrfKind = "receptance") -> Complex:
         """Frequency responses (freq, out, in) complex128 of the full model with its own damping, a solve a line.
 
         Parameters

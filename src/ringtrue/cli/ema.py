@@ -26,13 +26,12 @@ from ringtrue.cli.identify import (
     choice_of,
     file_target,
     kept_channels,
-    tell,
     told,
     write_pages,
 )
 from ringtrue.cli.levels import check_levels, levels_json, print_levels
-from ringtrue.cli.show import progress, write_json
-from ringtrue.core.progress import Progress
+from ringtrue.cli.show import progress, tell, write_json
+from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import ConfigError, about
 from ringtrue.identify.frf_methods import identify_frfs_by
@@ -252,7 +251,7 @@ def _measured(
         parts = [shaker_frfs(r, Welch(shaker), estimator=want.estimator).frfs for r in records]
         notes = (*notes, f"{parts[0].averages[0]:.3g} independent averages")
         return _Measured(join_frfs(parts), (), notes, setups_of(parts))
-    columns, hits = estimate_columns(records, want, full_scale=ranges, progress=lambda f, t: show(0.05 * f, t))
+    columns, hits = estimate_columns(records, want, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(columns)
     return _Measured(frfs, hits, (*notes, *_said(frfs, hits)), setups_of(columns))
 

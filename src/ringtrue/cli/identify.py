@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.show import json_target, out, progress, rows, write_json
+from ringtrue.cli.show import json_target, progress, rows, tell, write_json
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
@@ -153,12 +153,6 @@ def fault_notes(history: TimeHistory) -> tuple[str, ...]:
         f"channel {c}: {n} {kind}{'s' if n > 1 else ''}, the first at {first[c, kind].time:.4g} s: {first[c, kind].why}"
         for (c, kind), n in count.items()
     )
-
-
-def tell(notes: Sequence[str]) -> None:
-    """Print notes, a line each."""
-    for note in notes:
-        out.print(note)
 
 
 def write_pages(

@@ -86,9 +86,7 @@ def run(arguments: list[str] | None = None) -> int:
         return 1
     except OSError as e:  # a file that cannot be read or written
         if e.errno in (ENOSPC, EDQUOT):
-            err.print(
-                f"error: {e.strerror}: free some; what is stored is whole, the same command resumes", markup=False
-            )
+            err.print(f"error: {e.strerror}: free some; what is stored is whole, the same command resumes")
             return 1
         if e.filename is None:
             raise

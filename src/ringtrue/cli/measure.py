@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from scipy import sparse
 
-from ringtrue.cli.show import json_target, listed, out, progress, rows, unit_length, write_json
+from ringtrue.cli.show import json_target, listed, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import part
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
@@ -83,30 +83,26 @@ def _reasons(unpaired: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _show_complete(c: CompleteCorrelation) -> None:
-    def line(text: str) -> None:
-        out.print(text)
-
     for check in c.checks:
-        line(f"{check.name}: {check.verdict}")
-    line(f"largest off-diagonal auto-MAC: A {100 * c.auto_mac[0]:.1f} %, B {100 * c.auto_mac[1]:.1f} %")
+        out.print(f"{check.name}: {check.verdict}")
+    out.print(f"largest off-diagonal auto-MAC: A {100 * c.auto_mac[0]:.1f} %, B {100 * c.auto_mac[1]:.1f} %")
     worst = c.comac.argsort(kind="stable")[:5].tolist()
-    line("lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst))
+    out.print("lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst))
     left_out = zip(c.elimination.order[:5].tolist(), c.elimination.mac[1:6], strict=True)
     for i, (channel, mac) in enumerate(left_out):
-        line(f"{'then' if i else 'first'} left out {c.channels[channel]}: mean MAC {100 * mac.mean():.2f} %")
+        out.print(f"{'then' if i else 'first'} left out {c.channels[channel]}: mean MAC {100 * mac.mean():.2f} %")
     for group in c.subspaces:
         modes = (" ".join(str(i + 1) for i in side) for side in (group.a, group.b))
         angles = " ".join(f"{degrees(x):.1f}" for x in group.angles)
-        line("close modes A {} and B {}: principal angles {}°".format(*modes, angles))
-    line(f"lowest phase collinearity of A: {100 * c.mpc.min(initial=1.0):.1f} %")
+        out.print("close modes A {} and B {}: principal angles {}°".format(*modes, angles))
+    out.print(f"lowest phase collinearity of A: {100 * c.mpc.min(initial=1.0):.1f} %")
     for s in c.suspects:
-        line(f"channel {s.channel} looks {s.fault}: {s.message}")
+        out.print(f"channel {s.channel} looks {s.fault}: {s.message}")
     total, count, p = c.significance.chi_square
     if count:
         beyond = int(c.significance.significant.sum())
-        line(f"{beyond} of {count} deviations are beyond their uncertainty (chi-square {total:.3g}, p {p:.2g})")
-    for note in c.notes:
-        line(note)
+        out.print(f"{beyond} of {count} deviations are beyond their uncertainty (chi-square {total:.3g}, p {p:.2g})")
+    tell(c.notes)
 
 
 def correlate(
@@ -171,8 +167,7 @@ def correlate(
             for r in value["pairs"]
         ]
         rows(f"{a} against {b}", ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
-        for line in _reasons(value["unpaired"]):
-            out.print(line)
+        tell(_reasons(value["unpaired"]))
         if full is not None:
             _show_complete(full)
     return 0 if value["pairs"] else 1

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.cli.show import json_target, out, progress, rows, write_json
+from ringtrue.cli.show import json_target, progress, rows, tell, write_json
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.nastran.reader import read_deck
@@ -283,5 +283,4 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
         lines.append(f"the references miss mode {', '.join(told['missed'])}: strike at more points")
     lines += told.get("virtual_test", {}).get("doubtful", [])
     lines.append("test sheet: " + " ".join(told["files"]))
-    for line in lines:
-        out.print(line)
+    tell(lines)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -58,6 +58,12 @@ def rows(title: str, heads: Sequence[str], body: Sequence[Sequence[object]]) -> 
     for r in body:
         table.add_row(*(str(x) for x in r))
     out.print(table, soft_wrap=False)
+
+
+def tell(lines: Iterable[str]) -> None:
+    """Print lines."""
+    for line in lines:
+        out.print(line)
 
 
 def listed(numbers: Sequence[int]) -> str:

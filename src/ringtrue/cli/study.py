@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
+from ringtrue.cli.show import err, json_target, out, progress, rows, tell, write_json
 from ringtrue.errors import ConfigError
 from ringtrue.report.deliver import deliver, report_from_store
 from ringtrue.study.acceptance import Check, limits, missed_words
@@ -57,8 +57,7 @@ def demo(
         write_json(_summary(folder), json)
     if json == "-":
         return _status(result.checks)
-    for line in result.lines:
-        out.print(line)
+    tell(result.lines)
     out.print(f"report: {result.report}")
     return _verdict(result.checks)
 
@@ -92,8 +91,7 @@ def run(
         for name, seconds in result.timings.items():
             took = "up to date" if name in result.loaded else f"{seconds:.1f} s"
             out.print(f"{name}: {took}")
-        for line in told(result.results):
-            out.print(line)
+        tell(told(result.results))
         out.print(f"report: {path}")
         _verdict(stated)
     for line in missed_words(result.config, result.results):

@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from ringtrue.cli.identify import Fmax, Fmin, Json, LeaveOut, Rate, check_band, file_target
-from ringtrue.cli.show import out, progress, rows, write_json
+from ringtrue.cli.show import progress, rows, tell, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
@@ -342,8 +342,7 @@ def _show(tracked: Tracked, fits: Mapping[str, EnvironmentFit], notes: Sequence[
         body.append((t.name, f"{f:.5g}", span, f"{100 * np.median(t.damping):.3f}", seen, _words(t, tracked, fit)))
     heads = ("mode", "f [Hz]", "from .. to", "damping [%]", "stretches", "environment")
     rows(f"{len(tracked.tracks)} modes through {tracked.times.size} stretches", heads, body)
-    for note in notes:
-        out.print(note)
+    tell(notes)
 
 
 def _words(t: ModeTrack, tracked: Tracked, fit: EnvironmentFit | None) -> str:

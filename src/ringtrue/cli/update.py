@@ -11,7 +11,7 @@ import typer
 
 from ringtrue.backends.observed import PRINTED, FullModel, reduced
 from ringtrue.backends.registry import EMBEDDED, solver
-from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
+from ringtrue.cli.show import err, json_target, out, progress, rows, tell, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
@@ -375,8 +375,7 @@ def _print(study: Path, summary: dict[str, Any]) -> None:
     if summary.get("measured"):
         body = [(m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES)) for m in summary["measured"]]
         rows("beside the modes", ("", "what", "unit", *SIDES), body)
-    for line in (summary["why"], *summary["flags"], *(f"deck: {p}" for p in summary["deck"])):
-        out.print(line)
+    tell((summary["why"], *summary["flags"], *(f"deck: {p}" for p in summary["deck"])))
     if summary["solver"] == EMBEDDED:
         error = summary["basis_error"]
         told = f"{summary['full_solutions']} full solutions; the reduced model is off by {error:.1e} at most"

@@ -70,7 +70,7 @@ def affine_terms(
         sums: dict[int, list[Pair]] = {}
         for g in groups_of(model, i, p):
             parts = _alone(m, g)
-            every.append((g, _series(g, NODES[0]) if parts is None else Powers(tuple(parts) or (1,))))
+            every.append((g, _basis(g, parts)))
             if parts is None:
                 sets.append((every[-1:], g.rows))
             for exponent, pair in (parts or {}).items():
@@ -105,11 +105,8 @@ def form(model: Model, parameter: Parameter, system: System) -> Form:
 def together(model: Model, first: Parameter, second: Parameter) -> Literal["", "coarse", "fine"]:
     """What two parameters do beyond each by itself: nothing, or a coarse or a fine series, tried on a sample."""
     m = mesh(model)
-    every: list[tuple[Group, Basis]] = []
-    for i, p in enumerate((first, second)):
-        for g in groups_of(model, i, p):
-            parts = _alone(m, replace(g, rows=_few(g.rows)))
-            every.append((g, _series(g, NODES[0]) if parts is None else Powers(tuple(parts) or (1,))))
+    groups = [g for i, p in enumerate((first, second)) for g in groups_of(model, i, p)]
+    every = [(g, _basis(g, _alone(m, replace(g, rows=_few(g.rows))))) for g in groups]
     sets = [(some, _samples(m, [(some, rows)])[0]) for _, (some, rows) in _pairs(every)]
     meet = [(some, sample) for some, sample in sets if _beyond(sample, some)]
     return "" if not meet else "coarse" if all(_coarse(*one) for one in meet) else "fine"
@@ -119,8 +116,8 @@ def _coarse(some: Members, sample: At) -> bool:
     which = tuple(g.which for g, _ in some)
     for bases in itertools.islice(_tries(some), 2):
         functions, nodes = _functions(sample, which, bases)
-        parts = _parts(sample, functions, nodes, _noise(sample, some))
-        if len(functions) <= COARSE and all(_miss(sample, functions, parts, a) < HOLDS for a in _checks(bases)):
+        fitted = _fitted(sample, functions, nodes, _noise(sample, some), _checks(bases))
+        if len(functions) <= COARSE and fitted is not None:
             return True
     return False
 
@@ -277,11 +274,9 @@ def _terms(m: Mesh, some: Members, rows: Rows, sample: At, system: System) -> li
             for bases in _tries(some):
                 functions, nodes = _functions(sample, tuple(g.which for g in groups), bases)
                 checks = _checks(bases)
-                for at, points in ((sample, checks), (whole, checks[:1])):
-                    parts = _parts(at, functions, nodes, noise)
-                    if not all(_miss(at, functions, parts, a) < HOLDS for a in points):
-                        break
-                else:
+                if _fitted(sample, functions, nodes, noise, checks) is None:
+                    continue
+                if (parts := _fitted(whole, functions, nodes, noise, checks[:1])) is not None:
                     return [_term(f, p, system) for f, p in zip(functions, parts, strict=True)]
     except INVALID as e:
         raise UnsupportedError(_rough(groups)) from e
@@ -297,6 +292,11 @@ def _beyond(sample: At, some: Members) -> bool:
     """Whether the groups do more together than fewer of them."""
     found = _together(sample, tuple(g.parameter.upper**0.4 for g, _ in some))
     return any(size(x) > limit for x, limit in zip(found, _noise(sample, some), strict=True))
+
+
+def _basis(g: Group, parts: dict[int, Pair] | None) -> Basis:
+    """Powers where a polynomial was found, else the coarsest series."""
+    return _series(g, NODES[0]) if parts is None else Powers(tuple(parts) or (1,))
 
 
 def _tries(some: Members) -> Iterator[tuple[Basis, ...]]:
@@ -359,6 +359,18 @@ def _parts(
 
     values = np.array([[f.value(a) for f in functions] for a in nodes])
     return [(sums(0, row), sums(1, row)) for row in np.linalg.inv(values)]
+
+
+def _fitted(
+    at: At,
+    functions: Sequence[Function],
+    nodes: Sequence[tuple[float, ...]],
+    noise: Sequence[float],
+    points: Sequence[tuple[float, ...]],
+) -> list[tuple[Any, Any]] | None:
+    """The K and M that go with each function; None where they do not hold at the points."""
+    parts = _parts(at, functions, nodes, noise)
+    return parts if all(_miss(at, functions, parts, a) < HOLDS for a in points) else None
 
 
 def _checks(bases: tuple[Basis, ...]) -> list[tuple[float, ...]]:

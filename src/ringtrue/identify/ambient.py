@@ -15,7 +15,7 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.progress import Progress
+from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
@@ -61,7 +61,7 @@ from ringtrue.identify.ssi import (
     part_of,
 )
 from ringtrue.identify.stabilise import Candidates, candidates, half_agreement, refined, steady
-from ringtrue.identify.stretches import gathered, steady_sines, without_machines
+from ringtrue.identify.stretches import gathered, steady_sines, without_strokes_and_sweeps
 from ringtrue.identify.struck import by_references, even_halves, event_weights
 from ringtrue.identify.wander import wander, widened
 from ringtrue.signal.harmonics import steady_amplitudes
@@ -303,7 +303,7 @@ def identify_stretches(
         If the band of interest is empty.
     """
     settings = settings or AmbientSettings()
-    tell = progress or (lambda _fraction, _text: None)
+    tell = progress or quiet
     coming = iter(stretches)
     if (first := next(coming, None)) is None:
         raise DataError("no stretch of a record to identify")
@@ -314,7 +314,7 @@ def identify_stretches(
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
     tell(0.0, "filtering into bands")
     # an amplitude that is cut off looks steady
-    good, whole, swept = without_machines(good, uncut(good, states))
+    good, whole, swept = without_strokes_and_sweeps(good, uncut(good, states))
     sines = steady_sines(good, whole, bands, leave, once=second is not None)
     places = [h.frequency for h in sines]
     clean = without_lines(good, places)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.progress import Progress
+from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -93,7 +93,7 @@ def identify_ambient_by(
     """
     if method not in METHODS:
         raise ConfigError(f"method {method!r}{did_you_mean(method, METHODS)}")
-    s, tell = settings or AmbientSettings(), progress or (lambda share, text: None)
+    s, tell = settings or AmbientSettings(), progress or quiet
     good, states = usable(history)
     notes = tuple(c.note for c in states)
     tell(0.0, NAMES[method])

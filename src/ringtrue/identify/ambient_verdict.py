@@ -64,12 +64,9 @@ def settled(c: Candidates, orders: int) -> bool:
 
 def fastest_decay(c: Candidates, orders: int) -> float:
     """Largest ζω, 1/s, of what may be a mode; 0 where all of the candidates are settled, and for few channels."""
-    sure = confidence(c, orders)
-    return (
-        0.0
-        if len(c.shape) < FEW or settled(c, orders)
-        else float((-c.pole.real[sure > 0.5 * DOUBTFUL]).max(initial=0.0))
-    )
+    if len(c.shape) < FEW or settled(c, orders):
+        return 0.0
+    return float((-c.pole.real[confidence(c, orders) > 0.5 * DOUBTFUL]).max(initial=0.0))
 
 
 def surer_groups(one: Found, two: Found, least: float) -> tuple[Found, Found]:

@@ -11,7 +11,7 @@ from scipy.linalg import qr
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.progress import Progress
+from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -57,7 +57,7 @@ def identify_frfs_by(
     """
     if method not in METHODS:
         raise ConfigError(f"method {method!r}{did_you_mean(method, METHODS)}")
-    settings, tell = settings or HammerModes(), progress or (lambda share, text: None)
+    settings, tell = settings or HammerModes(), progress or quiet
     refuse_bad_frfs(frfs)
     frfs, roving = exchanged(frfs)
     low, high = band_limits(frfs, settings)

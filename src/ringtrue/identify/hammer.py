@@ -12,7 +12,7 @@ from ringtrue.core.choice import Choice
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.outcome import Outcome
-from ringtrue.core.progress import Progress
+from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
@@ -137,7 +137,7 @@ def identify_hammer(
     settings = settings or HammerModes()
     refuse_bad_frfs(frfs)
     frfs, roving = exchanged(frfs)
-    tell = progress or (lambda share, text: None)
+    tell = progress or quiet
     low, high = band_limits(frfs, settings)
     used = lines_between(frfs, 0.8 * low, 1.25 * high)
     sigma = noise(used)

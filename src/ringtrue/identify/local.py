@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.progress import Progress
+from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
@@ -85,7 +85,7 @@ def identify_batches(
     """
     if len(batches) < 2 or len({tuple(c.id for c in b.inputs) for b in batches}) > 1:
         raise InputError("local fits need two or more batches with the same inputs in the same order")
-    settings, tell = settings or HammerModes(), progress or (lambda share, text: None)
+    settings, tell = settings or HammerModes(), progress or quiet
     lead = int(np.argmax([b.data.shape[1] for b in batches]))
     first = identify_hammer(batches[lead], settings, progress=lambda share, text: tell(0.6 * share, text))
     band = float(first.freqs[0]), float(first.freqs[-1])

@@ -7,19 +7,16 @@ of a mode, a blow was skewed, a sensor stood beside the point, or a sensitivity 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.signals import FrfSet
+from ringtrue.identify.lsfd import Pairs
 from ringtrue.identify.refine import Refined
 
 SHARED = 3.0  # times what the fit leaves is noise by the coherence, where responses share it
 APART = 3.0  # standard deviations of a sum of squares
 TOLD = 0.1  # of the residues at the driving points
-
-Pairs = Sequence[tuple[int, int, float]]
 
 
 def scale_deviations(frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs) -> tuple[Float, str]:

@@ -20,7 +20,7 @@ from ringtrue.signal.sweeps import without_sweeps
 from ringtrue.signal.threads import abreast
 
 
-def without_machines(
+def without_strokes_and_sweeps(
     good: TimeHistory, whole: TimeHistory | None
 ) -> tuple[TimeHistory, TimeHistory | None, tuple[str, ...]]:
     """Both records (`whole`: some channels of `good`) without regular blows and run-ups of machines, and notes."""
@@ -91,7 +91,7 @@ def _one(
     share = part.duration / first.duration
     if share < 0.5:  # edges of the filters would weigh too much
         return None, NONE
-    part = without_lines(without_machines(part, None)[0], places)
+    part = without_lines(without_strokes_and_sweeps(part, None)[0], places)
     events = find_events(part.data, part.rate)
     out = of_stretch(sums, part.data, part.rate, events)
     lost = np.asarray(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))

@@ -118,10 +118,10 @@ def estimate_columns(
 
 def setups_of(columns: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
     """Those with the same responses joined: a set for each place that the sensors had."""
-    outputs = [tuple(c.id for c in f.outputs) for f in columns]
-    return tuple(
-        join_frfs([f for f, o in zip(columns, outputs, strict=True) if o == s]) for s in dict.fromkeys(outputs)
-    )
+    alike: dict[tuple[str, ...], list[FrfSet]] = {}
+    for f in columns:
+        alike.setdefault(tuple(c.id for c in f.outputs), []).append(f)
+    return tuple(join_frfs(some) for some in alike.values())
 
 
 def _with_room(cuts: Sequence[_Cut], settings: HammerSettings) -> HammerSettings:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.core.progress import Progress
+from ringtrue.core.progress import Progress, part
 from ringtrue.errors import InputError
 from ringtrue.update.choose import Candidates, Choice, largest, orthogonal
 from ringtrue.update.identifiable import ALIKE, identifiability
@@ -178,7 +178,7 @@ def propose(
     told = progress or (lambda _f, _t: None)
     if most < 1:
         raise InputError(f"propose at most {most} parameters: allowed are 1 and more")
-    found = subsets(model, target, most, alike, apart, lambda f, t: told(0.7 * f, t), problem)
+    found = subsets(model, target, most, alike, apart, part(told, 0.0, 0.7), problem)
     told(0.7, "testing each parameter")
     return _explained(found, errors or {}, words)
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.progress import Progress
+from ringtrue.core.progress import Progress, part
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.update.choose import GAIN, TURNS, Candidates, Choice, predicted, short_update
 from ringtrue.update.identifiable import clusters
@@ -246,19 +246,19 @@ def subsets(
         raise InputError("no mode of the model is paired with one of the test: nothing can be localised from them")
     if not plain.pool.size:
         return Subsets(plain, start, [none, none], _criteria(plain, [none, none]), _discrepancy(plain, none))
-    path = _path(plain, most, none, [], lambda f, t: told(0.4 * f, t))
+    path = _path(plain, most, none, [], part(told, 0.0, 0.4))
     sets, best = path[1:], _best(plain, path)
     told(0.4, "all candidates together")
     whole = plain.fit(plain.together(), none.x, AT_ONCE)
     search = plain.sharper(_discrepancy(plain, whole))
     whole = search.fit(search.together(), whole.x, AT_ONCE)
-    few = [c for c in _eliminated(search, whole, most, lambda f, t: told(0.4 + 0.2 * f, t)) if c.members.size <= most]
+    few = [c for c in _eliminated(search, whole, most, part(told, 0.4, 0.6)) if c.members.size <= most]
     best = _best(plain, [best, plain.refitted(_best(search, few))])
     found = _discrepancy(plain, best)
     sets, count = [*sets, *few], plain.point(best.x).used.sum()
     for _ in range(TWICE):
         search = plain.sharper(found)
-        path = _path(search, most, none, [search.refitted(c) for c in sets], lambda f, t: told(0.6 + 0.4 * f, t))
+        path = _path(search, most, none, [search.refitted(c) for c in sets], part(told, 0.6, 1.0))
         best = _best(search, path)
         better = _discrepancy(search, best)
         if search.point(best.x).used.sum() < count or np.abs(np.log(better / found)).max() < NEAR:

@@ -50,9 +50,7 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
     whole = dict.fromkeys(desk.parameters.names, 1.0) | factor
 
-    def early(fraction: float, text: str) -> None:
-        progress(0.4 * fraction, text)
-
+    early = part(progress, 0.0, 0.4)
     every, at = as_delivered(desk, desk.candidates(early), whole, final.observed.frequencies, early)
     model, x = as_delivered(desk, every, factor, final.observed.frequencies, early)
     if desk.engine is not None and not _same(desk, model, final, x):
@@ -160,9 +158,9 @@ def _freedom(desk: Workbench, every: AtChannels, x: Float, final: FinalStage, he
     seen = np.isfinite(held.predicted[pairing.a]) & (pairing.b < lam.size)
     vectors = every.model.basis.vectors @ shapes[:, pairing.b[seen]]
     of_form = likely.weights.frequency**2
-    part = of_form / (of_form + float(np.mean(likely.std**2)))
+    share = of_form / (of_form + float(np.mean(likely.std**2)))
     opened = desk.remodelled
-    return effective_freedom(likeness(energy_shares(opened.model, opened.analysis.system, vectors))) / part**2
+    return effective_freedom(likeness(energy_shares(opened.model, opened.analysis.system, vectors))) / share**2
 
 
 def _likelihood(found: Configuration) -> Configuration:
