@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.signals import Channel, FrfKind, FrfSet, Quantity
+from ringtrue.core.motions import FRF_KIND, SI_UNIT, Motion
+from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.matfile import mat_values, texts
-from ringtrue.io.plain import check_stored
+from ringtrue.io.plain import check_stored, h5_values
 from ringtrue.io.uff.functions import label
 
 _HERTZ = (
@@ -34,13 +35,8 @@ _HERTZ = (
 _RADIANS = ("omega", "omegas", "w_rad")
 _OUTPUTS = ("outputs", "output", "responses", "response", "out", "out_dof", "outdof", "rsp")
 _INPUTS = ("inputs", "input", "references", "reference", "refs", "in", "in_dof", "indof", "ref")
-_KINDS: dict[str, tuple[FrfKind, Quantity, str]] = {
-    "receptance": ("receptance", "displacement", "m"),
-    "compliance": ("receptance", "displacement", "m"),
-    "mobility": ("mobility", "velocity", "m/s"),
-    "accelerance": ("accelerance", "acceleration", "m/s^2"),
-    "inertance": ("accelerance", "acceleration", "m/s^2"),
-}
+_CALLED: dict[str, Motion] = {FRF_KIND[m]: m for m in get_args(Motion)}  # by what an FRF is called
+_CALLED |= {"compliance": "displacement", "inertance": "acceleration"}
 _LEAST, _LONGEST = 8, 1 << 22  # lines
 _DIRECTIONS = (0, 1, 2, 3, 4, 5, 6, -1, -2, -3, -4, -5, -6)  # of SDT's DOFs 1.01 .. 1.12
 
@@ -85,16 +81,16 @@ def read_frf_arrays(path: Path) -> FrfSet:
     if pairs is not None:
         outputs, inputs, h = _by_pairs(pairs, h[:, :, 0], path)
     text = " ".join([found.name, *(str(v) for k, v in values.items() if _short(k) in ("kind", "type", "frf_type"))])
-    kind, quantity, unit = next((v for k, v in _KINDS.items() if k in text.lower()), _KINDS["accelerance"])
+    motion: Motion = next((m for k, m in _CALLED.items() if k in text.lower()), "acceleration")
     order = np.argsort(found.freqs, kind="stable")
     return FrfSet(
         np.ascontiguousarray(h[order], dtype=np.complex128),
         found.freqs[order],
-        tuple(Channel(n, quantity, unit) for n in outputs),
+        tuple(Channel(n, motion, SI_UNIT[motion]) for n in outputs),
         tuple(Channel(n, "force", "N") for n in inputs),
         np.full(h.shape, np.nan),
         np.full(len(inputs), np.nan),
-        kind,
+        FRF_KIND[motion],
         source=str(path),
     )
 
@@ -102,21 +98,15 @@ def read_frf_arrays(path: Path) -> FrfSet:
 def _values(path: Path) -> dict[str, Any]:
     if path.suffix.lower() == ".mat":
         return mat_values(path)
-    found: dict[str, Any] = {}
 
-    def keep(name: str, item: object) -> None:
-        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "fiuc":
-            return
-        if item.dtype.kind == "c" or 0 < item.size == max(item.shape, default=0) < _LONGEST:  # samples stay unread
-            check_stored(item, path)
-            found[name.replace("/", ".")] = item[()]
+    def value(_: str, item: h5py.Dataset) -> Any:
+        vector = item.dtype.kind in "fiu" and 0 < item.size == max(item.shape, default=0) < _LONGEST
+        if item.dtype.kind != "c" and not vector:  # samples stay unread
+            return None
+        check_stored(item, path)
+        return item[()]
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(keep)
-    except (OSError, RuntimeError, KeyError, ValueError, MemoryError, TypeError) as exc:
-        raise DataError(f"{path}: not a readable HDF5 file ({exc})") from exc
-    return found
+    return h5_values(path, value)
 
 
 def _short(name: str) -> str:

@@ -60,7 +60,7 @@ def read_frfs(path: str | Path) -> FrfSet:
     path = existing(path)
     ext = path.suffix.lower()
     if ext in _HDF5:
-        frfs = read_frf_arrays(path) if not _own(path) and holds_frf_arrays(path) else _read_h5(path)
+        frfs = _read_h5(path) if _own(path) else read_frf_arrays(path)
     elif ext == ".mat":
         frfs = read_frf_arrays(path)
     elif ext == ".npz":

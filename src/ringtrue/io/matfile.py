@@ -18,7 +18,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.mat5 import is_mat5, read_mat5
-from ringtrue.io.plain import RawTable, columns_first, is_time, named_rate, numbered, time_rate, without_time
+from ringtrue.io.plain import RawTable, columns_first, h5_values, is_time, named_rate, numbered, time_rate, without_time
 from ringtrue.io.si import known
 
 _SIZE_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of level 4, by its precision
@@ -70,7 +70,7 @@ def mat_values(path: Path) -> dict[str, Any]:
     DataError
         If the file is damaged.
     """
-    return _flat(_read_73(path) if h5py.is_hdf5(path) else _read_5(path))
+    return h5_values(path, _value_73, "MATLAB 7.3") if h5py.is_hdf5(path) else _flat(_read_5(path))
 
 
 def _vectors(values: Mapping[str, Any], samples: int) -> dict[str, Any]:
@@ -91,28 +91,19 @@ def _beside(values: Mapping[str, Any], key: str, names: tuple[str, ...]) -> str:
     return found[0] if len(set(found)) == 1 else ""
 
 
-def _read_73(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-
-    def keep(name: str, item: object) -> None:
-        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
-            return
-        key = name.replace("/", ".")
-        if item.dtype.kind in "fiu":
-            found[key] = _text_73(item) if item.attrs.get("MATLAB_class") == b"char" and item.size < _PEEK else item[()]
-        elif item.dtype.names == ("real", "imag"):
-            found[key] = (item["real"] + 1j * item["imag"]).T  # MATLAB's order of axes
-        elif h5py.check_ref_dtype(item.dtype) and item.size < _PEEK:  # a cell array
-            cells = [item.file[r] for r in np.ravel(item[()])]
-            if all(isinstance(c, h5py.Dataset) and c.attrs.get("MATLAB_class") == b"char" for c in cells):
-                found[key] = np.array([_text_73(c) for c in cells], dtype=object)
-
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(keep)
-    except (OSError, RuntimeError, KeyError, ValueError, MemoryError, TypeError) as exc:
-        raise DataError(f"{path}: not a readable MATLAB 7.3 file ({exc})") from exc
-    return found
+def _value_73(name: str, item: h5py.Dataset) -> Any:
+    """Numbers, a text or a cell array of texts of a MATLAB 7.3 file; None for all else."""
+    if name.startswith("#"):
+        return None
+    if item.dtype.kind in "fiu":
+        return _text_73(item) if item.attrs.get("MATLAB_class") == b"char" and item.size < _PEEK else item[()]
+    if item.dtype.names == ("real", "imag"):
+        return (item["real"] + 1j * item["imag"]).T  # MATLAB's order of axes
+    if h5py.check_ref_dtype(item.dtype) and item.size < _PEEK:  # a cell array
+        cells = [item.file[r] for r in np.ravel(item[()])]
+        if all(isinstance(c, h5py.Dataset) and c.attrs.get("MATLAB_class") == b"char" for c in cells):
+            return np.array([_text_73(c) for c in cells], dtype=object)
+    return None
 
 
 def _text_73(item: h5py.Dataset) -> str:

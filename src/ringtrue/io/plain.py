@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tokenize import TokenError
@@ -153,6 +153,28 @@ def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
         return None
     table = numbered(np.stack([v[()].astype(np.float64) for v in signals.values()]), rate)
     return replace(table, names=tuple(k.replace("/", ".") for k in signals))
+
+
+def h5_values(path: Path, value: Callable[[str, h5py.Dataset], Any], kind: str = "HDF5") -> dict[str, Any]:
+    """What `value(name, data set)` makes of the data sets of a file, by `group.name`; None is left out.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged.
+    """
+    found: dict[str, Any] = {}
+
+    def keep(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset) and (kept := value(name, item)) is not None:
+            found[name.replace("/", ".")] = kept
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(keep)
+    except (OSError, RuntimeError, KeyError, ValueError, MemoryError, TypeError) as exc:
+        raise DataError(f"{path}: not a readable {kind} file ({exc})") from exc
+    return found
 
 
 def check_stored(data: h5py.Dataset, path: str | Path) -> None:
