@@ -114,10 +114,14 @@ class FullModel:
     def _linearised(self, x: Float) -> Linearisation:
         if not len(self.parameters):  # a deck that shares none of those that are free
             return self.modes(x)
+        beyond = replace(self.request, count=self.request.count + 1)
         with self._open(x) as analysis:
-            modes = analysis.modes(self.request).modes
+            found = analysis.modes(beyond).modes
+            modes = found if self.request.band else found.take(slice(self.request.count))
             slopes = self._given(analysis, modes, x)
-        slopes = slopes or self._differences(modes, x)
+        if slopes is None:  # the last may be half of a pair
+            alone = modes.frequencies < (1 - CLOSE) * found.frequencies[-1] if len(found) > len(modes) else slice(None)
+            slopes = self._differences(modes.take(alone), x)
         seen, n = self.observation(modes.shapes), len(slopes[0])
         return Linearisation(x, modes.frequencies[:n], seen[:, :n], *slopes)
 
