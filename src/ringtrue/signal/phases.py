@@ -109,8 +109,8 @@ def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float]:
     square = cross.real**2 + cross.imag**2
     coherence = np.clip(square / size - 2 / lines.shape[1], 0, 1)
     coherence[:2] = coherence[-2:] = 0.0
-    quarters = (-1.0) ** (order[:, None] - order[tried])
-    turned = cross**2 * (quarters / np.maximum(square, np.finfo(np.float32).tiny))
+    quarters = ((-1.0) ** (order[:, None] - order[tried])).astype(np.float32)
+    turned = cross * cross * (quarters / np.maximum(square, np.finfo(np.float32).tiny))
     k = int((coherence * turned.real).sum(axis=(0, 1)).argmax())
     return int(tried[k]), turned[:, :, k].T, np.asarray(coherence[:, :, k].T, dtype=np.float64)
 

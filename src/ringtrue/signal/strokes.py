@@ -13,11 +13,13 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import maximum_filter1d
+from scipy.signal import oaconvolve
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.sweeps import mixes
 
+FRAME = 1024  # samples: longer transforms leave the cache
 ORDER = 60  # of the prediction: what it does not foresee is the force of the moment
 WINDOW = 4  # samples
 ABOVE = 10.0  # times the median power of the error: of a normal one none of a million windows
@@ -67,14 +69,15 @@ def _strokes(some: Any_) -> Int:
 
 def _unforeseen(x: Any_) -> Any_:
     """Error (sample,) of the linear prediction of a signal (sample,) from what went before (Yule and Walker)."""
-    n = int(next_fast_len(x.size + ORDER, real=True))
-    spectrum = rfft(x, n)
-    r = irfft(spectrum.real**2 + spectrum.imag**2, n)[: ORDER + 1].astype(np.float64)
+    frames = x[: x.size // FRAME * FRAME].reshape(-1, FRAME)
+    spectra = rfft(frames, 2 * FRAME, axis=1)
+    r = irfft((spectra.real**2 + spectra.imag**2).sum(axis=0, dtype=np.float64))[: ORDER + 1]
     if not r[0] > 0:
         return np.zeros_like(x)
     r[0] *= 1 + 1e-6
     filter_ = np.concatenate([[1.0], -solve_toeplitz(r[:-1], r[1:])]).astype(x.dtype)
-    return irfft(spectrum * rfft(filter_, n), n)[: x.size]
+    foreseen: Any_ = oaconvolve(x, filter_)
+    return foreseen[: x.size]
 
 
 def _left(data: Any_, at: Int, taps: int) -> Any_:

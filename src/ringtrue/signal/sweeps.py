@@ -85,8 +85,8 @@ def _whitened(mixes: Any_, n: int) -> Any_:
     for x in mixes:
         y = rfft(_frames(x, n) * taper, axis=1)[:, :bins]
         power = y.real**2 + y.imag**2
-        typical = np.median(power[:: max(1, len(power) // FEW)], axis=0) * (len(mixes) / np.log(2))
-        total += power / np.maximum(typical, np.finfo(np.float32).tiny).astype(np.float32)
+        typical = _upper_median(power[:: max(1, len(power) // FEW)].T)[:, 0] * np.float32(len(mixes) / np.log(2))
+        total += power / np.maximum(typical, np.finfo(np.float32).tiny)
     total[:, :LOWEST] = 0
     groups = total.reshape(len(total), -1, GROUP)
     some = groups[groups.max(axis=2) > HIGH * QUIET]  # levels take longer than all else
@@ -96,10 +96,14 @@ def _whitened(mixes: Any_, n: int) -> Any_:
 
 
 def _levels(groups: Any_) -> Any_:
-    """Upper median over the last axis, which stays."""
-    middle = groups.shape[-1] // 2
-    level: Any_ = np.partition(groups, middle, axis=-1)[..., middle : middle + 1]
-    return np.maximum(level, np.float32(QUIET))
+    return np.maximum(_upper_median(groups), np.float32(QUIET))
+
+
+def _upper_median(a: Any_) -> Any_:
+    """Over the last axis, which stays."""
+    middle = a.shape[-1] // 2
+    ranked: Any_ = np.partition(np.ascontiguousarray(a), middle, axis=-1)
+    return ranked[..., middle : middle + 1]
 
 
 def _moving(white: Any_, step: float) -> tuple[Bool, list[Sweep]]:
