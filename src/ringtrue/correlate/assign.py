@@ -190,6 +190,13 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
     return Scores(single, merged, error, groups_b)
 
 
+def peak_shares(shapes: Any_) -> Float:
+    """Largest component of each mass-normalised shape (n, m) over that of the median mode, (m,)."""
+    peak = np.abs(shapes).max(axis=0, initial=0.0)
+    typical = float(np.median(peak)) if peak.size else 0.0
+    return np.asarray(peak / typical if typical > 0 else np.ones_like(peak))
+
+
 def _mixed(single: Float, share: Float, settings: PairingSettings) -> Int:
     """The modes of B that a group of close modes of A mixes; none where single shapes match one to one.
 

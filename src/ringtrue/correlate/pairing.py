@@ -11,7 +11,7 @@ from scipy import linalg
 from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.pairing import Pairing
-from ringtrue.correlate.assign import NO_LOCKS, Locks, PairingSettings, Scores, assign, scores
+from ringtrue.correlate.assign import NO_LOCKS, Locks, PairingSettings, Scores, assign, peak_shares, scores
 from ringtrue.errors import InputError
 from ringtrue.shapes.subspace import rotation
 
@@ -158,10 +158,7 @@ def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
 
 def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> list[str]:
     """For each mode of B why no sensor sees it, or an empty text."""
-    peak = np.abs(b.shapes).max(axis=0, initial=0.0)
-    typical = float(np.median(peak)) if peak.size else 0.0
-    share = peak / typical if typical > 0 else np.ones_like(peak)
-    out = []
+    share, out = peak_shares(b.shapes), []
     for j in range(len(b)):
         if visible is not None and visible[j] < settings.min_visible:
             out.append(f"moves where no sensor is: {100 * visible[j]:.2g} % of its motion is at sensors")

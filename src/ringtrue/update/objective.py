@@ -13,7 +13,17 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.correlate.assign import HOLD, NO_LOCKS, Followed, Locks, PairingSettings, Scores, assign, scores
+from ringtrue.correlate.assign import (
+    HOLD,
+    NO_LOCKS,
+    Followed,
+    Locks,
+    PairingSettings,
+    Scores,
+    assign,
+    peak_shares,
+    scores,
+)
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import unit
@@ -173,17 +183,22 @@ def match(
 def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bool | None) -> Int:
     """Pairs (k, 2) inside the gates, those of modes in `held` (m,) inside wider ones."""
     every = np.ones(target.frequencies.size, dtype=np.bool_)
-    elastic = now.frequencies > 0
-    rows, cols = assign(s, target.pairing, every, elastic, locks)
+    usable = _usable(target, now)
+    rows, cols = assign(s, target.pairing, every, usable, locks)
     lost = held & ~np.isin(np.arange(every.size), rows) if held is not None else ~every
     if held is not None and lost.any():
         keep = held[rows]  # a mode that had no partner gives way
-        more = _held(target, s, lost, elastic & ~np.isin(np.arange(elastic.size), cols[keep]), locks)
+        more = _held(target, s, lost, usable & ~np.isin(np.arange(usable.size), cols[keep]), locks)
         keep |= ~np.isin(cols, more[1])
         rows, cols = np.append(rows[keep], more[0]), np.append(cols[keep], more[1])
         order = np.argsort(rows)
         rows, cols = rows[order], cols[order]
     return np.stack([rows, cols], axis=1)
+
+
+def _usable(target: Target, now: Linearisation) -> Bool:
+    """Modes of the model that are elastic and move the sensors, (n,)."""
+    return np.asarray((now.frequencies > 0) & (peak_shares(now.shapes) >= target.pairing.faint))
 
 
 def _held(target: Target, s: Scores, lost: Bool, free: Bool, locks: Locks) -> tuple[Int, Int]:
@@ -196,7 +211,7 @@ def _held(target: Target, s: Scores, lost: Bool, free: Bool, locks: Locks) -> tu
 def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> Int:
     """Pairs (k, 2) of least total cost, `lost` for a mode without a partner: first the used modes, then the others."""
     cost = _costs(target, s)
-    cost[:, now.frequencies <= 0] = target.lost
+    cost[:, ~_usable(target, now)] = target.lost
     forced, free = locks.mask((cost.shape[0], cost.shape[1]))
     cost = np.where(free, cost, target.lost)
     cost[forced] = np.minimum(cost[forced], (1 - SURE) * target.lost)
