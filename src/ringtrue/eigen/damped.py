@@ -20,7 +20,7 @@ from ringtrue.errors import InputError, NotConverged
 REPEATED = 1e-8  # poles closer than this are made A-orthogonal as a group
 REACH = 0.58  # radius around the shift, in upper ends, that holds all poles with a damping ratio up to 0.3
 SWING = 0.01  # share of |s| that Im(s) must pass: damping ratios up to 0.99995 count as oscillation
-STILL = 1e-10  # share of the largest λ of the basis under which |s|² is a rigid-body motion, which does not oscillate
+STILL = 1e-9  # share of the largest λ sought under which |s|² is a rigid-body motion, which does not oscillate
 TOLERANCE = 1e-10  # of Arnoldi, relative
 ROUNDS = 5  # searches for more poles, each with twice as many
 
@@ -113,7 +113,7 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) ->
         count *= 2
     else:
         raise NotConverged(f"{count} poles around {shift:.4g} rad/s do not reach {upper:.4g} rad/s")
-    at = np.flatnonzero((s.imag > SWING * np.abs(s)) & (np.abs(s) <= upper) & (s.imag > 1e-5 * upper))
+    at = np.flatnonzero((s.imag > SWING * np.abs(s)) & (np.abs(s) <= upper) & (s.imag > np.sqrt(STILL) * upper))
     at = at[np.argsort(np.abs(s[at]), kind="stable")]
     s, shapes = s[at], _unit_modal_a(s[at], shapes[:, at], system.viscous, system.mass)
     return FullModes(ComplexModes(s, shapes), system.residuals(s, shapes), shift, radius)
