@@ -85,7 +85,7 @@ def kernel(m: Mesh, card: str, at: Int, x: Any_, s: Section) -> Any_:
         rows = np.concatenate([rows, _bubbles(rule, x, frame, back)], axis=3)
     loaded = (law(s, w, rule.corner_shapes(rule.points)) @ rows).reshape(e, -1, rows.shape[-1])
     K = rows.reshape(e, -1, rows.shape[-1]).swapaxes(1, 2) @ loaded
-    K = condensed(K, rows.shape[-1] - 6 * x.shape[1]) + drilling(rule, x, s)
+    K = condensed(K, rows.shape[-1] - 6 * x.shape[1]) + drilling(rule, x, s, rule.mass_points, rule.mass_weights)
     if not np.any(s.offset):
         return K
     return congruent(nodal(arm(s.offset[:, None, None] * n)), K)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_
+from ringtrue.core.arrays import Any_, Float
 from ringtrue.fem.elements.shell_rule import Rule, Samples
 from ringtrue.fem.elements.shell_section import Section
 
@@ -108,14 +108,14 @@ def missing_mean(rows: Any_, gradients: Any_, frame: Any_, n: Any_, w: Any_) -> 
     return np.asarray(np.einsum("ep,epcd->ecd", w / w.sum(axis=1, keepdims=True), missing)[:, None])
 
 
-def drilling(rule: Rule, x: Any_, s: Section) -> Any_:
-    """G t K6ROT 1e-6 ∫ (θ·n - (∂u2/∂x1 - ∂u1/∂x2)/2)²: (e, 6k, 6k)."""
-    N, d = rule.shapes(rule.mass_points)
+def drilling(rule: Rule, x: Any_, s: Section, points: Float, weights: Float) -> Any_:
+    """G t K6ROT 1e-6 ∫ (θ·n - (∂u2/∂x1 - ∂u1/∂x2)/2)² by points (p, 2) and weights (p,): (e, 6k, 6k)."""
+    N, d = rule.shapes(points)
     g, up = tangents(d, x)
     size = length(up)
     normal = up / size[..., None]
     # ∂u1/∂x2 - ∂u2/∂x1 is (g_r · u,s - g_s · u,r) over the area, in any axes of the plane
     u = (d[None, :, :, 1, None] * g[:, :, None, 0] - d[None, :, :, 0, None] * g[:, :, None, 1]) / size[..., None, None]
     rows = _rows(u / 2, N[..., None] * normal[:, :, None])
-    w = s.weights(size * rule.mass_weights, rule.corner_shapes(rule.mass_points), 1) * s.drill[:, None]
+    w = s.weights(size * weights, rule.corner_shapes(points), 1) * s.drill[:, None]
     return np.asarray((rows * w[..., None]).swapaxes(1, 2) @ rows)
