@@ -2,8 +2,10 @@
 
     python bench/correlation.py [--modes 200] [--channels 5000]
     python bench/correlation.py --study lsf/study.h5
+    python bench/correlation.py --faults 2000 300
 
-The second: how far the modes of a finished study's deck are from orthogonal over each mass at its channels.
+The second: how far the modes of a finished study's deck are from orthogonal over each mass at its channels. The third:
+alarms in that many healthy tests of a plate, and how many of so many faults of each kind are named.
 
 Each job runs in a process of its own, so that its peak memory is its own; it includes what it takes to hold the two
 sets (2 x channels x modes x 8 bytes). Not covered: reading the files, complex shapes, the reduction of a model to the
@@ -15,11 +17,15 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import resource
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "unit"))
+import test_correlate_faults as random_tests
 
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlate.complete import complete
@@ -102,13 +108,26 @@ def masses(store: Path) -> None:
         print(f"{tam:8s} {100 * off:5.1f} % off the diagonal at most")
 
 
+def faults(healthy: int, each: int) -> None:
+    """Print alarms in healthy tests, and the share of faults that are named."""
+    alarms, mac = random_tests.alarms(healthy)
+    print(f"{alarms} alarms in {healthy} healthy tests, mean MAC {100 * mac:.0f} %")
+    for fault in random_tests.LEAST:
+        share, wrong = random_tests.found(fault, each)
+        print(f"{fault:8s} {100 * share:.0f} % of {each} found, {wrong} other channels named")
+
+
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--modes", type=int, default=200)
     parser.add_argument("--channels", type=int, default=5000)
     parser.add_argument("--study", type=Path)
+    parser.add_argument("--faults", type=int, nargs=2, metavar=("HEALTHY", "EACH"))
     options = parser.parse_args()
+    if options.faults:
+        faults(*options.faults)
+        return
     if options.study:
         masses(options.study)
         return

@@ -27,9 +27,9 @@ def heard(y: np.ndarray, rate: float, rng: np.random.Generator) -> AmbientResult
     return identify_ambient(TimeHistory(y, rate, channels))
 
 
-def identified(frequencies: tuple[float, ...], seconds: float = 600.0) -> AmbientResult:
+def identified(frequencies: tuple[float, ...], seconds: float = 600.0, seed: int = 0) -> AmbientResult:
     """Modes under independent white forces at six sensors."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     shapes = np.random.default_rng(99).standard_normal((6, len(frequencies)))
     y = np.zeros((6, int(RATE * seconds)))
     for phi, f in zip(shapes.T, frequencies, strict=True):
