@@ -160,6 +160,16 @@ def test_a_mode_that_the_model_does_not_have_lets_go() -> None:
     np.testing.assert_allclose(done.x, x, atol=5e-3)  # the prior pulls a little
 
 
+def test_a_point_with_no_mode_near_keeps_the_pairs_of_the_gates() -> None:
+    """All frequencies 20 % off, 20 standard deviations: doubt would leave nothing to go on with."""
+    model = chain(8, 3)
+    far, aim = model.linearise(np.zeros(3)), target(model, np.full(3, -0.4), 5)
+    assert not len(match(aim.doubting(), far)[0])
+    firm = aim.settled(far)
+    assert firm.used.all()
+    np.testing.assert_allclose(update(model, firm).x, -0.4, atol=2e-3)  # the prior pulls by that much
+
+
 def test_settled_pairs_make_a_smooth_objective() -> None:
     model = chain(9, 3)
     aim = target(model, np.array([0.3, -0.2, 0.25]), 5).settled(model.linearise(np.array([0.28, -0.2, 0.2])))

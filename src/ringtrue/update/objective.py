@@ -114,11 +114,15 @@ class Target:
     def settled(self, now: Linearisation) -> Target:
         """The same with the pairs that `doubting` makes at a point, for good; modes without a partner are not used.
 
-        J is then smooth: pairs and groups of close modes no longer change from step to step.
+        J is then smooth: pairs and groups of close modes no longer change from step to step. Where no used mode has a
+        partner near enough, the point is no end, and the pairs are those of the own rule.
         """
-        pairs, _, groups = match(self.doubting(), now)
-        kept = np.isin(np.arange(self.used.size), pairs[:, 0])
-        return replace(self, used=self.used & kept, fixed=(pairs, groups))
+        for aim in (self.doubting(), self):
+            pairs, _, groups = match(aim, now)
+            used = self.used & np.isin(np.arange(self.used.size), pairs[:, 0])
+            if used.any():
+                break
+        return replace(self, used=used, fixed=(pairs, groups))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import count, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -214,8 +215,9 @@ def _errors(aims: Sequence[Target], at: Evaluated) -> tuple[Float, Float, Bool]:
     return np.concatenate(error), np.concatenate([p.mac for p in at.points]), np.concatenate(used)
 
 
-def _mean(error: Float, which: Bool) -> float:
-    return float(100 * np.mean(np.abs(error[which]))) if which.any() else float("nan")
+def percent(of: Callable[[Float], np.floating[Any]], values: Float, which: Bool) -> float:
+    """100 times the mean, or whatever `of` takes, of the sizes of the values that count; NaN of none."""
+    return float(100 * of(np.abs(values[which]))) if which.any() else float("nan")
 
 
 def summary(
@@ -238,17 +240,17 @@ def summary(
         done.std * p.slope(done.x) / done.factors,
         np.stack([p.factors(low), p.factors(high)], axis=1),
         done.identifiability,
-        _mean(error, used),
-        float(100 * np.max(np.abs(error[used]))),
-        float(100 * np.mean(mac[used])),
-        _mean(error, ~used),
+        percent(np.mean, error, used),
+        percent(np.max, error, used),
+        percent(np.mean, mac, used),
+        percent(np.mean, error, ~used),
         float(np.linalg.cond(scaled.T @ scaled)),
         aicc(cost + DOUBT * lost, data_count(problem, done.end), done.x.size),
         done.outcome.value,
         np.array([at.cost for at in path]),
         np.array(steps),
-        np.array([_mean(e, u) for e, _, u in told]),
-        np.array([float(100 * np.mean(m[u])) for _, m, u in told]),
+        np.array([percent(np.mean, e, u) for e, _, u in told]),
+        np.array([percent(np.mean, m, u) for _, m, u in told]),
         np.array([p.factors(at.x) for at in path]),
         float(np.linalg.norm(problem.gradient(done.end))) / first,
     )

@@ -14,12 +14,12 @@ from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, 
 from ringtrue.study.stages.by_runs import by_runs
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
-from ringtrue.study.stages.together import together, told_data
+from ringtrue.study.stages.together import percent, together, told_data
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.candidates import elements_of
 from ringtrue.update.choose import criterion
 from ringtrue.update.gauss_newton import State, UpdateResult, update
-from ringtrue.update.objective import Residual, Target
+from ringtrue.update.objective import Target
 from ringtrue.update.pool import of_parameter
 
 WHY = (
@@ -150,11 +150,6 @@ def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | No
     return result, [*states, *result.history[1:]]
 
 
-def _deviation(r: Residual, used: bool) -> float:
-    which = r.used if used else ~r.used
-    return float(100 * np.mean(np.abs(r.frequency_error[which]))) if which.any() else float("nan")
-
-
 def _summary(
     desk: Workbench, aim: Target, name: str, members: tuple[str, ...], final: UpdateResult, states: list[State]
 ) -> SetResult:
@@ -170,17 +165,17 @@ def _summary(
         final.std * slope,
         np.stack([parameters.factors(low), parameters.factors(high)], axis=1),
         final.identifiability,
-        _deviation(r, True),
-        float(100 * np.max(np.abs(r.frequency_error[r.used]))),
-        float(100 * np.mean(r.mac[r.used])),
-        _deviation(r, False),
+        percent(np.mean, r.frequency_error, r.used),
+        percent(np.max, r.frequency_error, r.used),
+        percent(np.mean, r.mac, r.used),
+        percent(np.mean, r.frequency_error, ~r.used),
         final.condition,
         criterion(r, final.x, parameters.std(), aim.doubting()),
         final.outcome.value,
         np.array([s.value for s in states]),
         np.array([0.0 if not np.isfinite(s.step) else s.step for s in states]),
-        np.array([_deviation(s.residual, True) for s in states]),
-        np.array([float(100 * np.mean(s.residual.mac[s.residual.used])) for s in states]),
+        np.array([percent(np.mean, s.residual.frequency_error, s.residual.used) for s in states]),
+        np.array([percent(np.mean, s.residual.mac, s.residual.used) for s in states]),
         np.array([parameters.factors(s.x) for s in states]),
         final.gradient,
     )
