@@ -1,0 +1,74 @@
+"""What the pages say can be typed is taken: sections of study.toml, a log, a choice by hand, options of commands."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+from ringtrue.cli.main import application
+from ringtrue.io.choices import read_choice
+from ringtrue.study.config import parse_config
+from ringtrue.study.stages.identify import read_log
+
+ROOT = Path(__file__).parents[2]
+PAGES = {p.name: p.read_text(encoding="utf-8") for p in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]}
+CHOICE = re.compile(r"^\[\[(pick|reject|merge)\]\]", re.MULTILINE)
+BASE = {
+    "study": '[study]\ntitle = "T"\n',
+    "model": '[model]\ndeck = "d.bdf"\n',
+    "test": '[test]\nsheet = "s.csv"\nlog = "l.json"\n',
+}
+
+
+def blocks(kind: str) -> list[tuple[str, str]]:
+    """Fenced blocks of a kind, with their pages; files that a page adds to are one with what is added."""
+    out = []
+    for page, text in PAGES.items():
+        whole = "".join(
+            b for _, b in re.findall(r"<!-- (file|append): \S+\.toml -->\n```toml\n(.*?)```", text, re.DOTALL)
+        )
+        single = re.sub(r"<!-- (?:file|append): .*? -->\n```.*?```", "", text, flags=re.DOTALL)
+        found = re.findall(rf"```{kind}\n(.*?)```", single, re.DOTALL)
+        out += [(page, b) for b in ([whole] if whole and kind == "toml" else []) + found]
+    return out
+
+
+@pytest.mark.parametrize(("page", "block"), blocks("toml"))
+def test_sections_of_a_study_are_taken(page: str, block: str, tmp_path: Path) -> None:
+    if CHOICE.search(block):
+        (tmp_path / "choice.toml").write_text(block)
+        assert read_choice(tmp_path / "choice.toml").picks
+        return
+    given = tomllib.loads(block)
+    more = "".join(text for name, text in BASE.items() if name not in given)
+    if "candidate" not in given:
+        names = {n for s in given.get("set", ()) for n in s["candidates"]}
+        more += "".join(f'[[candidate]]\nname = "{n}"\ntargets = ["MAT1 1 E"]\n' for n in sorted(names))
+    parse_config(f"{block}\n{more}", Path(page))
+
+
+def test_the_log_is_taken(tmp_path: Path) -> None:
+    ((_, log),) = blocks("json")
+    (tmp_path / "log.json").write_text(log)
+    records, sensors = read_log(tmp_path / "log.json")
+    assert [r.kind for r in records] == ["ambient", "hammer"]
+    assert sensors
+
+
+def test_options_that_are_named_are_there() -> None:
+    commands = get_command(application([])).commands  # type: ignore[attr-defined]
+    seen = 0
+    for page, text in PAGES.items():
+        for line in re.findall(r"\bringtrue ([a-z]+ [^`\n]*)", text):
+            name, *words = line.split("#")[0].split()
+            if name not in commands:
+                continue
+            there = {o for p in commands[name].params for o in p.opts} | {"--help"}
+            asked = {w for w in words if re.fullmatch(r"--[a-z-]+|-[a-z]", w)}
+            assert asked <= there, f"{page}: ringtrue {name} has no {asked - there}"
+            seen += 1
+    assert seen >= 30
