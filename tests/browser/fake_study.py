@@ -461,7 +461,6 @@ def study() -> dict[str, object]:
         _unsure(hammer),
         ("cluster of 34 poles, MPC 0.98",) * len(hammer),
         (_diagram(hammer, 8, 50), _diagram(hammer, 45, 96)),
-        None,
         RNG.uniform(0.03, 0.2, (150, 3)),
     )
     sets = (

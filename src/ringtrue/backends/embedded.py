@@ -147,11 +147,9 @@ class EmbeddedAnalysis:
         a = self.system
         return DynamicStiffness(a.stiffness, a.mass, a.viscous, a.structural, method=self.pencil.method)
 
-    def complex_modes(
-        self, request: ModesRequest, *, extra: float = 1.5, problem: Literal["projected", "full"] = "projected"
-    ) -> ModeSet:
+    def complex_modes(self, request: ModesRequest) -> ModeSet:
         """Complex modes in unit modal A, see `damped_modes`; those without oscillation are left out."""
-        return self.damped_modes(request, extra=extra, problem=problem).modes
+        return self.damped_modes(request).modes
 
     def damped_modes(
         self, request: ModesRequest, *, extra: float = 1.5, problem: Literal["projected", "full"] = "projected"

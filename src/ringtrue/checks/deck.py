@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,32 +36,27 @@ class DeckReport:
         Cards that are used, by name.
     kept : mapping of str to int
         Cards that are kept in the deck but not used.
-    unsupported : tuple of str
-        Cards with stiffness, mass or constraint that are not read.
     findings : tuple of Finding
         Errors first, then warnings, then remarks.
     """
 
     cards: Mapping[str, int]
     kept: Mapping[str, int]
-    unsupported: tuple[str, ...]
     findings: tuple[Finding, ...]
 
     @property
     def ok(self) -> bool:
-        """No error and nothing unsupported."""
-        return not self.unsupported and all(f.severity != "error" for f in self.findings)
+        """No error."""
+        return all(f.severity != "error" for f in self.findings)
 
 
-def check_deck(model: Model, units: str = "", *, unsupported: Sequence[str] = ()) -> DeckReport:
+def check_deck(model: Model, units: str = "") -> DeckReport:
     """Check connections, shapes, coincidence, leftovers and units of a model.
 
     Parameters
     ----------
     units : str
         The unit system that the deck is said to be in, "" if unknown; see `checks.units`.
-    unsupported : sequence of str
-        Cards that were not read, from `io.nastran.reader.survey`.
 
     Raises
     ------
@@ -76,7 +71,7 @@ def check_deck(model: Model, units: str = "", *, unsupported: Sequence[str] = ()
     checks += [*check_materials(model), *edge_findings(model)]
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
-    return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), tuple(unsupported), found)
+    return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), found)
 
 
 def _missing(model: Model) -> Iterator[Finding]:

@@ -16,6 +16,7 @@ from ringtrue.errors import InputError
 MOST_STEPS = 100
 ROUNDS = 6
 TURNS = np.deg2rad([8.0, -8.0, 20.0, -20.0])
+_Motion = tuple[Float, Float]  # rotation and shift
 RIVAL = 1.2  # a start that ends within this factor of the least error is as good
 
 
@@ -60,9 +61,9 @@ class Alignment:
         """Directions (n, 3) in the target's frame."""
         return np.asarray(np.asarray(axes) @ self.rotation.T)
 
-    def move(self, test: TestModel, unit: float = 1.0) -> TestModel:
-        """The test model in the frame of the target, whose length unit is `unit` metres."""
-        return replace(test, xyz=self(test.xyz) * unit, axes=self.turn(test.axes))
+    def move(self, test: TestModel) -> TestModel:
+        """The test model in the frame of the target."""
+        return replace(test, xyz=self(test.xyz), axes=self.turn(test.axes))
 
 
 def _fit(source: Float, target: Float, weight: Float, scale: bool) -> tuple[Float, Float, float]:
@@ -149,10 +150,11 @@ def _truncated(source: Float, target: Float, weight: Float, scale: bool, limit: 
     return np.asarray(weight)
 
 
-def nearest_fit(
-    source: Float, nodes: Float, *, scale: bool = False, keep: float = 0.9, tries: bool = True
-) -> Alignment:
+def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
     """The placement that brings points onto their nearest nodes (iterative closest points, Besl and McKay, 1992).
+
+    From the given place, from the 24 ways of laying the axes given, and the principal axes, onto each other, and from
+    the best turned a little, to leave shallow minima.
 
     Parameters
     ----------
@@ -160,14 +162,9 @@ def nearest_fit(
         Test points, any frame.
     nodes : (k, 3) float64
         Nodes of the model where sensors can be, not fewer than the points.
-    scale : bool
-        Fit a scale too.
     keep : float
         Share of the points used at each step, the nearest; the rest may be gross errors (trimmed: Chetverikov and
         others, 2002).
-    tries : bool
-        Start from the 24 ways of laying the axes given, and the principal axes, onto each other too, and turn the best
-        a little to leave shallow minima; not from the given place only.
 
     Notes
     -----
@@ -176,10 +173,10 @@ def nearest_fit(
     """
     source, nodes = _check_points(source, "test points"), _check_points(nodes, "nodes")
     tree = KDTree(nodes)
-    found = [_icp(source, nodes, tree, start, scale, keep) for start in _starts(source, nodes, scale, tries)]
+    found = [_icp(source, nodes, tree, start, keep) for start in _starts(source, nodes)]
     win = min(found, key=lambda f: f.rms)
-    for _ in range(ROUNDS if tries else 0):  # out of shallow minima, until no turn helps
-        again = [_icp(source, nodes, tree, start, scale, keep) for start in _turned(win, source)]
+    for _ in range(ROUNDS):  # out of shallow minima, until no turn helps
+        again = [_icp(source, nodes, tree, start, keep) for start in _turned(win, source)]
         best = min(again, key=lambda f: f.rms)
         if best.rms > 0.99 * win.rms:
             break
@@ -198,13 +195,13 @@ def _distinct(places: list[Float], first: Float, tolerance: float) -> int:
     return len(seen) - 1
 
 
-def _turned(fit: Alignment, source: Float) -> list[tuple[Float, Float, float]]:
+def _turned(fit: Alignment, source: Float) -> list[_Motion]:
     """The placement turned a little about the middle of the points."""
     middle, out = _middle(source), []
     pivot = fit(middle[None])[0]
     for vector in np.concatenate([s * np.eye(3) for s in TURNS]):
         turn = Rotation.from_rotvec(vector).as_matrix() @ fit.rotation
-        out.append((turn, pivot - fit.scale * turn @ middle, fit.scale))
+        out.append((turn, pivot - turn @ middle))
     return out
 
 
@@ -214,19 +211,15 @@ def _middle(xyz: Float) -> Float:
     return np.asarray((low + high) / 2)
 
 
-def _starts(source: Float, nodes: Float, scale: bool, tries: bool) -> list[tuple[Float, Float, float]]:
-    out = [(np.eye(3), np.zeros(3), 1.0)]
-    if not tries:
-        return out
+def _starts(source: Float, nodes: Float) -> list[_Motion]:
+    out = [(np.eye(3), np.zeros(3))]
     cs, cn = _middle(source), _middle(nodes)
-    _, ds, us = np.linalg.svd(source - source.mean(axis=0), full_matrices=False)
-    _, dn, un = np.linalg.svd(nodes - nodes.mean(axis=0), full_matrices=False)
-    factor = float((dn[0] / len(nodes) ** 0.5) / (ds[0] / len(source) ** 0.5)) if scale else 1.0
+    us, un = (np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2] for x in (source, nodes))
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         flip = np.eye(3)[list(order)] * np.array(signs)[:, None]
         if np.linalg.det(flip) > 0:
             both = (flip, _proper(un).T @ flip @ _proper(us))  # of the axes given, and of the principal ones
-            out += [(rotation, cn - factor * rotation @ cs, factor) for rotation in both]
+            out += [(rotation, cn - rotation @ cs) for rotation in both]
     return out
 
 
@@ -240,21 +233,19 @@ def _nearest(tree: KDTree, xyz: Float) -> tuple[Float, Int]:
     return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.int64)
 
 
-def _icp(
-    source: Float, nodes: Float, tree: KDTree, fit: tuple[Float, Float, float], scale: bool, keep: float
-) -> Alignment:
+def _icp(source: Float, nodes: Float, tree: KDTree, fit: _Motion, keep: float) -> Alignment:
     count = max(4, int(np.ceil(keep * len(source))))
     count, before = min(count, len(source)), np.inf
     for _ in range(MOST_STEPS):  # each step rests on the last
-        rotation, shift, factor = fit
-        distance, partner = _nearest(tree, factor * source @ rotation.T + shift)
+        rotation, shift = fit
+        distance, partner = _nearest(tree, source @ rotation.T + shift)
         used = np.zeros(len(source), dtype=np.bool_)
         used[np.argsort(distance, kind="stable")[:count]] = True
         error = float((distance[used] ** 2).mean())
         if error >= before * (1 - 1e-6):
             break
         before = error
-        fit = _fit(source, nodes[partner], used.astype(float), scale)
-    rotation, shift, factor = fit
-    distance, _ = _nearest(tree, factor * source @ rotation.T + shift)
-    return Alignment(rotation, shift, factor, distance, used)
+        fit = _fit(source, nodes[partner], used.astype(float), scale=False)[:2]
+    rotation, shift = fit
+    distance, _ = _nearest(tree, source @ rotation.T + shift)
+    return Alignment(rotation, shift, 1.0, distance, used)

@@ -33,6 +33,7 @@ class Gate:
             raise ConfigError(f"gate {self.name!r}: diagonal {self.diagonal}, off-diagonal {self.off_diagonal}: 0 to 1")
 
 
+MOST_TOLD = 20  # failures
 TRADE = Gate()  # NASA-STD-5002 (1996): at least 0.9 on the diagonal and at most 0.1 off it for the target modes
 
 
@@ -121,7 +122,7 @@ def _pairs(matrix: Any_, a: Any_ | None, b: Any_ | None) -> tuple[Int, Int]:
     return rows, cols
 
 
-def verdict_json(verdict: Verdict, most: int = 20) -> dict[str, Any]:
+def verdict_json(verdict: Verdict) -> dict[str, Any]:
     """Plain values; modes count from 1."""
     return {
         "gate": verdict.gate.name,
@@ -130,6 +131,6 @@ def verdict_json(verdict: Verdict, most: int = 20) -> dict[str, Any]:
         "largest_off_diagonal": verdict.largest_off_diagonal,
         "failures": [
             {"a": f.a + 1, "b": f.b + 1, "value": f.value, "limit": f.limit, "diagonal": f.diagonal}
-            for f in verdict.failures[:most]
+            for f in verdict.failures[:MOST_TOLD]
         ],
     }

@@ -109,7 +109,6 @@ def track(
     mass: Mass | None = None,
     *,
     count: int | None = None,
-    points: Float | None = None,
 ) -> Tracks:
     """Follow the `count` lowest modes of the first point (all) through a given sequence.
 
@@ -118,8 +117,6 @@ def track(
     frequencies : sequence of (m_i,) float64, Hz
     shapes : sequence of (n, m_i) float64 or complex128
     mass : (n, n), optional
-    points : (k, p) float64, optional
-        Where they belong; 0, 1, 2, ... if not given.
     """
     if len(frequencies) != len(shapes) or not len(shapes):
         raise InputError(f"{len(frequencies)} sets of frequencies for {len(shapes)} sets of shapes")
@@ -129,7 +126,7 @@ def track(
         step = follow(np.asarray(before)[:, index[-1]], now, mass)
         index.append(step.index)
         overlap.append(step.overlap)
-    where = np.arange(len(shapes), dtype=np.float64)[:, None] if points is None else np.asarray(points)
+    where = np.arange(len(shapes), dtype=np.float64)[:, None]
     f = np.array([np.asarray(f)[i] for f, i in zip(frequencies, index, strict=True)])
     return Tracks(where, np.array(index), f, np.array(overlap), len(shapes))
 

@@ -23,6 +23,7 @@ from ringtrue.errors import InputError
 CLOSE = 1e-6  # relative distance under which eigenvalues are treated as one repeated root
 COLUMNS = 320  # right-hand sides solved together: more save few solves and cost products
 ROOM = 2**24  # numbers in an array of them, which lessens them in large models
+BRANCHES = 1e-8  # residual of the derivatives of branches
 STILL = 1e-9  # share of its terms under which the load of a rigid-body mode is rounding
 
 
@@ -232,11 +233,10 @@ def branch_derivatives(
     modes: EigenModes,
     slope: Slope,
     group: Sequence[int],
-    *,
-    second: Slope | None = None,
-    tolerance: float = 1e-8,
 ) -> tuple[Float, Float, Float]:
     """The vectors that leave a repeated root along one parameter, with their derivatives (Dailey 1989).
+
+    K and M are linear in the parameter: without K'' and M''.
 
     Parameters
     ----------
@@ -246,8 +246,6 @@ def branch_derivatives(
     slope : Slope
     group : sequence of int
         Positions of the modes of the root.
-    second : Slope, optional
-        K'' and M'', where they are not zero.
 
     Returns
     -------
@@ -268,11 +266,9 @@ def branch_derivatives(
     others = np.delete(np.arange(modes.values.size), at)
     rest = phi[:, others] @ ((phi[:, others].T @ load) / (modes.values[others, None] - lam))
     root = np.full(at.size, lam)
-    rest += Complement(pencil, modes, root, at.size).solve(load, root, tolerance)
+    rest += Complement(pencil, modes, root, at.size).solve(load, root, BRANCHES)
     same = own.T @ dm
     mixed = -load.T @ rest - same * d_lambda
-    if second is not None:
-        mixed += own.T @ (second.stiffness @ own - (second.mass @ own) * lam) / 2
     gap = d_lambda - d_lambda[:, None]
     apart = np.abs(gap) > CLOSE * max(float(np.abs(d_lambda).max()), np.finfo(float).tiny)
     c = np.where(apart, mixed / np.where(apart, gap, 1.0), -0.5 * same)

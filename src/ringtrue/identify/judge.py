@@ -121,8 +121,8 @@ def judge(
     return Verdict(np.abs(fit.poles) / (2 * np.pi), confidence, reasons)
 
 
-def _texts(factor: Float, good: Sequence[str], bad: Sequence[str], below: float = 0.9) -> _Aspect:
-    return _Aspect(factor, tuple(b if x < below else g for x, g, b in zip(factor, good, bad, strict=True)))
+def _texts(factor: Float, good: Sequence[str], bad: Sequence[str]) -> _Aspect:
+    return _Aspect(factor, tuple(b if x < 0.9 else g for x, g, b in zip(factor, good, bad, strict=True)))
 
 
 def _clear(fit: Refined, shapes: Complex, lines: Lines) -> Bool:

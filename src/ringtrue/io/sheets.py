@@ -58,7 +58,7 @@ class SensorSheet:
     notes: tuple[str, ...]
 
 
-def read_sensor_sheet(path: str | Path, lines: str | Path | None = None, *, length: str = "m") -> SensorSheet:
+def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> SensorSheet:
     """Read a sensor sheet.
 
     Columns: `point x y z` and `direction` (`X`, `-Y`, `+Z`; a vector `0.5 0 0.87`; empty for a point without a
@@ -71,8 +71,6 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None, *, leng
         `.csv` or `.xlsx`; in a workbook the first sheet, and a sheet `lines` if there is one.
     lines : path, optional
         `.csv` or `.xlsx` with two columns of point numbers to draw lines between.
-    length : str
-        Unit of x, y, z.
 
     Raises
     ------
@@ -82,7 +80,7 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None, *, leng
     """
     path = Path(path)
     rows = _rows(path)
-    points, xyz, groups = _points(rows, path, to_si(length, "displacement")[1])
+    points, xyz, groups = _points(rows, path)
     used = [(i, r) for i, r in enumerate(rows, start=2) if _has_direction(r)]
     axes = np.array([_axis(r, f"{path} row {i}") for i, r in used]).reshape(-1, 3)
     channels = tuple(_channel(r, a, f"{path} row {i}") for (i, r), a in zip(used, axes, strict=True))
@@ -182,7 +180,7 @@ def _point(row: Row, where: str) -> int:
     return int(value)
 
 
-def _points(rows: Sequence[Row], path: Path, scale: float) -> tuple[Int, Float, tuple[str, ...]]:
+def _points(rows: Sequence[Row], path: Path) -> tuple[Int, Float, tuple[str, ...]]:
     """Points in order of appearance; coordinates may be left empty where the point was given before."""
     place: dict[int, tuple[float, ...]] = {}
     group: dict[int, str] = {}
@@ -190,7 +188,7 @@ def _points(rows: Sequence[Row], path: Path, scale: float) -> tuple[Int, Float, 
         where = f"{path} row {i}"
         p = _point(row, where)
         if not (p in place and not any(row[c] for c in "xyz")):
-            xyz = tuple(_number(row, c, where) * scale for c in "xyz")
+            xyz = tuple(_number(row, c, where) for c in "xyz")
             if p in place and max(abs(a - b) for a, b in zip(place[p], xyz, strict=True)) > 1e-9:
                 raise DataError(f"{where}: point {p} stands at {xyz}, before it stood at {place[p]}")
             place[p] = xyz

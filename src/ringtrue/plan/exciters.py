@@ -181,7 +181,7 @@ def _exciter_set(share: Float, rows: Int, limit: float) -> ExciterSet:
     return ExciterSet(rows, reach, np.flatnonzero(reach < limit))
 
 
-def mode_indicator(data: Complex, weights: Float | None = None) -> tuple[Float, Float]:
+def mode_indicator(data: Complex) -> tuple[Float, Float]:
     """Multivariate mode indicator function and the forces that reach it.
 
     The least of fᵀAf/fᵀ(A + B)f with A = HᵣᵀHᵣ and B = HᵢᵀHᵢ of the parts in phase and in quadrature (Williams,
@@ -191,8 +191,6 @@ def mode_indicator(data: Complex, weights: Float | None = None) -> tuple[Float, 
     ----------
     data : (freq, out, in) complex128
         Receptance or accelerance.
-    weights : (out,) float64, optional
-        Such as the mass at each response.
 
     Returns
     -------
@@ -200,10 +198,8 @@ def mode_indicator(data: Complex, weights: Float | None = None) -> tuple[Float, 
     forces : (freq, in, in) float64
         [freq, :, k] is the unit force pattern of the k-th value: force appropriation.
     """
-    root = 1.0 if weights is None else np.sqrt(np.asarray(weights))[:, None]
-    real, imag = data.real * root, data.imag * root
-    a = real.transpose(0, 2, 1) @ real
-    b = a + imag.transpose(0, 2, 1) @ imag
+    a = data.real.transpose(0, 2, 1) @ data.real
+    b = a + data.imag.transpose(0, 2, 1) @ data.imag
     low = np.linalg.cholesky(b + 1e-14 * np.trace(b, axis1=1, axis2=2)[:, None, None] * np.eye(b.shape[1]))
     half = np.linalg.solve(low, np.linalg.solve(low, a).transpose(0, 2, 1))
     values, vectors = np.linalg.eigh(0.5 * (half + half.transpose(0, 2, 1)))

@@ -54,9 +54,7 @@ def _motion(shapes: Float) -> Float:
     return np.asarray(square / np.maximum(square.max(axis=0), 1e-300))
 
 
-def suspension_points(
-    shapes: Float, xyz: Float, count: int, cg: Float, *, up: int = 2, min_distance: float = 0.0
-) -> Suspension:
+def suspension_points(shapes: Float, xyz: Float, count: int, cg: Float, *, min_distance: float = 0.0) -> Suspension:
     """Points where the target modes move least, with the centre of gravity between them where possible.
 
     The quietest candidates are combined fully; a set is judged by the mode that moves its points most.
@@ -69,8 +67,7 @@ def suspension_points(
     count : int
         2 or more; with two the centre of gravity must lie on their line and the set is not steady.
     cg : (3,) float64, m
-    up : int
-        Axis of gravity.
+        Gravity acts along Z.
     min_distance : float, m
 
     Raises
@@ -88,7 +85,7 @@ def suspension_points(
     if not sets.size:
         raise InputError(f"no {count} of the quietest points are {min_distance:g} m apart: lower min_distance")
     motion = _motion(shapes)[sets].mean(axis=1).max(axis=1)
-    held = _between(np.delete(xyz[sets], up, axis=2), np.delete(np.asarray(cg, dtype=np.float64), up))
+    held = _between(xyz[sets][..., :2], np.asarray(cg, dtype=np.float64)[:2])
     best = int(np.lexsort((motion, ~held))[0])
     return Suspension(np.sort(sets[best]), float(motion[best]), bool(held[best]))
 

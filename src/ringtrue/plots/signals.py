@@ -62,8 +62,8 @@ def _decades(psd: Float) -> dict[str, list[float]]:
     return {"range": [low - 0.3, top + 0.4]}
 
 
-def _imaginary(frfs: FrfSet, column: int, shown: Bool, bins: int = 600) -> tuple[Float, Float]:
-    at, y = thinned(frfs.data[shown, :, column].imag.T, bins)
+def _imaginary(frfs: FrfSet, column: int, shown: Bool) -> tuple[Float, Float]:
+    at, y = thinned(frfs.data[shown, :, column].imag.T, 600)
     return frfs.freqs[shown][at], y
 
 

@@ -50,9 +50,9 @@ def realise(shapes: Any_, method: Realisation = "rotate") -> Float:
     raise ConfigError(f"no realisation {method!r}{did_you_mean(method, ('rotate', 'amplitude'))}")
 
 
-def realise_modes(modes: ModeSet, method: Realisation = "rotate") -> ModeSet:
-    """The modes with real shapes; a unit-modal-A scale has no meaning for them and becomes UNSCALED."""
+def realise_modes(modes: ModeSet) -> ModeSet:
+    """The modes with real shapes, rotated; a unit-modal-A scale has no meaning for them and becomes UNSCALED."""
     if not np.iscomplexobj(modes.shapes):
         return modes
     norm = modes.norm if modes.norm is Norm.MASS else Norm.UNSCALED
-    return replace(modes, shapes=realise(modes.shapes, method), norm=norm)
+    return replace(modes, shapes=realise(modes.shapes), norm=norm)

@@ -112,12 +112,6 @@ def band_signals(data: Any_, rate: float, bands: Sequence[Band]) -> tuple[tuple[
     return tuple((y, rate * m / n) for y, m in zip(out, sizes, strict=True))
 
 
-def high_pass(history: TimeHistory, corner: float) -> TimeHistory:
-    """The record without what is below `corner` Hz (zero phase; edge from corner/2 to corner)."""
-    band = Band(1.5 * corner, history.rate / 2, history.rate)
-    return replace(history, data=band_signals(history.data, history.rate, (band,))[0][0])
-
-
 def decimate(history: TimeHistory, rate: float) -> TimeHistory:
     """The record at a lower rate, Hz (zero phase; usable to 0.4 of the new rate, which is rounded)."""
     if not 0 < rate < history.rate:

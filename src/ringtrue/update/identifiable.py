@@ -8,7 +8,6 @@ the columns; Cramér-Rao bounds; the directions of the parameter space that the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy import linalg
@@ -20,7 +19,6 @@ from ringtrue.errors import InputError
 
 ALIKE = 0.95  # |cosine| of two weighted sensitivity columns from which on the data cannot tell them apart
 BLIND = 1.0  # singular value, in units of the prior, below which the prior says more of a direction than the data
-Linkage = Literal["complete", "average", "single"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,10 +96,10 @@ def blind_cosines(sensitivities: Float, level: float = BLIND) -> tuple[Float, Fl
     return np.minimum(share, 1.0), np.minimum(np.abs(unit.T @ unit), 1.0)
 
 
-def clusters(sensitivities: Float, alike: float = ALIKE, method: Linkage = "complete") -> Int:
+def clusters(sensitivities: Float, alike: float = ALIKE) -> Int:
     """The cluster of each parameter, (p,) int64, numbered from 0 in the order of their first members.
 
-    "complete" puts no two with a |cosine| below `alike` into one cluster. A column of zeros stands alone.
+    By complete linkage: no two with a |cosine| below `alike` are in one cluster. A column of zeros stands alone.
 
     Raises
     ------
@@ -114,7 +112,7 @@ def clusters(sensitivities: Float, alike: float = ALIKE, method: Linkage = "comp
     if len(cosine) < 2:
         return np.zeros(len(cosine), dtype=np.int64)
     distance = squareform(np.maximum(1 - (cosine + cosine.T) / 2, 0.0), checks=False)
-    raw = fcluster(linkage(distance, method), 1 - alike + 1e-12, criterion="distance")
+    raw = fcluster(linkage(distance, "complete"), 1 - alike + 1e-12, criterion="distance")
     _, first, number = np.unique(raw, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[number].astype(np.int64)
 

@@ -10,7 +10,6 @@ and the posterior is their mixture. What the weights do not settle is reported, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from math import perm
@@ -141,7 +140,6 @@ def tune(
     target: Target,
     *,
     start: Float | None = None,
-    modes: Sequence[int] | None = None,
     keep: int = KEPT,
     progress: Progress | None = None,
 ) -> Suspended:
@@ -155,8 +153,6 @@ def tune(
         model modes are rotated towards the test.
     start : (p,) float64, optional
         0 by default.
-    modes : sequence of int, optional
-        Model modes that can be partners, by frequency; the lowest six, or as many as the test has.
     keep : int
         Assignments refined at most.
 
@@ -170,7 +166,7 @@ def tune(
     x = np.zeros(len(model.parameters)) if start is None else np.array(start, dtype=np.float64)
     tests = np.flatnonzero(target.used)
     now = model.linearise(x)
-    labels = np.arange(min(max(6, tests.size), now.frequencies.size)) if modes is None else np.array(modes)
+    labels = np.arange(min(max(6, tests.size), now.frequencies.size))  # the lowest six, or as many as the test has
     labels = labels[now.frequencies[labels] > 0]
     order, considered = _ranked(model, target, now, tests, labels)
     found: list[tuple[_At, Int]] = []

@@ -55,10 +55,11 @@ def solve_verified(
     start: Float | None = None,
     tolerance: float = 1e-4,
     rounds: int = 4,
-    sensitivities: bool = True,
     progress: Progress | None = None,
 ) -> Verified:
     """Solve on the basis; at each end solve the full model and add its modes, until the two agree.
+
+    The static sensitivities at the ends are added, too: they cost one block of solves, no eigensolution.
 
     Parameters
     ----------
@@ -70,8 +71,6 @@ def solve_verified(
         Largest relative frequency error that is accepted, up to the highest test frequency.
     rounds : int
         Most full solutions; compare `error` with the tolerance for a run that used them up.
-    sensitivities : bool
-        Add the static sensitivities at the ends, too: they cost one block of solves, no eigensolution.
 
     Raises
     ------
@@ -85,7 +84,7 @@ def solve_verified(
     done, error, count = solve(problem, method, start=start), np.inf, 0
     while error > tolerance and count < rounds:
         at = [problem.parameters.names.index(n) for n in model.parameters.names]
-        better, truth = model.enrich(done.x[at], sensitivities=sensitivities)
+        better, truth = model.enrich(done.x[at], sensitivities=True)
         high = truth.frequencies <= 1.05 * only.target.frequencies.max()
         low = truth.frequencies > 1e-6 * truth.frequencies.max()
         seen = np.flatnonzero(high & low)

@@ -90,12 +90,12 @@ def _line_reals(lines: Sequence[str], count: int) -> list[float]:
     return list(reals("\n".join(lines).encode("latin-1", "replace"), (13,) * 6, count).tolist())
 
 
-def _values(lines: Sequence[str], width: int, is_complex: bool, fields: int = 6) -> tuple[Int, Any_]:
+def _values(lines: Sequence[str], width: int, is_complex: bool) -> tuple[Int, Any_]:
     """Node line and value lines, in turn."""
     count = width * (2 if is_complex else 1)
     if not 0 < width <= 1000:
         raise DataError(f"{width} values at a node; it must be 1 or more")
-    rows = -(-count // fields)
+    rows = -(-count // 6)
     if len(lines) % (1 + rows):
         raise DataError(
             f"{len(lines)} lines of values, not a multiple of {1 + rows} a node: the file is cut or damaged"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
@@ -62,7 +61,6 @@ class IdentifyStage:
     hammer_uncertainty: Uncertainty | None
     hammer_reasons: tuple[str, ...]
     hammer_diagrams: tuple[StableDiagram, ...]
-    hammer_model: ModalModel | None
     synthesis_error: Float  # (out, in) relative
     frf_notes: tuple[str, ...] = ()  # of FRFs that were given as such; those of hammer records are with the records
     source: str = "hammer test"  # where the modes in `hammer` come from: also FRFs, or a file of modes

@@ -314,7 +314,6 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         result.uncertainty if result else None,
         result.reasons if result else (),
         result.diagrams if result else (),
-        result.model if result else None,
         result.synthesis_error if result else np.zeros((0, 0)),
         result.notes if result and test.frfs else (),
         "FRFs" if test.frfs else "hammer test",

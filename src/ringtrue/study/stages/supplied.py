@@ -54,25 +54,22 @@ def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> Identif
         raise DataError(f"{path}: no mode in the file")
     none = np.full(len(modes), np.nan)
     std = Uncertainty.independent(spread, none, np.zeros(modes.shapes.shape))
-    no_line, empty = np.zeros((0, 0)), ()
     return IdentifyStage(
-        sheet,
-        empty,
-        empty,
-        NO_MODES,
-        NOT_KNOWN,
-        empty,
-        None,
-        no_line,
-        empty,
-        modes,
-        std,
-        (f"as given in {path.name}",) * len(modes),
-        empty,
-        None,
-        no_line,
-        empty,
-        path.name,
+        test=sheet,
+        records=(),
+        ambient_records=(),
+        ambient=NO_MODES,
+        ambient_uncertainty=NOT_KNOWN,
+        ambient_reasons=(),
+        frfs=None,
+        cmif=np.zeros((0, 0)),
+        rejected_hits=(),
+        hammer=modes,
+        hammer_uncertainty=std,
+        hammer_reasons=(f"as given in {path.name}",) * len(modes),
+        hammer_diagrams=(),
+        synthesis_error=np.zeros((0, 0)),
+        source=path.name,
     )
 
 
