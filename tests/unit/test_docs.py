@@ -72,3 +72,16 @@ def test_options_that_are_named_are_there() -> None:
             assert asked <= there, f"{page}: ringtrue {name} has no {asked - there}"
             seen += 1
     assert seen >= 30
+
+
+@pytest.mark.parametrize(("page", "block"), blocks("python"))
+def test_what_is_imported_is_there(page: str, block: str) -> None:
+    exec("\n".join(re.findall(r"^from ringtrue.*$", block, re.MULTILINE)), {})
+
+
+def test_links_and_files_that_are_named_are_there() -> None:
+    for page, text in PAGES.items():
+        folder = ROOT if page == "README.md" else next(ROOT.glob(f"docs/**/{page}")).parent
+        named = [folder / link for link in re.findall(r"\]\(([^)#:]+)\)", text)]
+        named += [ROOT / file for file in re.findall(r"\b((?:bench|tests)/[\w/]+\.py)", text)]
+        assert [str(n) for n in named if not n.exists()] == []
