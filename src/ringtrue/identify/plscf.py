@@ -43,7 +43,7 @@ class Plscf:
         check_orders(self.ordmin, self.ordmax)
 
 
-def plscf(data: Complex, freqs: Float, settings: Plscf, weights: Float | None = None) -> PoleSet:
+def plscf(data: Complex, freqs: Float, settings: Plscf) -> PoleSet:
     """Poles and participation vectors of every order.
 
     Parameters
@@ -51,8 +51,6 @@ def plscf(data: Complex, freqs: Float, settings: Plscf, weights: Float | None = 
     data : (freq, out, in) complex128
     freqs : (freq,) float64, Hz, ascending; the band
     settings : Plscf
-    weights : (out,) float64, optional
-        Factor on each response.
 
     Returns
     -------
@@ -67,9 +65,8 @@ def plscf(data: Complex, freqs: Float, settings: Plscf, weights: Float | None = 
     n_in = data.shape[2]
     if freqs.size < settings.ordmax + 2:
         raise InputError(f"{freqs.size} lines in the band for order {settings.ordmax}: widen it or lower ordmax")
-    h = data if weights is None else data * weights[:, None]
-    scale = np.sqrt(np.mean(np.abs(h) ** 2, axis=(0, 1))) + np.finfo(float).tiny
-    factor = _factor(h / scale, (freqs - freqs[0]) / (freqs[-1] - freqs[0]), settings.ordmax)
+    scale = np.sqrt(np.mean(np.abs(data) ** 2, axis=(0, 1))) + np.finfo(float).tiny
+    factor = _factor(data / scale, (freqs - freqs[0]) / (freqs[-1] - freqs[0]), settings.ordmax)
     found = [_order(factor, n, n_in, freqs) for n in range(settings.ordmin, settings.ordmax + 1)]
     order = np.repeat(np.arange(settings.ordmin, settings.ordmax + 1), [p.size for p, _ in found])
     poles = np.concatenate([p for p, _ in found])
