@@ -14,10 +14,8 @@ from ringtrue.plan import exciters
 from ringtrue.plan.exciters import (
     appropriate_exciters,
     appropriated_force,
-    driving_point_residues,
     mode_indicator,
     qr_exciters,
-    rank_points,
     rank_sets,
     reciprocity_pairs,
 )
@@ -28,26 +26,6 @@ from ringtrue.plan.wireframe import mesh_edges, neighbours, shown, wireframe
 def sines(n: int, m: int) -> np.ndarray:
     s = np.arange(1, n + 1) / (n + 1)
     return np.sqrt(2) * np.sin(np.pi * np.outer(s, np.arange(1, m + 1)))
-
-
-def test_driving_point_residue_is_the_height_of_the_peak() -> None:
-    """|H(ω)| of one mode at resonance is φ²/(2ζω²) = residue/(ζω)."""
-    phi, f, zeta = np.array([[0.3]]), np.array([5.0]), 0.01
-    w = 2 * np.pi * 5.0
-    peak = abs(0.09 / (w**2 - w**2 + 2j * zeta * w * w))
-    assert driving_point_residues(phi, f)[0, 0] / (zeta * w) == pytest.approx(peak)
-    assert driving_point_residues(np.ones((1, 2)), np.array([1e-9, 5.0]))[0, 0] == 0
-
-
-def test_single_points_are_ranked_by_the_mode_excited_worst() -> None:
-    phi = sines(59, 4)
-    share = phi**2 / (phi**2).max(axis=0)
-    ranked = rank_points(phi)
-    assert ranked[0].worst == pytest.approx(share.min(axis=1).max())
-    middle = next(p for p in ranked if p.rows[0] == 29)
-    assert middle.missed.tolist() == [1, 3]  # the even modes have a node there
-    values = [p.worst for p in ranked]
-    assert np.diff(values).max() < 1e-12
 
 
 def test_sets_are_ranked_exactly_where_they_are_few() -> None:

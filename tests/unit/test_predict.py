@@ -26,7 +26,7 @@ from ringtrue.study.run import run_study
 from ringtrue.study.stages.predict import _forces
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.harmonic import Damping, RegionDamping, Rows
-from ringtrue.update.predict import Output, RunUp, Unbalance, bands, plane, predict_modes, run_up, validated_band
+from ringtrue.update.predict import Output, RunUp, Unbalance, bands, plane, run_up, validated_band
 
 K, M, ZETA = 4e6, 100.0, 0.02
 F1 = float(np.sqrt(K / M) / (2 * np.pi))
@@ -119,19 +119,6 @@ def test_discrepancy_widens_the_peak_though_the_parameters_are_known() -> None:
     spread = wide.peak_speed.high[0] - wide.peak_speed.low[0]
     assert spread > 3 * (sharp.peak_speed.high[0] - sharp.peak_speed.low[0])
     assert spread == pytest.approx(2 * 1.645 * 0.02 * F1, rel=0.5)  # the first of two equal modes peaks higher
-
-
-def test_modes_with_bands() -> None:
-    rng = np.random.default_rng(2)
-    springs = K * np.array([[2.0, -1.0], [-1.0, 1.0]])
-    model = DenseModel.springs(springs, M * np.diag([1.0, 1.3]), springs[None], NAMES)
-    draws, best = 0.1 * rng.standard_normal((2000, 1)), np.zeros(1)
-    found = predict_modes(model, draws, best, rng, discrepancy=0.02)
-    f = model.modes(best).frequencies
-    reach = 1.645 * np.hypot(0.05, 0.02)  # f goes with the root of the stiffness
-    np.testing.assert_allclose(found.frequencies.high / f - 1, reach, rtol=0.1)
-    np.testing.assert_allclose(found.shapes.low, found.shapes.high, rtol=1e-9)  # one factor on all: shapes stay
-    np.testing.assert_allclose(found.mac, 1.0)
 
 
 def test_validated_band_ends_before_the_first_mode_that_is_not_held() -> None:

@@ -10,7 +10,7 @@ import pytest
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.signal.frf import frf_variance
-from ringtrue.signal.frf_checks import check_driving_points, check_reciprocity, without_window_damping
+from ringtrue.signal.frf_checks import check_driving_points, check_reciprocity
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import independent_segments, shaker_frfs
 
@@ -128,11 +128,3 @@ def test_driving_points_and_reciprocity(decay: float) -> None:
     wrong = replace(frfs, data=frfs.data[:, [2, 1, 0]])  # outputs 1 and 3 swapped
     assert check_reciprocity(wrong)[0].correlation < 0.9
     assert check_driving_points(wrong)[0].verdict != "ok"
-
-
-def test_damping_without_the_window() -> None:
-    """A pole at s' = s - σ gives back s."""
-    zeta, f, decay = np.array([0.01, 0.02]), np.array([7.0, 19.0]), 0.8
-    pole = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - zeta**2)) - decay
-    got = without_window_damping(-pole.real / np.abs(pole), np.abs(pole) / (2 * np.pi), decay)
-    np.testing.assert_allclose(got, zeta, rtol=1e-9)

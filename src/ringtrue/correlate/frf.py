@@ -59,13 +59,6 @@ def magnitude_deviation(a: Complex, b: Complex) -> Float:
     return np.asarray(np.sqrt(square.sum(axis=0) / np.where(count > 0, count, 1)), dtype=np.float64)
 
 
-def relative_deviation(a: Complex, b: Complex) -> Float:
-    """‖b − a‖/‖a‖ over the lines, (out, in): 0 is equal; magnitude and phase count."""
-    _same(a, b)
-    size = np.linalg.norm(a, axis=0)
-    return np.asarray(np.linalg.norm(b - a, axis=0) / np.where(size > 0, size, 1.0), dtype=np.float64)
-
-
 def shape_correlation(a: Complex, b: Complex) -> Float:
     """Global shape correlation, (freq, in) 0..1: |Σ a* b|²/(Σ|a|² Σ|b|²) over the outputs of a line; blind to scale.
 

@@ -46,19 +46,6 @@ class ExciterSet:
         return float(self.reach.min(initial=1.0))
 
 
-def driving_point_residues(shapes: Float, frequencies: Float) -> Float:
-    """|Residue| of the receptance at each row, φ²/(2ω), (r, m) float64, 1/(kg·rad/s); 0 for a rigid-body mode.
-
-    Parameters
-    ----------
-    shapes : (r, m) float64, mass-normalised
-    frequencies : (m,) float64, Hz
-    """
-    omega = 2 * np.pi * np.asarray(frequencies, dtype=np.float64)
-    elastic = omega > 1e-6 * omega.max(initial=0.0)
-    return np.asarray(np.where(elastic, shapes**2 / (2 * np.where(elastic, omega, 1.0)), 0.0))
-
-
 def qr_exciters(forces: Float, count: int) -> Int:
     """Rows to excite by pivoted QR of (MΦ)ᵀ (Schedlinski and Link 1996): force patterns that part the modes best.
 
@@ -84,18 +71,6 @@ def qr_exciters(forces: Float, count: int) -> Int:
     if not 1 <= count <= len(forces):
         raise InputError(f"{count} exciters at {len(forces)} rows: must be 1 to {len(forces)}")
     return qr_points(np.asarray(forces, dtype=np.float64)[:, None, :], count)
-
-
-def rank_points(shapes: Float, limit: float = 0.1) -> tuple[ExciterSet, ...]:
-    """All single rows, best first by the worst driving-point residue over the modes.
-
-    Parameters
-    ----------
-    shapes : (r, m) float64, mass-normalised
-    limit : float
-        Modes with less reach count as missed.
-    """
-    return _ranked(_share(shapes), np.arange(len(shapes))[:, None], limit, len(shapes))
 
 
 def rank_sets(shapes: Float, count: int, *, limit: float = 0.1, most: int = 10) -> tuple[ExciterSet, ...]:

@@ -73,22 +73,6 @@ def kinetic_share(shapes: Float, mass: Any, regions: Sequence[Int]) -> Float:
     return np.stack([energy[at].sum(axis=0) / total for at in regions], axis=1)
 
 
-def strain_share(shapes: Float, stiffness: Sequence[Any], frequencies: Float) -> Float:
-    """Share of each mode's strain energy in each region, (m, r): φᵀK_rφ/λ, and 0 for a rigid-body mode.
-
-    Parameters
-    ----------
-    shapes : (dof, m) float64, mass-normalised
-    stiffness : sequence of (dof, dof)
-        Stiffness of each region alone.
-    frequencies : (m,) float64, Hz
-    """
-    lam = (2 * np.pi * np.asarray(frequencies, dtype=np.float64)) ** 2
-    energy = np.stack([np.einsum("dm,dm->m", shapes, np.asarray(k @ shapes)) for k in stiffness], axis=1)
-    elastic = lam > 1e-9 * lam.max(initial=0.0)
-    return np.asarray(np.where(elastic, 1 / np.where(elastic, lam, 1.0), 0.0)[:, None] * energy)
-
-
 def telling_modes(d_lambda: Float, lam: Float, std: Float | float, prior: Float, count: int) -> Int:
     """Modes whose frequencies tell the parameters apart, greedily by the gain in log-determinant of the information.
 

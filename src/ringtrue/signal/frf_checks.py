@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Complex
 from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 
@@ -95,14 +95,3 @@ def check_reciprocity(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -
             share = float(abs(cross) ** 2 / max(pa * pb, 1e-300))
             out.append(Reciprocity(frfs.inputs[ia].id, frfs.inputs[ib].id, share, float(cross.real / max(pb, 1e-300))))
     return tuple(out)
-
-
-def without_window_damping(damping: Float, frequency: Float, window_decay: float) -> Float:
-    """(mode,) damping ratios, from damping ratios `damping` and undamped frequencies (Hz) under e^{-σt}.
-
-    The poles move by σ: s = s' + σ, so ζ = -Re(s)/|s|.
-    """
-    zeta = np.asarray(damping, dtype=np.float64)
-    w = 2 * np.pi * np.asarray(frequency, dtype=np.float64)
-    pole = w * (-zeta + 1j * np.sqrt(np.clip(1 - zeta**2, 0.0, 1.0))) + window_decay
-    return np.asarray(-pole.real / np.abs(pole))

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Complex, Float, freeze_fields
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import ObservedModel
-from ringtrue.shapes.mac import mac
 from ringtrue.update.harmonic import Damping, Ratios, RegionDamping, Rows, harmonic
 
 PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
@@ -60,62 +58,6 @@ def bands(draws: Float, level: float = 0.9) -> Bands:
         raise InputError(f"{draws.shape[0]} draws for a band of {level}: level in 0..1, at least 1/(1 - level) draws")
     low, median, high = np.nanquantile(draws, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0)
     return Bands(low, median, high, level)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedModes:
-    """Modes with bands, in the order of the model at the best point.
-
-    Attributes
-    ----------
-    frequencies : Bands of (m,), Hz
-    shapes : Bands of (channel, m)
-        Mass-normalised, signs as at the best point.
-    mac : (m,) float64
-        Median MAC of the draws with the best point: low where modes turn into each other.
-    """
-
-    frequencies: Bands
-    shapes: Bands
-    mac: Float
-
-
-def predict_modes(
-    model: ObservedModel,
-    draws: Float,
-    best: Float,
-    rng: np.random.Generator,
-    *,
-    discrepancy: float = 0.0,
-    level: float = 0.9,
-) -> PredictedModes:
-    """Modes over draws of the parameters, followed by shape.
-
-    Parameters
-    ----------
-    model : ObservedModel
-    draws : (draw, p) float64
-        x of the posterior.
-    best : (p,) float64
-    rng : Generator
-        For the discrepancy.
-    discrepancy : float
-        Relative standard deviation of a frequency of the model at its best, from left-out modes.
-    """
-    first = model.modes(best)
-    f, shapes, alike = [], [], []
-    for x in draws:  # an eigensolution each
-        now = model.modes(x)
-        table = mac(first.shapes, now.shapes)
-        rows, columns = linear_sum_assignment(-table)
-        phi = now.shapes[:, columns]
-        f.append(now.frequencies[columns])
-        shapes.append(phi * np.where((phi * first.shapes[:, rows]).sum(axis=0) < 0, -1.0, 1.0))
-        alike.append(table[rows, columns])
-    scatter = 1 + discrepancy * rng.standard_normal((len(f), first.frequencies.size))
-    return PredictedModes(
-        bands(np.array(f) * scatter, level), bands(np.array(shapes), level), np.median(np.array(alike), axis=0)
-    )
 
 
 @dataclass(frozen=True, slots=True)
