@@ -97,6 +97,20 @@ def band_limited(width: float, part: float) -> TimeHistory:
     return TimeHistory(data, RATE, record(1, [0, 1, 5]).channels, "tip")
 
 
+def test_lines_at_which_a_simulated_pulse_has_no_force_are_left_out() -> None:
+    """A force without noise: sin² over a time T has zeros at 2/T, 3/T, ..., other ones for each hammer."""
+    clean = []
+    for inp, width in ((1, 8 / RATE), (2, 12 / RATE)):
+        r = record(inp, [0, 1, 2])
+        t = np.arange(r.data.shape[1]) / RATE
+        force = sum(pulse(t - start, 100.0, width) for start in STARTS)
+        clean.append(replace(r, data=np.vstack([force, r.data[1:]])))
+    frfs, _ = estimate_frf(clean, HammerSettings(block=8.0))
+    for zero in (2 * RATE / 8, 2 * RATE / 12, RATE / 2):
+        assert np.abs(frfs.freqs - zero).min() > 0.01
+    assert frfs.freqs.size > 0.98 * 8 * RATE / 2
+
+
 @pytest.mark.parametrize(("width", "part"), [(0.0015, 0.85), (0.06, 0.85)])
 def test_the_whole_pulse_counts(width: float, part: float) -> None:
     """A filter rings before a pulse shorter than its samples; a soft one begins before the pretrigger.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import bdtr
 
-from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
@@ -28,6 +28,7 @@ from ringtrue.signal.hits import (
 
 log = logging.getLogger(__name__)
 
+_NO_FORCE = 1e-12  # power over the largest: a zero of the spectrum of a pulse without noise, rounding alone
 _RISE = 8  # samples
 _QUIET, _FLOOR = 0.02, 6.0  # of the response; times the typical power, above which a line is no noise
 _SLOW, _FILTER = 3, 0.75  # lines that a drift takes; share of half the rate, that no filter rings at
@@ -91,7 +92,10 @@ def estimate_columns(
     full_scale: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> tuple[tuple[FrfSet, ...], tuple[HitReport, ...]]:
-    """The FRFs of each input with each set of responses, on the same lines, before `estimate_frf` joins them."""
+    """The FRFs of each input with each set of responses, on the same lines, before `estimate_frf` joins them.
+
+    Lines at which one of the pulses has no force are left out: the zeros of a pulse without noise.
+    """
     settings = settings or HammerSettings()
     cuts = [_cut(r, settings) for r in records]
     settings = _with_room(cuts, settings)
@@ -112,7 +116,8 @@ def estimate_columns(
         key = (new.input, *(c.id for c in new.outputs))
         sums[key] = sums[key].plus(new) if key in sums else new
     source = ", ".join(dict.fromkeys(r.source for r in records if r.source))
-    columns = tuple(_column(s, decay, settings, source) for s in sums.values())
+    struck = np.all([s.ff > _NO_FORCE * s.ff.max(initial=0.0) for s in sums.values()], axis=0)
+    columns = tuple(_column(s, struck, decay, settings, source) for s in sums.values())
     return columns, tuple(r for rep in reports for r in rep)
 
 
@@ -275,7 +280,7 @@ def frf_variance(frfs: FrfSet) -> Float:
     return np.asarray(np.abs(frfs.data) ** 2 * (1 - g) / (2 * frfs.averages * g))
 
 
-def _column(s: _Sums, decay: float, settings: HammerSettings, source: str) -> FrfSet:
+def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, source: str) -> FrfSet:
     kinds = [c.quantity for c in s.outputs]
     if not kinds or not set(kinds) <= set(FRF_KIND):
         raise DataError(
@@ -287,7 +292,7 @@ def _column(s: _Sums, decay: float, settings: HammerSettings, source: str) -> Fr
         coherence = np.full(coherence.shape, np.nan)  # one hit has coherence 1 whatever its noise
     freqs = np.fft.rfftfreq(s.length, 1 / s.rate)
     power = np.array([DERIVATIVE[kind] - DERIVATIVE[k] for k in kinds])
-    keep = (freqs <= (settings.fmax or np.inf)) & ((freqs > 0) | (decay > 0) | (power == 0).all())
+    keep = struck & (freqs <= (settings.fmax or np.inf)) & ((freqs > 0) | (decay > 0) | (power == 0).all())
     freqs, h, coherence = freqs[keep], h[keep], coherence[keep]
     if power.any():  # under the window the FRF stands at s + decay
         h = h * (2j * np.pi * freqs + decay)[:, None] ** power
