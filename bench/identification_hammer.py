@@ -13,22 +13,20 @@ covered: measured records, commercial tools.
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
+from identification_ambient import system
 
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 
-SYSTEM = Path(__file__).parents[2] / "shared/bench/identification_system.py"
 HIGH = 64.0
 
 PEER = """
@@ -59,16 +57,6 @@ t = time.process_time() - t
 e = 100 * np.sqrt(np.mean(np.square(found), axis=0))
 print(f"{t} {e[0]} {e[1]}")
 """
-
-
-def system() -> ModuleType:
-    """The module that makes the records."""
-    spec = importlib.util.spec_from_file_location("identification_system", SYSTEM)
-    if spec is None or spec.loader is None:
-        raise SystemExit(f"{SYSTEM} is not here")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def frfs(d: dict[str, Any], refs: tuple[int, ...]) -> FrfSet:
