@@ -54,6 +54,7 @@ def one(seed: int, count: int) -> dict[str, object]:
         "seed": seed,
         "wrong": {str(k): round(v, 2) for k, v in wrong.items()},
         "proposed": [m.name for m in found.members],
+        "members": few,
         "named": len(named),
         "strict": len(regions_of(strict) & set(wrong)) / count,
         "share": len(regions_of(named) & set(wrong)) / count,
@@ -74,7 +75,17 @@ def main() -> None:
     for seed in range(a.first, a.first + a.seeds):
         rows.append(one(seed, a.wrong))
         print(json.dumps(rows[-1]), flush=True)
-    keys = ("strict", "share", "random", "LASSO", "orthogonal sensitivities", "largest sensitivities", "single gain")
+    keys = (
+        "members",
+        "named",
+        "strict",
+        "share",
+        "random",
+        "LASSO",
+        "orthogonal sensitivities",
+        "largest sensitivities",
+        "single gain",
+    )
     total = {k: round(float(np.mean([float(str(r[k])) for r in rows])), 3) for k in keys}
     total["all named"] = int(sum(r["share"] == 1 for r in rows))
     print(json.dumps({"candidates": len(twin.start().candidates), **total}))
