@@ -6,6 +6,7 @@ import base64
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import chromium
@@ -18,7 +19,7 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.style import joined
 from ringtrue.report.build import Acceptance, Photo, build
 from ringtrue.report.pack import figure_json
-from ringtrue.report.parts import fixed
+from ringtrue.report.parts import fixed, number
 from ringtrue.study.summary import checks
 
 PIXEL = (
@@ -180,3 +181,15 @@ def test_fits_the_paper(page: chromium.Page) -> None:
     assert page.complaints() == []
     wide = "[...document.querySelectorAll('section')].filter(s => s.scrollWidth > s.clientWidth + 2).map(s => s.id)"
     assert page.evaluate(wide) == []
+
+
+def test_the_modes_of_the_deck_are_listed_as_far_as_they_were_correlated(
+    stages: dict[str, object], tmp_path: Path
+) -> None:
+    """Without an fmax the first modes end before anything is known of the test."""
+    model, correlated = stages["model"], stages["correlate"]
+    early = replace(model, modes=model.modes.take([0, 1]), residuals=model.residuals[:2])
+    page = build({"model": early, "correlate": correlated}, tmp_path / "r.html", title="Short").read_text()
+    f = correlated.fe_initial.frequencies
+    assert len(f) > 2
+    assert f">{f.size}, {number(f[0], 3)} to {number(f[-1], 4)}<" in page

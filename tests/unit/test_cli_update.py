@@ -17,7 +17,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.fem.response import frf
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes_json import read_modes, write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 
@@ -77,6 +77,38 @@ def test_options_lead_to_the_same_factors(capsys: Capture, folder: Path, words: 
     assert status == 0, err
     factors = [p["factor"] for p in json.loads(out)["parameters"]]
     np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)
+
+
+def turned_sheet() -> str:
+    """The sensors of the frame in axes of the test's own, turned by 90 degrees about Z and moved."""
+    test, turned = small_study.test_model(), {"X": "Y", "Y": "-X"}
+    rows = zip(test.channels, test.at.tolist(), test.channel_xyz().tolist(), strict=True)
+    lines = [f"{point},{3 - y},{x - 1},{z},{turned[name[-1]]},{name}" for name, point, (x, y, z) in rows]
+    return "\n".join(["point,x,y,z,direction,channel", *lines])
+
+
+def test_the_sheet_is_laid_onto_the_deck_and_channels_are_left_out_as_the_study_says(
+    capsys: Capture, folder: Path
+) -> None:
+    whole = read_modes(folder / "test.json")
+    wrong = np.where(np.array(whole.channels) == "303+X", -1.0, 1.0)[:, None]
+    write_modes(folder / "test.json", replace(whole, shapes=whole.shapes * wrong))
+    (folder / "sensors.csv").write_text(turned_sheet())
+    more = '[test]\nsheet = "sensors.csv"\nleave_out = ["303+X"]\n[correlate]\nalign = "points"\n'
+    (folder / "study.toml").write_text(STUDY + more)
+    status, out, err = call(capsys, folder, "--json", "-")
+    assert status == 0, err
+    found = json.loads(out)
+    factors = [p["factor"] for p in found["parameters"]]
+    np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)
+    assert min(m["mac_percent"] for m in found["modes"]) > 99
+
+
+def test_a_card_that_is_not_there_is_refused_with_its_neighbours(capsys: Capture, folder: Path) -> None:
+    (folder / "study.toml").write_text(STUDY.replace("MAT1 3 E", "MAT1 4 E"))
+    status, _, err = call(capsys, folder)
+    assert status == 2
+    assert "MAT1 4 E: no such card in the model; 4 MAT1, next to it 1, 2, 3, 10" in " ".join(err.split())
 
 
 def test_checkpoint_is_kept_and_the_table_is_printed(capsys: Capture, folder: Path) -> None:

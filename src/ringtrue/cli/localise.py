@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
+from ringtrue.backends.embedded import EmbeddedAnalysis
 from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.observation import Observation
@@ -20,6 +20,7 @@ from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.reduce.parametric import ReducedModel, modes_of
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import LocaliseSection
+from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
 from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates
@@ -60,11 +61,11 @@ def localise(
         show(0.0, f"reading {deck}")
         model, seen = read_deck(deck), realise_modes(read_modes(test))
         seen = seen.take(np.flatnonzero(seen.frequencies > 0))
-        analysis = EmbeddedSolver(progress=part(show, 0.1, 0.2)).open(model)
-        bridge = placed(model, analysis.dofs, seen.channels, sensors, unit=metres, tolerance=tolerance)
+        opened = Opened(model, metres)
+        analysis, bridge = opened.analysis, placed(opened, seen.channels, sensors, tolerance=tolerance)
         aim = Target(seen.frequencies, seen.shapes, np.zeros(len(seen)), np.ones(len(seen), dtype=bool))
         count = int(EXTRA * len(seen)) + 4
-        modes = analysis.eigen(ModesRequest(modes_of(count)))
+        modes = analysis.eigen(ModesRequest(modes_of(count)), part(show, 0.1, 0.2))
         every = generate(model, CandidateSettings(units=units))
         show(0.2, f"energies of {len(every)} candidates")
         strain, kinetic = effects(model, analysis.system, every, modes.values, modes.vectors)

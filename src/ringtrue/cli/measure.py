@@ -46,9 +46,8 @@ def _of_deck(deck: Path, test: ModeSet, sensors: Path | None, units: str, tolera
     unit, top = unit_length(units), float(test.frequencies.max(initial=0.0))
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
-        model = read_deck(deck)
-        opened = Opened(model, unit)
-        look = placed(model, opened.analysis.dofs, test.channels, sensors, unit=unit, tolerance=tolerance)
+        opened = Opened(read_deck(deck), unit)
+        look = placed(opened, test.channels, sensors, tolerance=tolerance)
         modes = opened.modes(ABOVE * top, part(show, 0.3, 1.0)).modes
     return ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
 

@@ -215,8 +215,10 @@ def _settings(
 
 
 def _target(config: StudyConfig, test: Path, leave_out: str) -> tuple[Target, ModeSet]:
-    """What the file says, and its modes."""
+    """What the file says, less the channels that the study leaves out, and its modes."""
     whole, spread = read_modes(test), read_frequency_std(test)
+    if config.test and config.test.leave_out:
+        whole = whole.rows([c for c in whole.channels if c not in config.test.leave_out])
     kept, channels = measured_part(whole)
     modes: ModeSet = realise_modes(whole.take(kept).rows(channels))
     if not len(modes) or not modes.channels:
@@ -242,7 +244,7 @@ def _problem(
     loaded = excited(found, at)
     opened = Opened(model, LENGTH[units])
     dofs, more = opened.analysis.dofs, named[len(modes.channels) :]
-    observation = _observation(model, dofs, config, modes.channels, base)
+    observation = _observation(opened, config, modes.channels, base)
     observation = observation.and_also(at_dofs(more, dofs)) if more else observation
     top = ABOVE * float(target.frequencies.max())
     count = len(opened.modes(top).modes)
@@ -257,11 +259,12 @@ def _problem(
     return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data
 
 
-def _observation(model: Model, dofs: DofSet, config: StudyConfig, channels: tuple[str, ...], base: Path) -> Observation:
+def _observation(
+    opened: Opened, config: StudyConfig, channels: tuple[str, ...], base: Path, dofs: DofSet | None = None
+) -> Observation:
     """The channels of the test modes: on the sheet of the study, if it has one."""
     sheet, c = base / config.test.sheet if config.test else None, config.correlate
-    assert config.model is not None
-    return placed(model, dofs, channels, sheet, unit=LENGTH[config.model.units], tolerance=c.tolerance)
+    return placed(opened, channels, sheet, tolerance=c.tolerance, method=c.match, align=c.align, dofs=dofs)
 
 
 def _by_runs(
@@ -271,7 +274,7 @@ def _by_runs(
     assert config.model is not None
     parameters, opened = config.candidates(), Opened(model, LENGTH[config.model.units])
     with engine.open(model) as analysis:
-        observation = _observation(model, analysis.dofs, config, modes.channels, base)
+        observation = _observation(opened, config, modes.channels, base, analysis.dofs)
     full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)
     top = ABOVE * float(target.frequencies.max())
     full = full.reaching(top)

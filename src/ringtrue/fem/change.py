@@ -72,12 +72,23 @@ def changed(model: Model, name: str, targets: Sequence[Target], factor: Factor) 
     return replace(model, tables=tables)
 
 
+def _there(tables: dict[str, Table], card: str, wanted: int) -> str:
+    """What the model has in place of a card that it lacks: the numbers next to it, or the cards of like name."""
+    if card not in tables or not tables[card].ids.size:
+        return did_you_mean(card, (c for c, t in tables.items() if t.ids.size))
+    ids = np.unique(tables[card].ids)
+    near = np.sort(ids[np.argsort(np.abs(ids - wanted), kind="stable")[:6]])
+    return f"; {ids.size} {card}, next to it {', '.join(map(str, near.tolist()))}"
+
+
 def _with_fields(
     tables: dict[str, Table], where: str, card: str, field: str, ids: Int, step: float, factor: Factor
 ) -> Table:
     lost = ~np.isin(ids, tables[card].ids) if card in tables else np.ones(ids.shape, dtype=bool)
     if lost.any():
-        raise InputError(f"{where} {ids[lost][0]} {field}: no such card in the model")
+        raise InputError(
+            f"{where} {ids[lost][0]} {field}: no such card in the model{_there(tables, card, ids[lost][0])}"
+        )
     table, where = tables[card], f"{where} {ids[0]} {field}"
     rows = np.flatnonzero(np.isin(table.ids, ids))
     ply = _PLY.fullmatch(field)

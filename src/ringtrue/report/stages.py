@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, did_you_mean
@@ -113,6 +116,14 @@ class Stages:
         if self.identify is not None:
             return self.identify.test
         return self.plan.test if self.plan is not None else None
+
+    @property
+    def computed(self) -> Float:
+        """Frequencies of the deck as delivered, Hz: up to [model] fmax, or as far as the test asked for them."""
+        found = [
+            s.frequencies for s in (self.model and self.model.modes, self.correlate and self.correlate.fe_initial) if s
+        ]
+        return max(found, key=len, default=np.zeros(0))
 
     @property
     def reference(self) -> ModeSet | None:

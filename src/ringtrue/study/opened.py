@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+from scipy.spatial import KDTree
+
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
@@ -15,6 +19,8 @@ from ringtrue.correlate.observe import Method, observe
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
+
+ROUNDING = 1e-6  # of the size of the structure: nodes closer than this are at one place
 
 
 @dataclass(eq=False)
@@ -62,13 +68,43 @@ class Opened:
         shapes = found.modes.shapes[at] * sign[:, None]
         return replace(found, modes=replace(found.modes, shapes=shapes, labels=dofs))
 
-    def observation(self, test: TestModel, tolerance: float, method: Method = "nearest") -> Observation:
-        """The bridge to the channels of a test; `tolerance` in m, `method` as in `correlate.observe`."""
+    @cached_property
+    def seats(self) -> tuple[Int, Float]:
+        """Nodes that a sensor may sit on, (n,), and where they are, (n, 3), model unit.
+
+        A spring of no length to the ground has two nodes at one place; a sensor there sits on the one that moves.
+        """
+        ids, xyz, moves = self.model["GRID"].ids, positions(self.model), self._moves
+        keep = moves.copy()
+        if moves.any() and not moves.all():
+            size = float(np.linalg.norm(np.ptp(xyz, axis=0)))
+            keep[~moves] = KDTree(xyz[moves]).query(xyz[~moves])[0] > ROUNDING * size
+        return (ids[keep], xyz[keep]) if keep.any() else (ids, xyz)
+
+    @property
+    def _moves(self) -> Bool:
+        """Whether any translation of a node is neither held nor without stiffness, (node,)."""
+        system, n = self.analysis.system, len(self.model["GRID"].ids)
+        return np.asarray((np.diff(system.transform.indptr)[: 6 * n].reshape(n, 6)[:, :3] > 0).any(axis=1))
+
+    def observation(
+        self, test: TestModel, tolerance: float, method: Method = "nearest", *, dofs: DofSet | None = None
+    ) -> Observation:
+        """The bridge to the channels of a test.
+
+        Parameters
+        ----------
+        test : TestModel
+        tolerance : float, m
+        method : str
+            As in `correlate.observe`.
+        dofs : DofSet, optional
+            Rows of the shapes that it reads, those of the embedded solver if not given.
+        """
         return observe(
             test,
-            self.model["GRID"].ids,
-            positions(self.model),
-            self.analysis.dofs,
+            *self.seats,
+            self.analysis.dofs if dofs is None else dofs,
             unit=self.length,
             tolerance=tolerance / self.length,
             method=method,

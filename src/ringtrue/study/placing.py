@@ -11,11 +11,10 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.align import Alignment, best_fit, nearest_fit
-from ringtrue.correlate.observe import at_dofs, observe
+from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.frames import positions
-from ringtrue.model.model import Model
 from ringtrue.study.opened import Opened
 
 
@@ -60,21 +59,30 @@ def words(found: Alignment) -> str:
 
 
 def placed(
-    model: Model, dofs: DofSet, channels: Sequence[str], sheet: Path | None, *, unit: float, tolerance: float
+    opened: Opened,
+    channels: Sequence[str],
+    sheet: Path | None,
+    *,
+    tolerance: float,
+    method: Method = "nearest",
+    align: str = "",
+    dofs: DofSet | None = None,
 ) -> Observation:
     """The channels of a test on a deck: by their places on a sensor sheet, or as DOFs of the deck without one.
 
     Parameters
     ----------
-    model : Model
-    dofs : DofSet
-        Rows of its shapes.
+    opened : Opened
     channels : sequence of str
     sheet : Path, optional
-    unit : float
-        Metres a unit of length of the deck.
     tolerance : float
         Largest distance of a sensor from its node, m.
+    method : str
+        As in `correlate.observe`.
+    align : {"", "points", "nearest"}
+        How the sheet is laid onto the deck first; empty: it is in the deck's frame.
+    dofs : DofSet, optional
+        Rows of the shapes that it reads, those of the embedded solver if not given.
 
     Raises
     ------
@@ -83,7 +91,7 @@ def placed(
     """
     if sheet is None:
         try:
-            return at_dofs(tuple(channels), dofs)
+            return at_dofs(tuple(channels), opened.analysis.dofs if dofs is None else dofs)
         except DataError as e:
             raise DataError(
                 f"{e}; where points have numbers of their own give --sensors, or [test] sheet of a study"
@@ -93,5 +101,6 @@ def placed(
     if lost := [c for c in channels if c not in known]:
         near = did_you_mean(lost[0], test.channels)
         raise DataError(f"{sheet}: channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}")
-    there, ids = test.pick(tuple(channels)), model["GRID"].ids
-    return observe(there, ids, positions(model), dofs, unit=unit, tolerance=tolerance / unit)
+    if align:
+        test = alignment(test, opened, align).move(test)
+    return opened.observation(test.pick(tuple(channels)), tolerance, method, dofs=dofs)

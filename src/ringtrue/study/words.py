@@ -90,4 +90,5 @@ def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
 
 
 def _factor(name: str, factor: float, std: float) -> str:
-    return f"{name}: times {factor:.3f} ± {std:.3f}"
+    digits = int(np.clip(1 - np.floor(np.log10(std)), 3, 6)) if np.isfinite(std) and std > 0 else 3
+    return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ringtrue.core.arrays import Float
 from ringtrue.core.testmodel import TestModel
 from ringtrue.plots import scene
 from ringtrue.report.parts import Block, Columns, Items, Scene3D, Section, Table, Text, number, sentence
 from ringtrue.report.stages import Stages
-from ringtrue.study.results import ModelStage
 
 
 def section(data: Stages) -> Section | None:
@@ -21,7 +21,7 @@ def section(data: Stages) -> Section | None:
     cards = Table(
         ("|Card", "Count"), [(k, str(v)) for k, v in sorted(m.cards.items())], "Cards of the deck.", scroll=True
     )
-    blocks.append(Columns([[_modes(m)], [cards]]))
+    blocks.append(Columns([[_modes(data.computed, m.residuals)], [cards]]))
     blocks.append(
         Text(f"Files: {', '.join(Path(f).name for f in m.files)} (units {m.units}). {sentence(m.proof)}", "note")
     )
@@ -39,11 +39,9 @@ def _caption(test: TestModel | None) -> str:
     return text + ". Drag to turn, shift-drag to move, click and use the wheel to zoom."
 
 
-def _modes(m: ModelStage) -> Table:
-    rows = [
-        (str(i + 1), number(f, 4), number(r, 2))
-        for i, (f, r) in enumerate(zip(m.modes.frequencies.tolist(), m.residuals.tolist(), strict=True))
-    ]
+def _modes(frequencies: Float, residuals: Float) -> Table:
+    told = [*(number(r, 2) for r in residuals.tolist()), *["–"] * (frequencies.size - residuals.size)]
+    rows = [(str(i + 1), number(f, 4), told[i]) for i, f in enumerate(frequencies.tolist())]
     return Table(
         ("#", "Frequency, Hz", "Residual"), rows, "Modes of the delivered model, relative residual norm.", scroll=True
     )

@@ -6,6 +6,7 @@ from collections import Counter
 
 import numpy as np
 
+from ringtrue.core.arrays import Float
 from ringtrue.report.parts import Block, Fold, Heading, Section, Table, Text, fixed, number, plain
 from ringtrue.report.stages import Stages
 from ringtrue.study.evidence import MASS
@@ -17,13 +18,13 @@ def section(data: Stages) -> Section | None:
     """The system in words and numbers, the tests in a table."""
     blocks: list[Block] = [Text(p.strip()) for p in data.system_text.split("\n\n") if p.strip()]
     if data.model is not None:
-        blocks.append(_system(data.model))
+        blocks.append(_system(data.model, data.computed))
     if data.identify is not None and data.identify.records:
         blocks += [Heading("Tests"), *_tests(data.identify.records)]
     return Section("survey", "System and tests", blocks) if blocks else None
 
 
-def _system(model: ModelStage) -> Table:
+def _system(model: ModelStage, computed: Float) -> Table:
     length, (mass, unit) = LENGTH[model.units], weight(model)
     x, y, z = (fixed(float(v) * length, 2) for v in model.cg)
     inertia = np.diag(model.inertia) * length**2 * (mass / model.mass if model.mass else 1.0)
@@ -33,7 +34,7 @@ def _system(model: ModelStage) -> Table:
         ("Centre of gravity x, y, z", f"{x}, {y}, {z}", "m"),
         ("Moments of inertia xx, yy, zz", ", ".join(number(float(v), 4) for v in inertia), f"{unit}·m²"),
         ("Nodes; degrees of freedom", f"{model.nodes:,}; {model.dof:,}".replace(",", "\u202f"), ""),
-        ("Modes computed", _span(model), "Hz"),
+        ("Modes computed", _span(computed), "Hz"),
     ]
     return Table(("|Quantity", "|Value", "|Unit"), rows, "The system as modelled.")
 
@@ -44,8 +45,7 @@ def weight(model: ModelStage) -> tuple[float, str]:
     return (kg / 1000, "t") if kg >= 1000 else (kg, "kg")
 
 
-def _span(model: ModelStage) -> str:
-    f = model.modes.frequencies
+def _span(f: Float) -> str:
     return f"{f.size}, {number(float(f[0]), 3)} to {number(float(f[-1]), 4)}" if f.size else "0"
 
 

@@ -1,0 +1,47 @@
+"""Sensors at a place where two nodes are: on the structure, not on what holds it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringtrue.core.testmodel import TestModel
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.study.opened import Opened
+
+# a bar on two bushes of no length; its middle node 2 and, beside it, node 30 that nothing holds or uses
+DECK = """BEGIN BULK
+GRID,{ground[0]},,0.,0.,0.,,123456
+GRID,{hub[0]},,0.,0.,0.
+GRID,2,,1.,0.,0.
+GRID,30,,1.,0.,0.
+GRID,{hub[1]},,2.,0.,0.
+GRID,{ground[1]},,2.,0.,0.
+SPC1,1,123456,{ground[1]}
+GRID,40,,3.,0.,0.,,123456
+CBAR,1,1,{hub[0]},2,0.,0.,1.
+CBAR,2,1,2,{hub[1]},0.,0.,1.
+PBAR,1,1,1.-3,1.-6,1.-6,1.-6
+MAT1,1,2.+11,,.3,7850.
+CBUSH,11,2,{ground[0]},{hub[0]},,,,0
+CBUSH,12,2,{ground[1]},{hub[1]},,,,0
+PBUSH,2,K,1.+6,1.+6,1.+6,1.+6,1.+6,1.+6
+ENDDATA
+"""
+
+
+@pytest.mark.parametrize(("hub", "ground"), [((1, 3), (101, 103)), ((101, 103), (1, 3))])
+def test_of_two_nodes_at_one_place_the_sensor_sits_on_the_moving_one(
+    tmp_path: Path, hub: tuple[int, int], ground: tuple[int, int]
+) -> None:
+    (tmp_path / "bar.bdf").write_text(DECK.format(hub=hub, ground=ground))
+    opened = Opened(read_deck(tmp_path / "bar.bdf"), 1.0)
+    xyz = np.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]])
+    test = TestModel(
+        np.arange(4), xyz, ("a", "b", "c", "d"), np.arange(4), np.tile([0.0, 0, 1], (4, 1)), np.zeros((0, 2), np.int64)
+    )
+    seen = opened.observation(test, 0.01)
+    read = [opened.analysis.dofs.node[row.indices].tolist() for row in seen.matrix]
+    assert read == [[hub[0]], [2], [hub[1]], [40]]  # 40 is held, too, but nothing else is there
