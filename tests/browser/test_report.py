@@ -193,3 +193,20 @@ def test_the_modes_of_the_deck_are_listed_as_far_as_they_were_correlated(
     f = correlated.fe_initial.frequencies
     assert len(f) > 2
     assert f">{f.size}, {number(f[0], 3)} to {number(f[-1], 4)}<" in page
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_orthogonality_is_judged_only_where_the_mass_keeps_the_modes_of_the_model_apart(
+    apart: bool, stages: dict[str, object], tmp_path: Path
+) -> None:
+    """Too few channels: a verdict on the test would be one on the channels."""
+    final = stages["final"]
+    measures = final.evidence.measures
+    kinds = [
+        replace(c, verdict=replace(c.verdict, passed=apart if c.kind == "model" else c.verdict.passed))
+        for c in measures.checks
+    ]
+    evidence = replace(final.evidence, measures=replace(measures, checks=tuple(kinds)))
+    page = build({"final": replace(final, evidence=evidence)}, tmp_path / "r.html", title="Few channels").read_text()
+    assert ("no verdict" in page) != apart
+    assert bool(re.search(r"pairs ≥ \d+ %", page)) == apart

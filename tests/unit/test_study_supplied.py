@@ -16,6 +16,8 @@ from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlate.complete import complete
+from ringtrue.correlate.pairing import correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import write_frfs
@@ -24,6 +26,8 @@ from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.records import read_record, write_history
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
+from ringtrue.shapes.mac import auto_mac
+from ringtrue.study.results import CompareStage, Evidence
 from ringtrue.study.run import run_study
 from ringtrue.study.words import told
 from ringtrue.virtual.logbook import write_sheet
@@ -101,7 +105,9 @@ def test_modes_of_a_file_and_a_sensor_the_wrong_way_round(tmp_path: Path) -> Non
     done = run_study(study(tmp_path, 'modes = "test.json"'), until="correlate")
     deliver(done)
     assert len(done.results["correlate"].initial) >= 7
-    assert f"channel {modes.channels[3]} looks reversed" in "\n".join(told(done.results))
+    lines = told(done.results)
+    assert f"channel {modes.channels[3]} looks reversed" in lines[-2]
+    assert "row in the sensor sheet" in lines[-1]
     sheet = list(csv.reader((tmp_path / "sensors.csv").read_text().splitlines()))
     row = next(r for r in sheet if r[5] == modes.channels[3])
     row[4] = "-" + row[4][1:]  # as it was mounted; its channel keeps its name
@@ -110,6 +116,18 @@ def test_modes_of_a_file_and_a_sensor_the_wrong_way_round(tmp_path: Path) -> Non
     again = run_study(tmp_path / "study.toml", until="correlate").results
     assert again["correlate"].initial.mean_mac() > 98
     assert "looks" not in "\n".join(told(again))
+
+
+def test_a_channel_that_two_tests_do_not_agree_on_is_told(tmp_path: Path) -> None:
+    """Dead in the ambient record alone: the model is compared with the hammer modes, which are whole."""
+    modes = true_modes(tmp_path)
+    dead = np.where(np.arange(len(modes.channels)) == 3, 1e-4, 1.0)[:, None]
+    one, two = replace(modes, shapes=modes.shapes * dead), modes
+    table = correlation_table(one, two, pairing := pair_modes(one, two))
+    stage = CompareStage(table, Evidence(complete(one, two, pairing), auto_mac(one.shapes)))
+    lines = told({"compare": stage})
+    assert f"channel {modes.channels[3]} looks dead in the ambient against the hammer test" in lines[0]
+    assert "row in the sensor sheet" in lines[-1]
 
 
 @pytest.mark.parametrize(

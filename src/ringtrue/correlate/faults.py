@@ -267,7 +267,7 @@ def _suspects(f: ChannelFault, channels: tuple[str, ...], now: float, then: floa
         ]
     text = f"reads {f.factor:.3g} times what it should{_usual(f.factor)}; divided by it: {told}"
     if f.fault == "dead":
-        text = f"reads next to nothing of what the model expects; left out: {told}"
+        text = f"reads next to nothing of what it should; left out: {told}"
     if f.fault == "reversed":
         text = f"reads with the opposite sign in all modes; turned: {told}"
     return [Suspect(one, f.fault, text, "", f.factor, now, then)]

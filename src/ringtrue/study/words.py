@@ -8,9 +8,18 @@ from typing import Any
 import numpy as np
 
 from ringtrue.correlate.pairing import CorrelationTable
-from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage, TuneStage, UncertaintyStage, UpdateStage
+from ringtrue.study.results import (
+    CompareStage,
+    CorrelateStage,
+    Evidence,
+    FinalStage,
+    IdentifyStage,
+    TuneStage,
+    UncertaintyStage,
+    UpdateStage,
+)
 
-MEND = "see its row in the sensor sheet (direction, place, unit); [test] leave_out = [...] leaves it out"
+MEND = "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out = [...] leaves it out"
 
 NO_CHANGE = (
     "no change of the candidates pays for its parameters (AICc): the one that explains most by itself was updated all "
@@ -40,9 +49,21 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     if alone and localise is not None and not localise.proposal.members:
         out.append(NO_CHANGE)
     evidence = final.evidence if final is not None else correlate.evidence if correlate is not None else None
-    if evidence is not None:
-        out += [f"channel {s.channel} looks {s.fault}: {s.message}; {MEND}" for s in evidence.measures.suspects]
-    return tuple(out)
+    return (*out, *_suspects(evidence, r.get("compare")))
+
+
+def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str]:
+    """Channels that contradict the model, and others that ambient and hammer test do not agree on."""
+    found = evidence.measures.suspects if evidence is not None else ()
+    out = [f"channel {s.channel} looks {s.fault}: {s.message}" for s in found]
+    more = tests.evidence.measures.suspects if tests is not None and tests.evidence is not None else ()
+    named = {s.channel for s in found}
+    out += [
+        f"channel {s.channel} looks {s.fault} in the ambient against the hammer test: {s.message}"
+        for s in more
+        if s.channel not in named
+    ]
+    return [*out, MEND] if out else []
 
 
 def _found(identify: IdentifyStage) -> str:

@@ -43,6 +43,8 @@ class Assignment:
     ----------
     pairs : (m, 2) int64
         Test mode and model mode, in the order of frequency at the end.
+    first : (m,) int64
+        The same model modes in the order of frequency at the start: what tells two assignments apart that end alike.
     x : (p,) float64
     covariance : (p, p) float64
     cost : float
@@ -55,6 +57,7 @@ class Assignment:
     """
 
     pairs: Int
+    first: Int
     x: Float
     covariance: Float
     cost: float
@@ -64,7 +67,7 @@ class Assignment:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, pairs=np.int64, x=f, covariance=f, frequencies=f, mac=f)
+        freeze_fields(self, pairs=np.int64, first=np.int64, x=f, covariance=f, frequencies=f, mac=f)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,10 +119,14 @@ class Suspended:
             if covered >= SURE:
                 break
             covered += a.weight
-            pairs = ", ".join(f"{t + 1}:{f + 1}" for t, f in a.pairs.tolist())
+            both = zip(a.pairs[:, 0].tolist(), a.first.tolist(), strict=True)
+            pairs = ", ".join(f"{t + 1}:{f + 1}" for t, f in both)
             factors = self.parameters.factors(a.x)
             names = zip(self.parameters.names, factors.tolist(), strict=True)
-            told.append(f"{100 * a.weight:.0f} %: test:model {pairs}; " + ", ".join(f"{n} {v:.3g}" for n, v in names))
+            told.append(
+                f"{100 * a.weight:.0f} %: test:model before tuning {pairs}; "
+                + ", ".join(f"{n} {v:.3g}" for n, v in names)
+            )
         return tuple(told)
 
 
@@ -181,7 +188,7 @@ def tune(
             progress((i + 1) / min(keep, len(order)), f"assignment {i + 1}")
     if not found:
         raise NotConverged("no assignment of rigid-body modes can be solved: look at bounds and start")
-    return Suspended(model.parameters, _weighed(model, target, tests, found), considered)
+    return Suspended(model.parameters, _weighed(model, target, tests, labels, found), considered)
 
 
 def _ranked(model: ObservedModel, target: Target, now: Linearisation, tests: Int, labels: Int) -> tuple[Int, int]:
@@ -275,7 +282,9 @@ def _same(model: ObservedModel, tests: Int, a: _At, choice: Int, b: _At, other: 
     return near and bool((a.modes[choice] == b.modes[other]).all())
 
 
-def _weighed(model: ObservedModel, target: Target, tests: Int, ends: list[tuple[_At, Int]]) -> tuple[Assignment, ...]:
+def _weighed(
+    model: ObservedModel, target: Target, tests: Int, labels: Int, ends: list[tuple[_At, Int]]
+) -> tuple[Assignment, ...]:
     """Assignments by their evidence, residuals larger than foreseen taken as model discrepancy of all of them."""
     w = np.diag(1 / model.parameters.std() ** 2)
     inner = [e.slope.T @ e.slope for e, _ in ends]
@@ -296,6 +305,7 @@ def _weighed(model: ObservedModel, target: Target, tests: Int, ends: list[tuple[
         out.append(
             Assignment(
                 pairs,
+                labels[choice],
                 e.x,
                 np.asarray(np.linalg.inv(n), dtype=np.float64),
                 e.cost,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from ringtrue.correlate.complete import Check
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
@@ -20,6 +23,8 @@ from ringtrue.report.parts import (
 )
 from ringtrue.report.sections import shapes, survey
 from ringtrue.report.stages import Stages
+
+GOOD, BAD, UNFIT = Cell("passed", "good"), Cell("failed", "bad"), Cell("no verdict", "warn")
 
 
 def section(data: Stages) -> Section | None:
@@ -98,21 +103,27 @@ def _evidence(data: Stages) -> list[Block]:
         return []
     e, table = final.evidence.measures, final.table
     missed = len(data.acceptance.missed(table))
-    good, bad = Cell("passed", "good"), Cell("failed", "bad")
     rows: list[tuple[str, str, str | Cell]] = [
-        (f"Pairs with {data.acceptance.words()}", f"{len(table) - missed} of {len(table)}", bad if missed else good)
+        (f"Pairs with {data.acceptance.words()}", f"{len(table) - missed} of {len(table)}", BAD if missed else GOOD)
     ]
-    for c in [c for c in e.checks if c.kind == "cross"][:1]:
-        v = c.verdict
-        told = f"pairs ≥ {100 * v.least_diagonal:.0f} %, others ≤ {100 * v.largest_off_diagonal:.0f} %"
-        rows.append((f"Cross-orthogonality, {c.mass} mass, gate {v.gate.name}", told, good if v.passed else bad))
+    rows += [_orthogonality(c, e.checks) for c in e.checks if c.kind == "cross"][:1]
     names = ", ".join(dict.fromkeys(s.channel for s in e.suspects))
-    rows.append(("Channels that look faulty", names or "none", Cell("look", "warn") if names else good))
+    rows.append(("Channels that look faulty", names or "none", Cell("look", "warn") if names else GOOD))
     if (frfs := final.evidence.frfs) is not None:
         before, after = (100 * float(c.shape.mean()) for c in (frfs.initial, frfs.final))
         rows.append(("Shape correlation of the FRFs, mean of the lines", f"{before:.0f} → {after:.0f} %", ""))
     caption = "The evidence of the final correlation, in short."
     return [Heading("What it rests on"), Table(("|Evidence", "|Found", "|"), rows, caption)]
+
+
+def _orthogonality(cross: Check, checks: Sequence[Check]) -> tuple[str, str, Cell]:
+    """What the mass at the channels says, if it keeps the model's own modes apart."""
+    v = cross.verdict
+    name = f"Cross-orthogonality, {cross.mass} mass, gate {v.gate.name}"
+    if any(c.kind == "model" and c.mass == cross.mass and not c.verdict.passed for c in checks):
+        return name, "not to be judged: at these channels the model's own modes are not kept apart", UNFIT
+    told = f"pairs ≥ {100 * v.least_diagonal:.0f} %, others ≤ {100 * v.largest_off_diagonal:.0f} %"
+    return name, told, GOOD if v.passed else BAD
 
 
 def _beside(left: list[Block], right: Block | None) -> list[Block]:

@@ -24,11 +24,12 @@ def run(desk: Workbench, progress: Progress) -> CompareStage | None:
     common = [c for c in ambient.channels if c in set(found.hammer.channels)]
     if not common:
         return None
-    a, b = ambient.rows(common), found.hammer.rows(common)
+    high = np.flatnonzero(found.hammer.frequencies >= edge)
+    a, b = ambient.rows(common), found.hammer.take(high).rows(common)
     names = ("ambient", "hammer")
     gates = settings(desk.config)
     pairing = pair_modes(a, b, gates, names=names)
-    measures = complete(a, b, pairing, std_a=std, std_b=found.hammer_uncertainty.frequency, settings=gates)
+    measures = complete(a, b, pairing, std_a=std, std_b=found.hammer_uncertainty.frequency[high], settings=gates)
     return CompareStage(
         correlation_table(a, b, pairing, std_hz=std, names=names), Evidence(measures, auto_mac(a.shapes))
     )
