@@ -20,6 +20,7 @@ from ringtrue.shapes.mac import mac
 NEAR = 0.02  # relative distance of frequencies that may be one mode
 LEAST = 0.02  # mean 1 − MAC that calls for a reason
 CURED = 0.3  # of it that may be left
+SEEN = 3  # modes that must be mended, or all that are in common: one or two may have poor shapes for another reason
 MOST = 3  # faults that are looked for
 WIDEST = 40  # common channels
 
@@ -68,19 +69,25 @@ def common_faults(records: Sequence[ModeSet]) -> tuple[CommonFault, ...]:
     for _ in range(MOST):
         best: CommonFault | None = None
         for r in range(1 if len(now) == 2 else 0, len(now)):
-            before = _misfit(now, r, now[r])
-            if not before > LEAST:
+            before = _misfits(now, r, now[r])
+            if not _mean(before) > LEAST:
                 continue
             for channels in _trials(now, r):
-                after = _misfit(now, r, undone(now[r], channels))
-                gain = before - after
-                if after < CURED * before and (best is None or gain > best.after - best.before):
-                    best = CommonFault(r, channels, 1 - before, 1 - after, len(now) > 2)
+                after = _misfits(now, r, undone(now[r], channels))
+                gain = _mean(before) - _mean(after)
+                if _cured(before, after) and (best is None or gain > best.after - best.before):
+                    best = CommonFault(r, channels, 1 - _mean(before), 1 - _mean(after), len(now) > 2)
         if best is None:
             break
         now[best.record] = undone(now[best.record], best.channels)
         out.append(best)
     return tuple(out)
+
+
+def _cured(before: Float, after: Float) -> bool:
+    """Whether most of the misfit goes, and not in one or two modes alone."""
+    mended = (before > LEAST) & (after < CURED * before)
+    return _mean(after) < CURED * _mean(before) and bool(mended.sum() >= min(SEEN, np.isfinite(before).sum()))
 
 
 def undone(modes: ModeSet, channels: tuple[str, ...]) -> ModeSet:
@@ -99,23 +106,34 @@ def _trials(records: Sequence[ModeSet], r: int) -> Iterator[tuple[str, ...]]:
         yield from combinations(shared, 2)
 
 
-def _misfit(records: Sequence[ModeSet], r: int, changed: ModeSet) -> float:
-    """Mean 1 − MAC of the modes of one record with those of all others that it shares three channels with."""
-    parts = [_one_minus_mac(changed, m) for k, m in enumerate(records) if k != r]
-    every = np.concatenate([p for p in parts if p.size > 1] or [np.zeros(0)])
-    return float(every.mean()) if every.size else 0.0
+def _misfits(records: Sequence[ModeSet], r: int, changed: ModeSet) -> Float:
+    """(m,) 1 − MAC of each mode of a record, mean over all others that it shares three channels with; NaN: in none."""
+    others = [m for k, m in enumerate(records) if k != r]
+    apart = np.array([_one_minus_mac(changed, m) for m in others]).reshape(len(others), len(changed))
+    known = np.isfinite(apart)
+    apart, known = apart[known.sum(axis=1) > 1], known[known.sum(axis=1) > 1]
+    count = known.sum(axis=0)
+    total = np.where(known, apart, 0.0).sum(axis=0)
+    return np.asarray(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0))
+
+
+def _mean(misfits: Float) -> float:
+    known = misfits[np.isfinite(misfits)]
+    return float(known.mean()) if known.size else 0.0
 
 
 def _one_minus_mac(a: ModeSet, b: ModeSet) -> Float:
-    """(k,) of the modes that two records share, matched by shape among those of like frequency."""
+    """(a,) of the modes that two records share, matched by shape among those of like frequency; NaN without a match."""
+    out = np.full(len(a), np.nan)
     shared = [c for c in a.channels if c in b.channels]
     if len(shared) < 3 or not len(a) or not len(b):
-        return np.zeros(0)
+        return out
     rows_a, rows_b = _rows(a, shared), _rows(b, shared)
     apart = 1 - mac(a.shapes[rows_a], b.shapes[rows_b])
     near = np.abs(a.frequencies[:, None] / b.frequencies - 1) < NEAR
     i, j = linear_sum_assignment(np.where(near, apart, 10.0))
-    return np.asarray(apart[i, j][near[i, j]])
+    out[i[near[i, j]]] = apart[i, j][near[i, j]]
+    return out
 
 
 def _rows(modes: ModeSet, channels: Sequence[str]) -> Int:

@@ -36,7 +36,7 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         As far as the study was run.
     """
     identify, correlate, final = r.get("identify"), r.get("correlate"), r.get("final")
-    out = [_found(identify)] if identify is not None else []
+    out = [_found(identify), *identify.merge_notes] if identify is not None else []
     if correlate is not None:
         out += [*correlate.gaps, *_pairs(correlate, final)]
     out += [_factor(*row) for row in _factors(r)]

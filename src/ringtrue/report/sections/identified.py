@@ -13,6 +13,7 @@ from ringtrue.report.parts import (
     Cell,
     Columns,
     Heading,
+    Items,
     Key,
     Plot,
     Section,
@@ -21,6 +22,7 @@ from ringtrue.report.parts import (
     Text,
     fixed,
     number,
+    sentence,
 )
 from ringtrue.report.stages import Stages
 
@@ -44,6 +46,8 @@ def section(data: Stages) -> Section | None:
         sides.append([_modes(ident.hammer, ident.hammer_uncertainty, ident.hammer_reasons, caption)])
     if sides:
         blocks.append(Columns(sides) if len(sides) > 1 else sides[0][0])
+    if ident.merge_notes:
+        blocks.append(Items([sentence(n) for n in ident.merge_notes], "Channels undone before merging"))
     if len(ident.ambient_records) > 1:
         blocks.append(_by_record(data))
     return Section("identification", "Identification", blocks)

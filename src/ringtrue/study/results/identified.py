@@ -63,4 +63,5 @@ class IdentifyStage:
     hammer_diagrams: tuple[StableDiagram, ...]
     synthesis_error: Float  # (out, in) relative
     frf_notes: tuple[str, ...] = ()  # of FRFs that were given as such; those of hammer records are with the records
+    merge_notes: tuple[str, ...] = ()  # what was undone in an ambient record before merging
     source: str = "hammer test"  # where the modes in `hammer` come from: also FRFs, or a file of modes

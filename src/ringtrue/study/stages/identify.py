@@ -306,7 +306,7 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         tuple(found),
         merged.modes if merged else NO_MODES,
         merged.uncertainty if merged else NOT_KNOWN,
-        tuple("; ".join((_reason(p, found), *merged.notes)) for p in merged.provenance) if merged else (),
+        tuple(_reason(p, found) for p in merged.provenance) if merged else (),
         frfs,
         cmif(frfs.data) if frfs else np.zeros((0, 0)),
         rejected,
@@ -316,6 +316,7 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         result.diagrams if result else (),
         result.synthesis_error if result else np.zeros((0, 0)),
         result.notes if result and test.frfs else (),
+        merged.notes if merged else (),
         "FRFs" if test.frfs else "hammer test",
     )
 
