@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import runpy
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -379,6 +383,7 @@ def test_a_wrong_study_is_refused_and_nothing_is_written(tmp_path: Path, capsys:
     assert "lost.bdf" in refused(capsys, "run", study, "--out", out)
     assert "no such file" in refused(capsys, "run", tmp_path / "none.toml")
     assert "no such store" in refused(capsys, "report", tmp_path / "none.h5")
+    assert "study.h5: no such store" in refused(capsys, "report", study)  # the store beside it is meant
     assert not out.exists()
 
 
@@ -400,6 +405,26 @@ def test_a_stopped_run_keeps_the_store_and_says_how_to_go_on(
     assert status == 0
     assert "identify: up to date" in out
     assert "correlate: up to date" in out
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_command_and_what_was_done_is_stored(tmp_path: Path, number: signal.Signals) -> None:
+    study = small_study.write_study(tmp_path, ambient=False)
+    command = [sys.executable, "-m", "ringtrue", "run", str(study)]
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # a background job would ignore it
+    ) as process:
+        assert process.stderr is not None
+        assert any("modes from the signals" in line for line in process.stderr)
+        process.send_signal(number)
+        assert process.stderr.read().splitlines()[-1].startswith("stopped: the stages that were finished are stored")
+    assert process.returncode == 1
+    done = subprocess.run([*command, "--until", "model"], capture_output=True, text=True, check=True)
+    assert "model: up to date" in done.stdout
 
 
 def test_a_stage_that_fails_says_so_in_one_message(

@@ -109,7 +109,7 @@ def _outcome(result: StudyRun) -> str:
 
 
 def report(
-    store: Annotated[Path, typer.Argument(help="study.h5")],
+    store: Annotated[Path, typer.Argument(help="study.h5, or the study.toml beside it")],
     target: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The HTML file.")] = None,
     json: Json = None,
 ) -> int:
@@ -119,6 +119,7 @@ def report(
     """
     if target is not None and not target.parent.is_dir():
         raise ConfigError(f"--out {target}: no folder {target.parent}")
+    store = store.with_name("study.h5") if store.suffix.lower() == ".toml" else store
     path = report_from_store(store, target)
     if json:
         write_json({"report": str(path)} | finite(summarise(load_study(store))), json)

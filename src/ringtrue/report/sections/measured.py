@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.plots import signals as plots
-from ringtrue.report.parts import Block, Items, Plot, Section, Tabs, Text, number, plain
+from ringtrue.report.parts import Block, Items, Plot, Section, Tabs, Text, number, plain, sentence
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import RecordSummary
 
@@ -31,7 +31,7 @@ def _test(records: list[RecordSummary]) -> list[Block]:
 
 
 def _record(r: RecordSummary) -> Block:
-    notes = f" Notes: {'; '.join(r.notes)}." if r.notes else ""
+    notes = f" Notes: {sentence('; '.join(r.notes))}" if r.notes else ""
     return Plot(
         plots.record(r, r.unit.replace("^2", "²")),
         f"{r.name}, {r.excitation}: time preview and power spectral density.{notes}",
