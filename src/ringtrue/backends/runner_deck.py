@@ -173,11 +173,11 @@ class DeckAnalysis:
 
     def _read(self, done: Finished) -> ModeSet:
         """Modes from the most precise file that holds them, on this analysis' DOFs."""
-        files = done.files(*self.program.endings())
+        files, written = done.files(*self.program.endings()), self.program.adapted(self.model)
         problems = []
         for path in files:
             try:
-                found = read_nastran_modes(path, self.model, mass_normalised=True)
+                found = read_nastran_modes(path, written, mass_normalised=True)
             except DataError as e:
                 problems.append(str(e))
                 continue
