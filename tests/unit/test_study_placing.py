@@ -1,4 +1,4 @@
-"""Sensors at a place where two nodes are: on the structure, not on what holds it."""
+"""Sensors at a place where two nodes are: on the structure, not on what holds it; else by their number."""
 
 from __future__ import annotations
 
@@ -45,3 +45,23 @@ def test_of_two_nodes_at_one_place_the_sensor_sits_on_the_moving_one(
     seen = opened.observation(test, 0.01)
     read = [opened.analysis.dofs.node[row.indices].tolist() for row in seen.matrix]
     assert read == [[hub[0]], [2], [hub[1]], [40]]  # 40 is held, too, but nothing else is there
+
+
+@pytest.mark.parametrize("wanted", [2, 30])
+def test_of_two_moving_nodes_at_one_place_the_one_with_the_number_of_the_point_is_read(
+    tmp_path: Path, wanted: int
+) -> None:
+    """A hinge: the bar ends at node 2, another one begins at node 30."""
+    text = DECK.format(hub=(1, 3), ground=(101, 103)).replace("CBAR,2,1,2,", "CBAR,2,1,30,")
+    (tmp_path / "bar.bdf").write_text(text.replace("ENDDATA", "CBUSH,13,2,2,30,,,,0\nENDDATA"))
+    opened = Opened(read_deck(tmp_path / "bar.bdf"), 1.0)
+    test = TestModel(
+        np.array([wanted]),
+        np.array([[1.0, 1e-3, 0]]),
+        ("a",),
+        np.array([wanted]),
+        np.eye(3)[[2]],
+        np.zeros((0, 2), int),
+    )
+    seen = opened.observation(test, 0.01)
+    assert opened.analysis.dofs.node[seen.matrix.indices].tolist() == [wanted]

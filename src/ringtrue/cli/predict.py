@@ -62,7 +62,10 @@ def run(
     where = folder or study.parent
     held = Store(where / "study.h5")
     if "final" not in held.stages():
-        raise ConfigError("the study has no updated model yet: `ringtrue run` it to its final stage first")
+        raise ConfigError(
+            f"{held.path}: no updated model in it: `ringtrue run` the study to its final stage first, or name the "
+            "folder of its results with --out"
+        )
     with progress("predict") as show:
         if chosen == config.predict and seed is None:
             found = run_study(study, out=folder, until="predict", progress=show).results["predict"]

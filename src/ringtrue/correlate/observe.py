@@ -15,6 +15,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 
 Method = Literal["nearest", "rigid"]
+SAME = 1e-6  # of the tolerance: nodes that are as near
 
 
 def observe(
@@ -44,7 +45,8 @@ def observe(
     unit : float
         Model length unit in metres (mm-t-s: 1e-3).
     method : {"nearest", "rigid"}
-        "nearest" takes the translations of the nearest node. "rigid" fits a rigid motion to the translations of the
+        "nearest" takes the translations of the nearest node, of several at one place that with the number of the
+        sensor's point. "rigid" fits a rigid motion to the translations of the
         `neighbours` nearest nodes for sensors that are not on a node (exact for any rigid-body motion).
     neighbours : int
         Nodes of the rigid fit, 3 or more.
@@ -64,10 +66,21 @@ def observe(
     k = min(neighbours, len(node_ids)) if method == "rigid" else 1
     found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
     distance, nearest = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
+    if k == 1:
+        nearest = _by_number(test.at, at, np.asarray(node_ids), xyz, (distance, nearest), SAME * tolerance)
     _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids)[nearest[:, 0]], unit)
     weights = _rigid_weights(at, xyz[nearest], distance, test.directions()) if k > 1 else test.directions()[:, None, :]
     matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
     return Observation(matrix, test.channels, dofs, unit, distance[:, 0])
+
+
+def _by_number(points: Int, at: Float, ids: Int, xyz: Float, found: tuple[Float, Int], same: float) -> Int:
+    """The nearest nodes (channel, 1): where the node that bears the number of the point is as near, that one."""
+    distance, nearest = found
+    order = np.argsort(ids, kind="stable")
+    own = order[np.searchsorted(ids, points, sorter=order).clip(max=ids.size - 1)]
+    near = np.linalg.norm(xyz[own] - at, axis=1) <= distance[:, 0] + same
+    return np.where((ids[own] == points) & near, own, nearest[:, 0])[:, None]
 
 
 def _refuse_far(test: TestModel, distance: Float, tolerance: float, node: Int, unit: float) -> None:

@@ -111,7 +111,7 @@ def missed_words(config: StudyConfig, results: Mapping[str, Any]) -> tuple[str, 
     rule = Acceptance.of(config.correlate)
     return tuple(
         f"{kind}test mode {r.test} ({r.test_hz:.4g} Hz) and FE mode {r.fe} ({r.fe_hz:.4g} Hz): "
-        f"Δf {r.deviation_percent:+.2f} % ({r.deviation_hz:+.3g} Hz), MAC {r.mac_percent:.1f} %"
+        f"Δf {round(r.deviation_percent, 2) + 0.0:+.2f} % ({r.deviation_hz:+.3g} Hz), MAC {r.mac_percent:.1f} %"
         for kind, table in model.tables
         for r in rule.missed(table)
     )
