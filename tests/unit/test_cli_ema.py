@@ -138,7 +138,24 @@ def test_a_shaker_that_runs_all_the_time(tmp_path: Path, capsys: Capture) -> Non
     channels = (Channel("F:3+Z", "force", "N"), *(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES))
     write_history(tmp_path / "s.h5", TimeHistory(np.vstack([force, y]), rate, channels))
     found = ema(capsys, tmp_path / "s.h5", "--shaker", 0.05, "--fmax", 70)
-    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-3)
+    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
+    assert [m["damping"] for m in found["modes"]] == pytest.approx(ZETA, rel=0.01)  # Hann windows of 20 s add 5 %
+
+
+def test_two_shakers_in_one_file(tmp_path: Path, capsys: Capture) -> None:
+    rng, rate, n = np.random.default_rng(5), 256.0, 1 << 15
+    force = rng.standard_normal((2, n))
+    s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / rate)
+    h = [s[:, None] ** 2 * receptance(s, RESPONSES, k) for k in (1, 2)]
+    spectrum = sum(x * np.fft.rfft(f, 2 * n)[:, None] for x, f in zip(h, force, strict=True))
+    y = np.fft.irfft(spectrum, axis=0)[:n].T
+    channels = tuple(Channel(f"F:{k + 1}+Z", "force", "N") for k in (1, 2))
+    channels += tuple(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES)
+    write_history(tmp_path / "s.h5", TimeHistory(np.vstack([force, y]), rate, channels))
+    found = ema(capsys, tmp_path / "s.h5", "--shaker", 0.1, "--fmax", 70)
+    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
+    with pytest.raises(ConfigError, match="has 2 forces"):
+        read_blows([tmp_path / "s.h5"], BlowFiles(struck=("2+Z",)), shakers=True)
 
 
 def test_refusals(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -32,7 +32,7 @@ from ringtrue.cli.identify import (
 from ringtrue.cli.levels import check_levels, levels_json, print_levels
 from ringtrue.cli.show import progress, tell, write_json
 from ringtrue.core.progress import Progress, part
-from ringtrue.core.signals import FrfSet
+from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, about
 from ringtrue.identify.frf_methods import identify_frfs_by
 from ringtrue.identify.hammer import HammerModes, identify_hammer
@@ -43,6 +43,7 @@ from ringtrue.io.frfs import holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.signal.frf import estimate_columns, join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings, HitReport
+from ringtrue.signal.local_rational import local_frfs
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
@@ -118,7 +119,8 @@ def ema(
     ] = None,
     estimator: Annotated[Estimator, typer.Option(help="FRF estimator.")] = Estimator.H1,
     shaker: Annotated[
-        float | None, typer.Option(metavar="HZ", help="The force runs all the time: Welch spectra with lines HZ apart.")
+        float | None,
+        typer.Option(metavar="HZ", help="The force runs all the time: FRFs without leakage, lines HZ apart."),
     ] = None,
     level: Annotated[
         list[float] | None,
@@ -246,14 +248,21 @@ def _measured(
         frfs = found[0] if len(found) == 1 else join_frfs(found)
         batches = tuple(_frfs_without(f, files[0], how.leave_out) for f in found) if len(found) > 1 else ()
         return _Measured(_frfs_without(frfs, files[0], how.leave_out), batches=batches)
-    records, ranges, notes = read_blows(files, how)
+    records, ranges, notes = read_blows(files, how, shakers=shaker is not None)
     if shaker is not None:
-        parts = [shaker_frfs(r, Welch(shaker), estimator=want.estimator).frfs for r in records]
-        notes = (*notes, f"{parts[0].averages[0]:.3g} independent averages")
+        parts = [_shaken(r, shaker, want.estimator) for r in records]
+        notes = (*notes, f"{parts[0].averages[0]:.3g} independent averages at each line")
         return _Measured(join_frfs(parts), (), notes, setups_of(parts))
     columns, hits = estimate_columns(records, want, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(columns)
     return _Measured(frfs, hits, (*notes, *_said(frfs, hits)), setups_of(columns))
+
+
+def _shaken(record: TimeHistory, resolution: float, estimator: Literal["H1", "H2", "Hv"]) -> FrfSet:
+    """FRFs without leakage, or, where the noise on the force counts, by Welch's spectra."""
+    if estimator == "H1":
+        return local_frfs(record, resolution)
+    return shaker_frfs(record, Welch(resolution), estimator=estimator).frfs
 
 
 def _said(frfs: FrfSet, hits: Sequence[HitReport]) -> tuple[str, ...]:

@@ -245,22 +245,27 @@ def _local_error(lines: Lines, state: State) -> tuple[Float, Float]:
     """Squared weighted errors where each mode is seen: (out, m) of its residues, (m,) of its pole and participation.
 
     The errors of measured FRFs grow with the response, in the channels that see a mode most of all: so each error
-    counts as much as it moves the parameter, and what the fit takes of it is given back.
+    counts as much as it moves the parameter, and what the fit takes of it is given back. Those that all responses
+    share, as of noise on the force, move a pole together: their sum along the shape counts where it is larger.
     """
     m, n_out = state.poles.size, state.shapes.shape[0]
     rest = weighted_rest(lines, state.poles, state.part / lines.input, state.shapes)
     part = (np.abs(state.part) ** 2).T[:, None]
     by_shape, by_pole = (part * np.abs(functions(lines, state.poles, k)[:, :m]) ** 2 for k in (1, 2))
     by_shape, by_pole = (w / w.sum(axis=(0, 1)) for w in (by_shape, by_pole))  # (in, freq, mode)
-    taken = 1 - by_shape - by_pole / n_out
     early = _early(lines, rest, state.poles)
+    seen = state.shapes * lines.response[:, None]
+    seen = seen / np.linalg.norm(seen, axis=0)
+
+    def left(weight: Float, responses: int) -> Float:
+        return np.maximum((weight * (1 - by_shape - by_pole / responses)).sum(axis=(0, 1)), 0.1)
+
     power = 0.5 * np.abs(rest) ** 2
-    own, shared = (
-        np.tensordot(power, w / np.maximum((w * taken).sum(axis=(0, 1)), 0.1), ([0, 1], [0, 1])) * e
-        for w, e in zip((by_shape, by_pole), early, strict=True)
-    )
-    share = (np.abs(state.shapes) * lines.response[:, None]) ** 2
-    return own, (shared * share).sum(axis=0) / share.sum(axis=0)
+    own = np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1])) * early[0]
+    apart = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
+    apart = (apart * np.abs(seen) ** 2).sum(axis=0)
+    together = 0.5 * (by_pole * np.abs(rest @ seen.conj()) ** 2).sum(axis=(0, 1)) / left(by_pole, 1)
+    return own, np.maximum(apart, together) * early[1]
 
 
 def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:

@@ -82,6 +82,38 @@ def shaker_frfs(
     """
     if estimator not in _ESTIMATORS:
         raise ConfigError(f"estimator {estimator!r}{did_you_mean(estimator, _ESTIMATORS)}")
+    ordered, q = sorted_channels(history, inputs)
+    if estimator == "H2" and q > 1:
+        raise ConfigError(f"H2 of {q} inputs is not determined; take H1 or Hv")
+    spectra = csd(ordered, settings)
+    length = round(history.rate / settings.resolution)
+    n = independent_segments(history.data.shape[1], length, settings) - (q - 1)
+    if n < 2:
+        raise DataError(f"{history.source}: {n + q - 1:.3g} independent segments for {q} inputs")
+    g = spectra.data[1:]  # the mean is taken out, there is nothing at 0 Hz
+    h, partial, ordinary, multiple, condition = _estimate(g, q, estimator)
+    frfs = FrfSet(
+        h,
+        spectra.freqs[1:],
+        ordered.channels[q:],
+        tuple(_input(c) for c in ordered.channels[:q]),
+        partial,
+        np.full(q, n),
+        FRF_KIND[ordered.channels[q].quantity],
+        0.0,
+        history.source,
+    )
+    return ShakerFrfs(frfs, ordinary, multiple, condition)
+
+
+def sorted_channels(history: TimeHistory, inputs: Sequence[str] = ()) -> tuple[TimeHistory, int]:
+    """The record with its forces first, and their number.
+
+    Raises
+    ------
+    DataError
+        If there is no force channel, a channel is constant or not finite, or the responses are of different kinds.
+    """
     forces = list(inputs) or [c.id for c in history.channels if c.quantity == "force"]
     others = [c for c in history.channels if c.id not in forces and c.quantity != "force"]
     kinds = {c.quantity for c in others}
@@ -92,28 +124,7 @@ def shaker_frfs(
         )
     ordered = history.pick([*forces, *(c.id for c in others)])
     _check(ordered)
-    if estimator == "H2" and len(forces) > 1:
-        raise ConfigError(f"H2 of {len(forces)} inputs is not determined; take H1 or Hv")
-    spectra = csd(ordered, settings)
-    length = round(history.rate / settings.resolution)
-    n = independent_segments(history.data.shape[1], length, settings) - (len(forces) - 1)
-    if n < 2:
-        raise DataError(f"{history.source}: {n + len(forces) - 1:.3g} independent segments for {len(forces)} inputs")
-    q = len(forces)
-    g = spectra.data[1:]  # the mean is taken out, there is nothing at 0 Hz
-    h, partial, ordinary, multiple, condition = _estimate(g, q, estimator)
-    frfs = FrfSet(
-        h,
-        spectra.freqs[1:],
-        tuple(others),
-        tuple(_input(c) for c in ordered.channels[:q]),
-        partial,
-        np.full(q, n),
-        FRF_KIND[kinds.pop()],
-        0.0,
-        history.source,
-    )
-    return ShakerFrfs(frfs, ordinary, multiple, condition)
+    return ordered, len(forces)
 
 
 def _input(channel: Channel) -> Channel:

@@ -70,9 +70,16 @@ def kept_blows(hits: Sequence[HitReport]) -> str:
 
 
 def read_blows(
-    paths: Sequence[Path], how: BlowFiles | None = None
+    paths: Sequence[Path], how: BlowFiles | None = None, *, shakers: bool = False
 ) -> tuple[tuple[TimeHistory, ...], dict[str, float], tuple[str, ...]]:
     """The records of all files, a force channel and motions each, ready for `signal.frf.estimate_frf`.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+    how : BlowFiles, optional
+    shakers : bool
+        The forces run all the time: a record may have several of them.
 
     Returns
     -------
@@ -103,7 +110,7 @@ def read_blows(
     for i, path, run in runs:
         kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
         point = how.struck[min(i, len(how.struck) - 1)] if how.struck else ""
-        record, said = _prepared(kept, how, point)
+        record, said = _prepared(kept, how, point, shakers)
         refuse_bad_samples(record, path)
         records.append(record)
         notes.update(dict.fromkeys(said))
@@ -119,11 +126,14 @@ def _runs(path: Path, how: BlowFiles) -> Iterator[TimeHistory]:
         yield replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}")
 
 
-def _prepared(record: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHistory, list[str]]:
-    """The force, named after the point struck, and the motions."""
-    at = force_channel(record, HammerSettings(force=how.force))
-    force, notes = record.channels[at], list[str]()
-    rest = [i for i in range(len(record.channels)) if i != at]
+def _prepared(record: TimeHistory, how: BlowFiles, point: str, shakers: bool) -> tuple[TimeHistory, list[str]]:
+    """The force, named after the point struck, and the motions; several forces where they are `shakers`."""
+    at = [i for i, c in enumerate(record.channels) if c.quantity == "force"] if shakers and not how.force else []
+    at = at if len(at) > 1 else [force_channel(record, HammerSettings(force=how.force))]
+    notes = list[str]()
+    if point and len(at) > 1:
+        raise ConfigError(f"--struck {point}: {record.source} has {len(at)} forces; their names tell their points")
+    rest = [i for i in range(len(record.channels)) if i not in at]
     motions = [i for i in rest if record.channels[i].quantity in SI_UNIT]
     unknown = [i for i in rest if record.channels[i].quantity == "unknown"]
     quantity = cast(Motion, how.quantity or "acceleration")
@@ -134,10 +144,12 @@ def _prepared(record: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHist
     if lost := [record.channels[i].id for i in rest if i not in motions]:
         notes.append(f"channel {' '.join(lost)}: no motion, not used")
     if not motions:
-        raise DataError(f"{record.source}: no channel but the force {force.id} is a motion")
-    named = Channel(f"F:{point}" if point else force.id, "force", "N", force.sensor)
+        raise DataError(f"{record.source}: no channel but the force {record.channels[at[0]].id} is a motion")
     channels = [
         c if c.quantity in SI_UNIT else Channel(c.id, quantity, SI_UNIT[quantity], c.sensor) for c in record.channels
     ]
-    data = np.asarray(record.data[[at, *motions]])
-    return TimeHistory(data, record.rate, (named, *(channels[i] for i in motions)), record.source), notes
+    forces = [
+        Channel(f"F:{point}" if point else c.id, "force", "N", c.sensor) for c in (record.channels[i] for i in at)
+    ]
+    data = np.asarray(record.data[[*at, *motions]])
+    return TimeHistory(data, record.rate, (*forces, *(channels[i] for i in motions)), record.source), notes

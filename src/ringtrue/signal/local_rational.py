@@ -1,0 +1,159 @@
+"""FRFs from continuous forces without leakage: a local rational model around each line of the whole record.
+
+The transform of a record that neither begins nor ends at rest is Y = H U + T: the transient T, which windows only
+spread, is as smooth over the lines as H is. Around a line the two are ratios of polynomials over one denominator, that of
+all responses and forces, as poles are theirs: D Y = B U + I, linear but for the weight 1/|D| of the equation error.
+Sources: McKelvey, Guérin (2012), Non-parametric frequency response estimation using a local rational model; Pintelon,
+Schoukens (2012), System Identification, chapter 7; Sanathanan, Koerner (1963) for the weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import rfft
+
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.motions import FRF_KIND
+from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.signal.hits import input_id
+from ringtrue.signal.spectra import sorted_channels
+
+DEGREE = 2  # of every polynomial: two poles, and what other modes add
+TURNS = 3  # of the weight
+SPARE = 2.0  # lines of the record to unknowns of a window, at least
+FILLED = 0.4  # of the lines carry a random force; fewer do of a periodic one
+SEEN = 4.0  # times its variance is the square of an FRF, mean over the responses, of a line that tells something
+CLOSE = 1e-3  # of its value at the middle, that the denominator is taken for at least
+BATCH = 2_000_000  # values in memory
+
+
+def local_frfs(history: TimeHistory, resolution: float, *, inputs: Sequence[str] = ()) -> FrfSet:
+    """FRFs of all responses against all forces; lines at which one of these moves nothing are left out.
+
+    Parameters
+    ----------
+    history : TimeHistory
+    resolution : float, Hz
+        Distance of the frequency lines; each rests on the lines of the record this far to both sides, further where
+        these are few or carry no force.
+    inputs : sequence of str, optional
+        Ids of the force channels; by default all channels whose quantity is force.
+
+    Returns
+    -------
+    FrfSet
+        Its coherence is that of each input with the others taken out, `frf.frf_variance` holds with it; `averages` are
+        degrees of freedom of a window.
+
+    Raises
+    ------
+    DataError
+        As `spectra.shaker_frfs` does.
+    """
+    ordered, q = sorted_channels(history, inputs)
+    n, n_out = ordered.data.shape[1], len(ordered.channels) - q
+    x = np.asarray(ordered.data, dtype=np.float64)
+    lines = np.asarray(rfft(x - x.mean(axis=1, keepdims=True), axis=1).T) / np.sqrt(n)
+    unknowns = (DEGREE + 1) * (q + 1) + DEGREE
+    width = max(round(2 * resolution * n / ordered.rate), round(SPARE * unknowns)) | 1
+    width = round(width * max(1.0, FILLED / _filled(lines[1:, :q], width))) | 1
+    if width > lines.shape[0] // 2:
+        raise DataError(f"{history.source}: {ordered.duration:.4g} s are too short for {q} inputs")
+    middle = np.arange(1, int(0.5 * ordered.rate / resolution)) * (resolution * n / ordered.rate)
+    middle = np.rint(middle).astype(np.int64)
+    first = np.clip(middle - width // 2, 1, lines.shape[0] - width)
+    h, variance = _all_fits(lines, q, middle, first, width)
+    freedom = width - unknowns + DEGREE - DEGREE / n_out
+    power = np.abs(h) ** 2
+    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1).min(axis=1) > SEEN
+    if not seen.any():
+        raise DataError(f"{history.source}: at no line does every force move something")
+    coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
+    kind = FRF_KIND[ordered.channels[q].quantity]
+    forces = tuple(replace(c, id=input_id(c.id)) for c in ordered.channels[:q])
+    freqs, averages = middle * (ordered.rate / n), np.full(q, freedom)
+    told = (ordered.channels[q:], forces, coherence[seen], averages, kind, 0.0, history.source)
+    return FrfSet(h[seen], freqs[seen], *told)
+
+
+def _all_fits(lines: Complex, q: int, middle: Int, first: Int, width: int) -> tuple[Complex, Float]:
+    """FRFs (window, out, in) and the variance of their parts at `middle`, a batch of windows at a time."""
+    n_out = lines.shape[1] - q
+    h, variance = (np.empty((middle.size, n_out, q), dtype=t) for t in (np.complex128, np.float64))
+    size = max(1, BATCH // (width * n_out * (DEGREE + 1)))
+    for a in range(0, middle.size, size):  # all windows at once would not fit in memory
+        at = first[a : a + size, None] + np.arange(width)
+        r = (at - middle[a : a + size, None]) / (0.5 * width)
+        h[a : a + size], variance[a : a + size] = _fit(lines[at][..., :q], lines[at][..., q:], r)
+    return h, variance
+
+
+def _filled(lines: Complex, width: int) -> float:
+    """Share of the lines (freq, in) that carry the force, (Σp)²/(nΣp²) where there is most of it."""
+    count = max(lines.shape[0] // width, 1)
+    p = np.abs(lines[: count * width].reshape(count, -1, lines.shape[1])) ** 2
+    total, square = p.sum(axis=1), np.maximum((p**2).sum(axis=1), np.finfo(np.float64).tiny)
+    return float(((total**3 / square).sum(axis=0) / total.sum(axis=0)).min() / p.shape[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reduced:
+    """Triangle (window, p, p) of the regressors, their products (window, p, y) with the data, and what they leave."""
+
+    triangle: Complex
+    product: Complex
+    rest: Complex  # (window, row, y)
+
+
+def _fit(u: Complex, y: Complex, r: Float) -> tuple[Complex, Float]:
+    """FRFs and variance of their parts, (window, out, in), at r = 0, from lines (window, row, in or out) at r."""
+    q, n_out = u.shape[2], y.shape[2]
+    powers = r[..., None] ** np.arange(DEGREE + 1)
+    forced = (powers[..., :, None] * u[..., None, :]).reshape(*r.shape, -1)
+    regressors = np.concatenate([forced, powers], axis=2)
+    data = (y[..., None] * powers[:, :, None]).reshape(*r.shape, -1)
+    weight, coefficients = np.ones(r.shape), np.zeros((r.shape[0], DEGREE + 1), dtype=np.complex128)
+    coefficients[:, 0] = 1
+    noise = np.ones((r.shape[0], n_out))
+    for turn in range(TURNS):
+        if turn:
+            weight = 1 / np.maximum(np.abs((powers @ coefficients[..., None])[..., 0]), CLOSE)
+        reduced = _reduced(regressors * weight[..., None], data * weight[..., None])
+        rest = reduced.rest.reshape(*r.shape, n_out, DEGREE + 1)
+        noise = noise if turn else _power(rest[..., 0])
+        coefficients = _denominator(rest, noise)
+        noise = _power((rest @ coefficients[:, None, :, None])[..., 0])
+    product = reduced.product.reshape(r.shape[0], -1, n_out, DEGREE + 1)
+    right = np.einsum("wpod,wd->wpo", product, coefficients)
+    inverse = np.linalg.inv(reduced.triangle)[:, :q]  # of small triangles; its rows are the covariance, too
+    free = r.shape[1] - regressors.shape[2] - DEGREE / n_out
+    variance = 0.5 * noise[:, :, None] / free * (np.abs(inverse) ** 2).sum(axis=2)[:, None]
+    return (inverse @ right).transpose(0, 2, 1), variance
+
+
+def _power(x: Complex) -> Float:
+    """(window, out) sum over the rows."""
+    return np.asarray(np.maximum((np.abs(x) ** 2).sum(axis=1), np.finfo(np.float64).tiny))
+
+
+def _reduced(regressors: Complex, data: Complex) -> _Reduced:
+    """QR of the regressors, columns scaled."""
+    scale = np.linalg.norm(regressors, axis=1, keepdims=True) + np.finfo(np.float64).tiny
+    basis, triangle = np.linalg.qr(regressors / scale)
+    product = basis.conj().transpose(0, 2, 1) @ data
+    return _Reduced(triangle * scale, product, data - basis @ product)
+
+
+def _denominator(rest: Complex, noise: Float) -> Complex:
+    """(window, DEGREE + 1) coefficients of D, 1 first, of least error in `rest` (window, row, out, DEGREE + 1)."""
+    weighted = (rest / np.sqrt(noise)[:, None, :, None]).reshape(rest.shape[0], -1, rest.shape[3])
+    gram = weighted.conj().transpose(0, 2, 1) @ weighted
+    scale = 1 / np.sqrt(np.maximum(np.einsum("wii->wi", gram).real, np.finfo(np.float64).tiny))
+    gram = scale[:, :, None] * gram * scale[:, None]
+    inner = gram[:, 1:, 1:] + 1e-12 * np.eye(DEGREE)
+    solved = -np.linalg.solve(inner, gram[:, 1:, :1])[..., 0]
+    return np.concatenate([np.ones((rest.shape[0], 1)), solved * scale[:, 1:] / scale[:, :1]], axis=1)
