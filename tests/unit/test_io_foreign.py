@@ -21,7 +21,7 @@ from scipy.io import savemat, wavfile
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.frf_input import frf_notes
-from ringtrue.io.frfs import read_frfs
+from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.lvm import read_lvm_segments
 from ringtrue.io.mat5 import read_mat5
 from ringtrue.io.records import read_record, write_history
@@ -468,3 +468,35 @@ def test_lvm_without_headers(tmp_path):
     got = read_record(tmp_path / "r.lvm")
     assert got.rate == pytest.approx(256)
     np.testing.assert_allclose(got.data, SIGNAL)
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "cell"),
+    [
+        (",", "{re:.6f}{im:+.6f}j"),
+        (",", "({re:.6f}{im:+.6f}j)"),
+        (";", "{re:.6f} {sign} {size:.6f}i"),
+        ("\t", "{re:.4e}{im:+.4e}*i"),
+        (" ", "({re:.6f}{im:+.6f}j)"),
+    ],
+)
+@pytest.mark.parametrize("comma", [False, True])
+def test_complex_cells(tmp_path: Path, delimiter: str, cell: str, comma: bool) -> None:
+    """As NumPy, pandas, MATLAB and spreadsheets write complex numbers; decimal commas where these do not separate."""
+    if comma and delimiter in ", ":
+        return
+    rng = np.random.default_rng(2)
+    h, f = rng.standard_normal((6, 2)) + 1j * rng.standard_normal((6, 2)), np.arange(1, 7) * 0.5
+    rows = [
+        [f"{x:g}"]
+        + [cell.format(re=z.real, im=z.imag, sign="+-"[int(z.imag < 0)], size=abs(z.imag)) for z in row.tolist()]
+        for x, row in zip(f.tolist(), h, strict=True)
+    ]
+    text = "\n".join(delimiter.join(r) for r in rows)
+    head = delimiter.join(["Frequency", "1+Z/3+Z", "2+Z/3+Z"])
+    (tmp_path / "h.csv").write_text(f"{head}\n{text.replace('.', ',') if comma else text}\n")
+    assert holds_frfs(tmp_path / "h.csv")
+    got = read_frfs(tmp_path / "h.csv")
+    assert ([c.id for c in got.outputs], [c.id for c in got.inputs]) == (["1+Z", "2+Z"], ["3+Z"])
+    np.testing.assert_allclose(got.freqs, f)
+    np.testing.assert_allclose(got.data[:, :, 0], h, atol=1e-3)

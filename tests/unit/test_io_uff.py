@@ -57,7 +57,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("ends", ["\n", "\r\n"])
+@pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("letter", ["E", "D", "e"])
 def test_every_case_of_58(tmp_path: Path, name: str, ends: str, letter: str) -> None:
     ordinate, even, body, want = CASES[name]
@@ -254,3 +254,11 @@ def test_repeated_functions_are_averaged_and_the_line_at_0_may_be_missing(tmp_pa
     (tmp_path / "f.uff").write_bytes(write_function(9, freqs, freqs, (1, 3), (2, 3), codes=(18, 12, 13)))
     with pytest.raises(DataError, match="its types are 9"):
         read_record(tmp_path / "f.uff")
+
+
+@pytest.mark.parametrize("rate", [5120.0, 51200.0, 44100.0, 1000.0, 16384.0, 300.0])
+def test_the_rate_is_not_rounded_by_the_six_digits_of_its_step(tmp_path: Path, rate: float) -> None:
+    """1.953125E-04 s is written 1.95313E-04, and would be 5119.987 Hz."""
+    text = function58(lines(Y, (13,) * 6), 2, 1).replace(f"{0.25:13.5E}", f"{1 / rate:13.5E}")
+    (tmp_path / "r.uff").write_text(text)
+    assert read_record(tmp_path / "r.uff").rate == rate

@@ -258,7 +258,7 @@ def _local_error(lines: Lines, state: State) -> tuple[Float, Float]:
     seen = seen / np.linalg.norm(seen, axis=0)
 
     def left(weight: Float, responses: int) -> Float:
-        return np.maximum((weight * (1 - by_shape - by_pole / responses)).sum(axis=(0, 1)), 0.1)
+        return np.asarray(np.maximum((weight * (1 - by_shape - by_pole / responses)).sum(axis=(0, 1)), 0.1))
 
     power = 0.5 * np.abs(rest) ** 2
     own = np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1])) * early[0]

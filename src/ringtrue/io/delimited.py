@@ -14,6 +14,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.clock import is_clock, seconds
+from ringtrue.io.complex_cells import parted
 from ringtrue.io.plain import TIME_NAMES, RawTable, even_rate, numbered, read_text
 from ringtrue.io.si import known
 
@@ -97,6 +98,7 @@ def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
             raise DataError(f"{path}: the last line has no number: the file is empty or cut")
         if lines[len(lines) // 2].rstrip(" ").endswith(delimiter):
             lines = [x.rstrip(" ").removesuffix(delimiter) for x in lines]
+    lines = parted(lines, delimiter, comma, lambda x: _cells(x, delimiter))
     return told, lines, delimiter, comma
 
 

@@ -1,8 +1,8 @@
 """FRFs from continuous forces without leakage: a local rational model around each line of the whole record.
 
 The transform of a record that neither begins nor ends at rest is Y = H U + T: the transient T, which windows only
-spread, is as smooth over the lines as H is. Around a line the two are ratios of polynomials over one denominator, that of
-all responses and forces, as poles are theirs: D Y = B U + I, linear but for the weight 1/|D| of the equation error.
+spread, is as smooth over the lines as H is. Around a line the two are ratios of polynomials over one denominator, that
+of all responses and forces, whose poles are the same: D Y = B U + I, linear but for the weight 1/|D| of its error.
 Sources: McKelvey, Guérin (2012), Non-parametric frequency response estimation using a local rational model; Pintelon,
 Schoukens (2012), System Identification, chapter 7; Sanathanan, Koerner (1963) for the weight.
 """
@@ -116,17 +116,14 @@ def _fit(u: Complex, y: Complex, r: Float) -> tuple[Complex, Float]:
     forced = (powers[..., :, None] * u[..., None, :]).reshape(*r.shape, -1)
     regressors = np.concatenate([forced, powers], axis=2)
     data = (y[..., None] * powers[:, :, None]).reshape(*r.shape, -1)
-    weight, coefficients = np.ones(r.shape), np.zeros((r.shape[0], DEGREE + 1), dtype=np.complex128)
+    coefficients = np.zeros((r.shape[0], DEGREE + 1), dtype=np.complex128)
     coefficients[:, 0] = 1
-    noise = np.ones((r.shape[0], n_out))
-    for turn in range(TURNS):
-        if turn:
-            weight = 1 / np.maximum(np.abs((powers @ coefficients[..., None])[..., 0]), CLOSE)
-        reduced = _reduced(regressors * weight[..., None], data * weight[..., None])
+    for _ in range(TURNS):
+        weight = 1 / np.maximum(np.abs(powers @ coefficients[..., None]), CLOSE)
+        reduced = _reduced(np.asarray(regressors * weight, dtype=np.complex128), data * weight)
         rest = reduced.rest.reshape(*r.shape, n_out, DEGREE + 1)
-        noise = noise if turn else _power(rest[..., 0])
-        coefficients = _denominator(rest, noise)
-        noise = _power((rest @ coefficients[:, None, :, None])[..., 0])
+        coefficients = _denominator(rest, _error(rest, coefficients))
+    noise = _error(rest, coefficients)
     product = reduced.product.reshape(r.shape[0], -1, n_out, DEGREE + 1)
     right = np.einsum("wpod,wd->wpo", product, coefficients)
     inverse = np.linalg.inv(reduced.triangle)[:, :q]  # of small triangles; its rows are the covariance, too
@@ -135,9 +132,10 @@ def _fit(u: Complex, y: Complex, r: Float) -> tuple[Complex, Float]:
     return (inverse @ right).transpose(0, 2, 1), variance
 
 
-def _power(x: Complex) -> Float:
-    """(window, out) sum over the rows."""
-    return np.asarray(np.maximum((np.abs(x) ** 2).sum(axis=1), np.finfo(np.float64).tiny))
+def _error(rest: Complex, coefficients: Complex) -> Float:
+    """(window, out) squares, summed over the rows, of the equation error."""
+    power = np.abs((rest @ coefficients[:, None, :, None])[..., 0]) ** 2
+    return np.asarray(np.maximum(power.sum(axis=1), np.finfo(np.float64).tiny))
 
 
 def _reduced(regressors: Complex, data: Complex) -> _Reduced:

@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.errors import DataError
 from ringtrue.io.uff.fields import numbers, parse_int, reals, row, words
-from ringtrue.io.uff.scan import Block
+from ringtrue.io.uff.scan import LINE, Block
 
 TIME, FRF, TRANSMISSIBILITY, COHERENCE = 1, 4, 5, 6  # function types
 _PLACE = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
@@ -107,11 +107,11 @@ def _split_lines(text: bytes, count: int) -> tuple[list[bytes], bytes]:
     """The first lines and what follows, without splitting the rest."""
     at, lines = 0, []
     for _ in range(count):
-        end = text.find(b"\n", at)
-        if end < 0:
+        end = LINE.search(text, at)
+        if end is None:
             break
-        lines.append(text[at:end].rstrip(b"\r"))
-        at = end + 1
+        lines.append(text[at : end.start()])
+        at = end.end()
     return lines, text[at:]
 
 
@@ -205,7 +205,7 @@ def write_function(
     binary = binary and even
     names = f"{'NONE':<10}{response[0]:10d}{response[1]:4d} {'NONE':<10}{reference[0]:10d}{reference[1]:4d}"
     head = [text[:80] or "NONE", *("NONE",) * 4, f"{kind:5d}{0:10d}{0:5d}{0:10d} {names}"]
-    head.append(f"{ordinate:10d}{x.size:10d}{int(even):10d}{float(x[0]):13.5E}{step:13.5E}{0.0:13.5E}")
+    head.append(f"{ordinate:10d}{x.size:10d}{int(even):10d}{float(x[0]):13.6E}{step:13.6E}{0.0:13.5E}")
     head += [f"{c:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}" for c in (*codes, 0)]
     number = f"{58:6d}"
     if binary:

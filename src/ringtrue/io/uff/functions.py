@@ -29,6 +29,7 @@ _QUANTITY: dict[int, Quantity] = {
     13: "force",
 }
 _SI = {**SI_UNIT, "force": "N"}
+_DIGITS = 5  # after the first, of a step
 _CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 _TIME_AXIS, _FREQUENCY_AXIS = 17, 18
 
@@ -108,7 +109,14 @@ def _rate(f: Function, path: Path) -> float:
     step = float(np.median(np.diff(f.x))) if f.x.size > 1 else 0.0
     if not (np.isfinite(step) and step > 0):
         raise DataError(f"{path}: step of time {step}; it must be positive")
-    return 1 / step
+    return _plain_rate(step)
+
+
+def _plain_rate(step: float) -> float:
+    """The rate of fewest digits whose step is the given one to the six digits that data set 58 holds."""
+    unit = 10.0 ** (np.floor(np.log10(step)) - _DIGITS)
+    rates = (float(f"{1 / step:.{k}e}") for k in range(_DIGITS + 1))
+    return next((r for r in rates if abs(1 / r - step) <= 0.5001 * unit), 1 / step)
 
 
 def _factor(quantity: str, units: Units | None) -> float:

@@ -13,7 +13,7 @@ from ringtrue.io.files import existing
 _USUAL = b"    -1"
 _MARK = re.compile(rb"(?:^|(?<=[\r\n])) {0,5}-1[ \t\x00]*(?=[\r\n]|\Z)")
 _END = re.compile(rb"[\r\n]{0,2} {4}-1[ \t]*(?=[\r\n]|\Z)")
-_LINE = re.compile(rb"\r\n|\n|\r")
+LINE = re.compile(rb"\r\n|\n|\r")
 _ASCII_LINES = 11  # of the header of data set 58
 _FORM = 6  # the line of it with type of ordinates, points, spacing
 _DOUBLE, _COMPLEX = (4, 6), (5, 6)
@@ -45,7 +45,7 @@ class Block:
 
     def lines(self) -> list[str]:
         """The lines of the text, without their ends; empty ones at the end are dropped."""
-        rows = [x.rstrip(b"\x00").decode("latin-1") for x in _LINE.split(self.text)]
+        rows = [x.rstrip(b"\x00").decode("latin-1") for x in LINE.split(self.text)]
         while rows and not rows[-1].strip():
             rows.pop()
         return rows
@@ -100,7 +100,7 @@ def _find(raw: bytes, at: int, usual: bool) -> re.Match[bytes] | None:
 
 
 def _next_line(raw: bytes, at: int) -> int:
-    end = _LINE.search(raw, at)
+    end = LINE.search(raw, at)
     return end.end() if end else len(raw)
 
 
