@@ -133,6 +133,25 @@ def test_frfs_that_disagree_and_short_blocks_are_told() -> None:
     assert any("FRFs that disagree" in n for n in told)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_mode_near_a_node_of_the_only_force(seed: int) -> None:
+    """It makes a few per cent of the response at its frequency, and the noise hides the sign of its driving point."""
+    rng = np.random.default_rng(seed)
+    fn, zeta = np.array([14.0, 20.0, 20.8, 31.0]), 0.008
+    phi = rng.standard_normal((20, 4))
+    phi[0] = 1.0, 1.2, 0.01, -0.9
+    freqs = np.arange(1, 1600) * 0.025
+    s, w = 2j * np.pi * freqs, 2 * np.pi * fn
+    h = np.einsum("fk,ok,k->fo", s[:, None] ** 2 / (s[:, None] ** 2 + 2 * zeta * w * s[:, None] + w**2), phi, phi[0])
+    sigma = 5e-4 * np.sqrt(np.mean(np.abs(h) ** 2, axis=0))
+    y = (h + sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2))[:, :, None]
+    out = tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(20))
+    coherence = 1 / (1 + 4 * (sigma / np.abs(h)) ** 2)[:, :, None]
+    modes = identify_hammer(FrfSet(y, freqs, out, out[:1], coherence, np.full(1, 4.0)), HammerModes(8.0, 38.0)).modes
+    np.testing.assert_allclose(modes.frequencies, fn, rtol=1e-3)
+    assert np.diag(mac(modes.shapes, phi)).min() > 0.98
+
+
 def test_modes_of_complex_shapes_are_found() -> None:
     """Phases of 0.5 rad and more, as of rotors and local dampers: clear in the FRFs, they are no misfit of theirs."""
     frfs, phi = simulate(7, n_in=2, decay=0.0)

@@ -8,11 +8,13 @@ import numpy as np
 from scipy.linalg import lstsq
 
 from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identify.lsfd import driving_pairs
+from ringtrue.shapes.mac import mac, unit
 from ringtrue.signal.frf_checks import passive
 
 _SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite
@@ -25,6 +27,7 @@ _MISFIT = 1e-3  # share of the residues that no single shape explains, and that 
 _CUT = 1.5  # lines in a half-power bandwidth: 1 % of the response is left at the end of the block
 _POOR = 0.05  # of an FRF, that a fit of its modes leaves
 _MODES, _REAL, _DELAYED = 4, 0.9, 0.97  # modes that tell a delay; how real a shape is without and with it
+_SIDE, _UNLIKE, _ALIKE = 1.05, 0.2, 0.9  # ratio of two frequencies, overlap of shapes, MAC of participations
 _LOOKS = 500  # lines that tell the typical coherence
 _MOST_TRIALS = 400_000
 
@@ -127,6 +130,26 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
                 "FRFs that disagree (mass of moved sensors, temperature), short blocks or modes outside the band"
             )
     return tuple(out)
+
+
+def parted_modes(model: ModalModel) -> str:
+    """Tells batches that disagree where a mode of each explains them: side by side, driven alike, seen by others.
+
+    Two bending directions are driven differently; with one reference nothing is said.
+    """
+    if model.participation.shape[1] < 2 or model.poles.size < _MODES:
+        return ""
+    order = np.argsort(model.frequencies)
+    f, shapes, part = model.frequencies[order], np.abs(model.shapes[:, order]), model.participation[order].T
+    both = unit(shapes).T @ unit(shapes)
+    apart = (f / f[:, None] > 1) & (f / f[:, None] < _SIDE) & (both < _UNLIKE) & (mac(part, part) > _ALIKE)
+    first, second = np.nonzero(apart)
+    if 2 * np.unique(first).size < 0.5 * f.size:
+        return ""
+    pairs = ", ".join(f"{f[i]:.5g} and {f[k]:.5g}" for i, k in zip(first[:3], second[:3], strict=True))
+    return (
+        f"modes at {pairs} Hz are driven alike and seen by different responses: FRFs that disagree show each mode twice"
+    )
 
 
 def late_channels(modes: ModeSet) -> tuple[str, ...]:

@@ -19,7 +19,15 @@ from ringtrue.errors import DataError
 from ringtrue.identify.bands_hammer import band_candidates, choose_bands, merged
 from ringtrue.identify.choice_hammer import hand_poles
 from ringtrue.identify.deflate import missed, support
-from ringtrue.identify.frf_input import fit_notes, frf_notes, late_channels, odd_channel, refuse_bad_frfs, sound_pairs
+from ringtrue.identify.frf_input import (
+    fit_notes,
+    frf_notes,
+    late_channels,
+    odd_channel,
+    parted_modes,
+    refuse_bad_frfs,
+    sound_pairs,
+)
 from ringtrue.identify.judge import Candidates, Verdict, judge
 from ringtrue.identify.lsfd import Lines, lsfd, noise, noise_left, prepare, synthesise_windowed, weighted_rest
 from ringtrue.identify.peaks import cmif
@@ -171,12 +179,12 @@ def identify_hammer(
         if _still(before, fit.refined):
             break
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
-    odd = odd_channel(used, fit.refined.poles)
     result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
     said = fit_notes(lines_between(used, low, high), result.modes, result.synthesis_error)
     late = late_channels(result.modes)
     told = (roving,) if roving else ()
-    told = (*told, *frf_notes(frfs, search.pairs), *result.notes, *said, *late, *((odd,) if odd else ()), *notes)
+    odd = tuple(filter(None, (odd_channel(used, fit.refined.poles), parted_modes(result.model))))
+    told = (*told, *frf_notes(frfs, search.pairs), *result.notes, *said, *late, *odd, *notes)
     return replace(result, notes=told)
 
 

@@ -15,6 +15,8 @@ from ringtrue.shapes.mac import mac
 
 SIGNIFICANT = 12.0  # gain over that of noise
 HELD, PLAIN = 0.8, 3e3  # share of the orders and gain over the error that are no misfit of the FRFs
+HIDDEN, REAL = 1e3, 0.9  # gain over the error and MPC of a mode that may hide under others, near a node of the force
+TOLD, SURE = 1.0, 3.0  # standard deviations of a residue, below and above which its sign tells nothing and all
 COMPLEX = 0.6  # confidence of a mode that is plain to see, but of complex shape
 VISIBLE = 0.3  # share of the response at its own frequency that makes a mode plain to see
 
@@ -103,10 +105,11 @@ def judge(
     real = _real(shapes, lines.response, strict)
     share = shares(lines, fit, shapes)
     clear = _clear(fit, shapes, lines) & (share > VISIBLE) & (gains.factor > 0.99) & (driven.factor > 0.99)
+    hidden = (candidates.support > HELD) & (ratio > HIDDEN) & (_mpc(shapes, lines.response) > REAL)
     aspects = [
         _stable(candidates, clear),
         gains,
-        _seen(share if strict else np.ones_like(share)),
+        _seen(np.where(hidden, 1.0, share) if strict else np.ones_like(share)),
         _damped(fit, damping_max),
         _placed(lines, fit),
         _double(lines, fit, candidates, shapes, total, strict),
@@ -128,7 +131,7 @@ def _texts(factor: Float, good: Sequence[str], bad: Sequence[str]) -> _Aspect:
 def _clear(fit: Refined, shapes: Complex, lines: Lines) -> Bool:
     """A real shape and a damping of the size of the others'."""
     zeta = -fit.poles.real / np.abs(fit.poles)
-    return np.asarray((_mpc(shapes, lines.response) > 0.9) & (zeta < 4 * np.median(zeta)))
+    return np.asarray((_mpc(shapes, lines.response) > REAL) & (zeta < 4 * np.median(zeta)))
 
 
 def _mpc(shapes: Complex, weight: Float) -> Float:
@@ -224,16 +227,22 @@ def _real(shapes: Complex, weight: Float, strict: bool) -> _Aspect:
 
 
 def _driven(fit: Refined, shapes: Complex, pairs: Sequence[tuple[int, int, float]]) -> _Aspect:
-    """Share of the driving-point residues, by size, that have the phase of a positive modal mass."""
+    """Share of the driving-point residues, by size, that have the phase of a positive modal mass.
+
+    It counts as far as their sum stands out of its noise: near a node of the force it tells nothing.
+    """
     n = fit.poles.size
     if not pairs:
         return _Aspect(np.ones(n), ("",) * n)
     o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
-    residue = shapes[o] * fit.participation.T[i] * sign[:, None] * 1j
-    phase = residue.real.sum(axis=0) / np.maximum(np.abs(residue).sum(axis=0), 1e-300)
-    factor = np.clip(0.7 + 0.6 * phase, 0.2, 1)
+    part = fit.participation.T[i]
+    residue = (shapes[o] * part * sign[:, None] * 1j).real
+    phase = residue.sum(axis=0) / np.maximum(np.abs(shapes[o] * part).sum(axis=0), 1e-300)
+    noise = (np.abs(part) ** 2 * (fit.known.state.shape_var * fit.known.own)[o]).sum(axis=0) / 2
+    score = np.abs(residue.sum(axis=0)) / np.sqrt(np.maximum(noise, 1e-300))
+    doubt = np.clip((score - TOLD) / (SURE - TOLD), 0, 1) * (1 - np.clip(0.7 + 0.6 * phase, 0.2, 1))
     return _texts(
-        factor,
-        ["driving points in phase"] * n,
+        1 - doubt,
+        [f"driving points in phase{'' if p > 0 else ' within their noise'}" for p in phase],
         [f"driving-point phase {p:.2f}, 1 is a positive mass" for p in phase],
     )
