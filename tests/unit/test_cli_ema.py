@@ -137,9 +137,10 @@ def test_a_shaker_that_runs_all_the_time(tmp_path: Path, capsys: Capture) -> Non
     y = y + 0.01 * y.std() * rng.standard_normal(y.shape)
     channels = (Channel("F:3+Z", "force", "N"), *(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES))
     write_history(tmp_path / "s.h5", TimeHistory(np.vstack([force, y]), rate, channels))
-    found = ema(capsys, tmp_path / "s.h5", "--shaker", 0.05, "--fmax", 70)
-    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
-    assert [m["damping"] for m in found["modes"]] == pytest.approx(ZETA, rel=0.01)  # Hann windows of 20 s add 5 %
+    for words in (("--shaker", 0.05), ()):
+        found = ema(capsys, tmp_path / "s.h5", *words, "--fmax", 70)
+        assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
+        assert [m["damping"] for m in found["modes"]] == pytest.approx(ZETA, rel=0.01)  # Hann windows of 20 s add 5 %
 
 
 def test_two_shakers_in_one_file(tmp_path: Path, capsys: Capture) -> None:

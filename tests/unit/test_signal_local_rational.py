@@ -5,6 +5,8 @@ The record is filtered sample by sample, so that its transients, at both ends, a
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import chirp, lfilter
@@ -12,7 +14,7 @@ from scipy.signal import chirp, lfilter
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.hammer import HammerModes, identify_hammer
-from ringtrue.signal.local_rational import local_frfs
+from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
 
@@ -58,7 +60,7 @@ def forces(kind: str, rng: np.random.Generator) -> np.ndarray:
 def test_no_leakage(kind: str) -> None:
     """Half-power bandwidths of 0.09 and 0.46 Hz under lines of 0.25 Hz: Hann windows are off by a fifth and more."""
     r = record(forces(kind, np.random.default_rng(1)), np.random.default_rng(2))
-    frfs = local_frfs(r, 0.25)
+    (frfs,) = local_frfs([r], 0.25)
     use = (frfs.freqs > 4) & (frfs.freqs < 40)
     h = exact(frfs.freqs[use], frfs.data.shape[2])
     assert use.sum() > 130
@@ -74,7 +76,7 @@ def test_the_coherence_holds_the_variance() -> None:
     ratio = []
     for k in range(30):
         rng = np.random.default_rng(k)
-        frfs = local_frfs(record(forces("two", rng), rng, response=0.02), 0.25)
+        (frfs,) = local_frfs([record(forces("two", rng), rng, response=0.02)], 0.25)
         use = (frfs.freqs > 4) & (frfs.freqs < 40)
         assert use.sum() > 140
         g = frfs.coherence[use]
@@ -97,7 +99,7 @@ def test_noise_on_the_force_is_in_the_deviations() -> None:
     for k in range(24):
         rng = np.random.default_rng(100 + k)
         r = record(rng.standard_normal((1, 10 * N)), rng, response=1e-4, on_force=0.03)
-        scores.append(modes(local_frfs(r, 0.05)))
+        scores.append(modes(local_frfs([r], 0.05)[0]))
     assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 
@@ -105,11 +107,36 @@ def test_lines_without_force_are_left_out() -> None:
     rng = np.random.default_rng(3)
     spectrum = np.fft.rfft(rng.standard_normal(N)) * (np.fft.rfftfreq(N, 1 / RATE) < 30)
     force = np.tile(np.fft.irfft(spectrum), 2)[None]
-    f = local_frfs(record(force, rng, response=1e-3), 0.25).freqs
+    f = local_frfs([record(force, rng, response=1e-3)], 0.25)[0].freqs
     assert 29 < f[-1] < 31
 
 
 def test_short_records_are_told() -> None:
     r = record(forces("random", np.random.default_rng(4)), np.random.default_rng(5))
     with pytest.raises(DataError, match="too short for 1 inputs"):
-        local_frfs(TimeHistory(r.data[:, :60], RATE, r.channels, "r"), 1.0)
+        local_frfs([TimeHistory(r.data[:, :60], RATE, r.channels, "r")], 1.0)
+
+
+def test_records_of_other_lengths_share_their_lines() -> None:
+    """Lines of the two records do not meet; the second force ends at 30 Hz."""
+    rng = np.random.default_rng(6)
+    long = record(forces("random", rng), rng, response=1e-3)
+    spectrum = np.fft.rfft(rng.standard_normal(N)) * (np.fft.rfftfreq(N, 1 / RATE) < 30)
+    short = record(np.tile(np.fft.irfft(spectrum), 2)[None], rng, response=1e-3)
+    both = local_frfs([long, replace(short, data=short.data[:, : N - 333])], 0.4)
+    np.testing.assert_array_equal(both[0].freqs, both[1].freqs)
+    assert 29 < both[0].freqs[-1] < 64
+    use = (both[0].freqs > 4) & (both[0].freqs < 28)
+    h = exact(both[0].freqs[use], 1)
+    for f in both:
+        assert np.linalg.norm(f.data[use] - h) < 0.02 * np.linalg.norm(h)
+
+
+def test_forces_that_run_all_the_time_are_told_from_blows() -> None:
+    rng = np.random.default_rng(7)
+    for kind in ("random", "two", "sweep", "periodic"):
+        r = record(forces(kind, rng), rng)
+        assert runs_on(r)
+        assert 0.15 < spacing(r) < 1.2  # 16 and more lines of 0.025 Hz to a window, some 40 times as many as periods
+    blows = np.exp(-(((np.arange(2 * N) % (4 * 128)) - 60.0) ** 2) / 8)[None] + 0.005 * rng.standard_normal((1, 2 * N))
+    assert not runs_on(record(blows, rng))

@@ -43,7 +43,7 @@ from ringtrue.io.frfs import holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.signal.frf import estimate_columns, join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings, HitReport
-from ringtrue.signal.local_rational import local_frfs
+from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
@@ -120,7 +120,9 @@ def ema(
     estimator: Annotated[Estimator, typer.Option(help="FRF estimator.")] = Estimator.H1,
     shaker: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="The force runs all the time: FRFs without leakage, lines HZ apart."),
+        typer.Option(
+            metavar="HZ", help="A force that runs all the time: lines HZ apart; by default what the record tells."
+        ),
     ] = None,
     level: Annotated[
         list[float] | None,
@@ -154,8 +156,9 @@ def ema(
     """Modes from FRFs or from the blows of a hammer: poly-reference LSCF with residues and standard deviations.
 
     In time records the blows are found; double hits, overloads and blows on a structure that still rings are left out
-    and listed; the damping of the exponential window is taken out again. Several files are one test: a roving hammer,
-    moved sensors or more blows. Other methods (--method): LSCE, rational fraction polynomials, CMIF peaks.
+    and listed; the damping of the exponential window is taken out again. A force that runs all the time is that of a
+    shaker. Several files are one test: a roving hammer, moved sensors or more blows. Other methods
+    (--method): LSCE, rational fraction polynomials, CMIF peaks.
 
     Where sensors were moved and their mass shifts the modes from file to file beyond doubt, each file is fitted alone.
 
@@ -248,21 +251,26 @@ def _measured(
         frfs = found[0] if len(found) == 1 else join_frfs(found)
         batches = tuple(_frfs_without(f, files[0], how.leave_out) for f in found) if len(found) > 1 else ()
         return _Measured(_frfs_without(frfs, files[0], how.leave_out), batches=batches)
-    records, ranges, notes = read_blows(files, how, shakers=shaker is not None)
-    if shaker is not None:
-        parts = [_shaken(r, shaker, want.estimator) for r in records]
-        notes = (*notes, f"{parts[0].averages[0]:.3g} independent averages at each line")
+    records, ranges, notes = read_blows(files, how, shakers=True)
+    if shaker is not None or all(runs_on(r) for r in records):
+        parts = _shaken(records, shaker, want.estimator)
+        step, averages = parts[0].freqs[1] - parts[0].freqs[0], parts[0].averages[0]
+        notes = (*notes, f"the force runs all the time: lines {step:.3g} Hz apart, {averages:.3g} averages at each")
         return _Measured(join_frfs(parts), (), notes, setups_of(parts))
     columns, hits = estimate_columns(records, want, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(columns)
     return _Measured(frfs, hits, (*notes, *_said(frfs, hits)), setups_of(columns))
 
 
-def _shaken(record: TimeHistory, resolution: float, estimator: Literal["H1", "H2", "Hv"]) -> FrfSet:
-    """FRFs without leakage, or, where the noise on the force counts, by Welch's spectra."""
+def _shaken(
+    records: Sequence[TimeHistory], resolution: float | None, estimator: Literal["H1", "H2", "Hv"]
+) -> Sequence[FrfSet]:
+    """FRFs without leakage, on lines of all records, or, where the noise on the force counts, by Welch's spectra."""
+    if resolution is None:
+        resolution = max(spacing(r) for r in records)
     if estimator == "H1":
-        return local_frfs(record, resolution)
-    return shaker_frfs(record, Welch(resolution), estimator=estimator).frfs
+        return local_frfs(records, resolution)
+    return [shaker_frfs(r, Welch(resolution), estimator=estimator).frfs for r in records]
 
 
 def _said(frfs: FrfSet, hits: Sequence[HitReport]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import rfft
 
-from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.motions import FRF_KIND
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
@@ -29,14 +29,37 @@ FILLED = 0.4  # of the lines carry a random force; fewer do of a periodic one
 SEEN = 4.0  # times its variance is the square of an FRF, mean over the responses, of a line that tells something
 CLOSE = 1e-3  # of its value at the middle, that the denominator is taken for at least
 BATCH = 2_000_000  # values in memory
+MOST_LINES, BAND = 8192, 0.999  # lines in the band that holds this share of the force
+LOUD, LONG = 0.1, 0.2  # of its largest value, that a force which runs all the time exceeds in this share of the samples
 
 
-def local_frfs(history: TimeHistory, resolution: float, *, inputs: Sequence[str] = ()) -> FrfSet:
-    """FRFs of all responses against all forces; lines at which one of these moves nothing are left out.
+def runs_on(history: TimeHistory) -> bool:
+    """Whether every force of a record runs all the time, as that of a shaker does, and not in blows."""
+    forces = [x for c, x in zip(history.channels, history.data, strict=True) if c.quantity == "force"]
+    size = [np.abs(x - np.median(x)) for x in forces]
+    return bool(size) and all(float(np.mean(x > LOUD * x.max())) > LONG for x in size)
+
+
+def spacing(history: TimeHistory) -> float:
+    """Distance of lines, Hz, that the record allows: half a window of as few of its lines as there may be.
+
+    There are not more than some thousand in the band that the forces fill.
+    """
+    ordered, q = sorted_channels(history)
+    lines = _spectra(ordered.data[:q])
+    power = (np.abs(lines) ** 2 / np.maximum((np.abs(lines) ** 2).sum(axis=0), 1e-300)).sum(axis=1).cumsum()
+    top = float(np.searchsorted(power, BAND * power[-1]))
+    return float(max(0.5 * _width(lines, _unknowns(q)), top / MOST_LINES) * ordered.rate / ordered.data.shape[1])
+
+
+def local_frfs(
+    histories: Sequence[TimeHistory], resolution: float, *, inputs: Sequence[str] = ()
+) -> tuple[FrfSet, ...]:
+    """FRFs of all responses against all forces of each record, on the lines where every force moves something.
 
     Parameters
     ----------
-    history : TimeHistory
+    histories : sequence of TimeHistory
     resolution : float, Hz
         Distance of the frequency lines; each rests on the lines of the record this far to both sides, further where
         these are few or carry no force.
@@ -45,43 +68,64 @@ def local_frfs(history: TimeHistory, resolution: float, *, inputs: Sequence[str]
 
     Returns
     -------
-    FrfSet
-        Its coherence is that of each input with the others taken out, `frf.frf_variance` holds with it; `averages` are
-        degrees of freedom of a window.
+    tuple of FrfSet
+        One a record. The coherence is that of each input with the others taken out, `frf.frf_variance` holds with it;
+        `averages` are degrees of freedom of a window.
 
     Raises
     ------
     DataError
-        As `spectra.shaker_frfs` does.
+        As `spectra.shaker_frfs` does; if a record is short, or there is no line where every force moves something.
     """
+    found = [_frfs(h, resolution, inputs) for h in histories]
+    least = min(f.freqs.size for f, _ in found)
+    seen = np.all([s[:least] for _, s in found], axis=0)
+    if np.count_nonzero(seen) < 3:
+        raise DataError(f"{histories[0].source}: there are no lines where every force moves something")
+    at = np.flatnonzero(seen)
+    return tuple(replace(f, data=f.data[at], freqs=f.freqs[at], coherence=f.coherence[at]) for f, _ in found)
+
+
+def _frfs(history: TimeHistory, resolution: float, inputs: Sequence[str]) -> tuple[FrfSet, Bool]:
+    """The FRFs of a record at all lines, and (freq,) where every force moves something."""
     ordered, q = sorted_channels(history, inputs)
     n, n_out = ordered.data.shape[1], len(ordered.channels) - q
-    x = np.asarray(ordered.data, dtype=np.float64)
-    lines = np.asarray(rfft(x - x.mean(axis=1, keepdims=True), axis=1).T) / np.sqrt(n)
-    unknowns = (DEGREE + 1) * (q + 1) + DEGREE
-    width = max(round(2 * resolution * n / ordered.rate), round(SPARE * unknowns)) | 1
-    width = round(width * max(1.0, FILLED / _filled(lines[1:, :q], width))) | 1
+    lines, unknowns = _spectra(ordered.data), _unknowns(q)
+    width = _width(lines[:, :q], max(2 * resolution * n / ordered.rate / SPARE, unknowns)) | 1
     if width > lines.shape[0] // 2:
         raise DataError(f"{history.source}: {ordered.duration:.4g} s are too short for {q} inputs")
-    middle = np.arange(1, int(0.5 * ordered.rate / resolution)) * (resolution * n / ordered.rate)
-    middle = np.rint(middle).astype(np.int64)
-    first = np.clip(middle - width // 2, 1, lines.shape[0] - width)
+    freqs = np.arange(1, int(0.5 * ordered.rate / resolution), dtype=np.float64) * resolution
+    middle = freqs * (n / ordered.rate)
+    first = np.clip(np.rint(middle).astype(np.int64) - width // 2, 1, lines.shape[0] - width)
     h, variance = _all_fits(lines, q, middle, first, width)
-    freedom = width - unknowns + DEGREE - DEGREE / n_out
-    power = np.abs(h) ** 2
-    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1).min(axis=1) > SEEN
-    if not seen.any():
-        raise DataError(f"{history.source}: at no line does every force move something")
+    freedom, power = width - unknowns + DEGREE - DEGREE / n_out, np.abs(h) ** 2
     coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
+    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1).min(axis=1) > SEEN
     kind = FRF_KIND[ordered.channels[q].quantity]
     forces = tuple(replace(c, id=input_id(c.id)) for c in ordered.channels[:q])
-    freqs, averages = middle * (ordered.rate / n), np.full(q, freedom)
-    told = (ordered.channels[q:], forces, coherence[seen], averages, kind, 0.0, history.source)
-    return FrfSet(h[seen], freqs[seen], *told)
+    responses, averages = ordered.channels[q:], np.full(q, freedom)
+    return FrfSet(h, freqs, responses, forces, coherence, averages, kind, 0.0, history.source), seen
 
 
-def _all_fits(lines: Complex, q: int, middle: Int, first: Int, width: int) -> tuple[Complex, Float]:
-    """FRFs (window, out, in) and the variance of their parts at `middle`, a batch of windows at a time."""
+def _spectra(data: Any_) -> Complex:
+    """(freq, channel) transform of a record (channel, sample) without its means."""
+    x = np.asarray(data, dtype=np.float64)
+    return np.asarray(rfft(x - x.mean(axis=1, keepdims=True), axis=1).T / np.sqrt(x.shape[1]), dtype=np.complex128)
+
+
+def _unknowns(inputs: int) -> int:
+    """Of a response in a window, and of the denominator."""
+    return (DEGREE + 1) * (inputs + 1) + DEGREE
+
+
+def _width(forces: Complex, unknowns: float) -> int:
+    """Lines of a window for so many unknowns: more where the forces (freq, in) carry few of them."""
+    least = round(SPARE * unknowns)
+    return round(least * max(1.0, FILLED / _filled(forces[1:], least)))
+
+
+def _all_fits(lines: Complex, q: int, middle: Float, first: Int, width: int) -> tuple[Complex, Float]:
+    """FRFs (window, out, in) and the variance of their parts at `middle` (in lines), a batch of windows at a time."""
     n_out = lines.shape[1] - q
     h, variance = (np.empty((middle.size, n_out, q), dtype=t) for t in (np.complex128, np.float64))
     size = max(1, BATCH // (width * n_out * (DEGREE + 1)))
