@@ -24,7 +24,10 @@ from ringtrue.signal.spectra import sorted_channels
 
 DEGREE = 2  # of every polynomial: two poles, and what other modes add
 TURNS = 3  # of the weight
-SPARE = 2.0  # lines of the record to unknowns of a window, at least
+SPARE = (
+    4.0  # lines of the record to unknowns of a window, at least: near the ends of a sweep T is hard to tell from H U
+)
+OVERLAP = 4  # windows that share a line of the record
 FILLED = 0.4  # of the lines carry a random force; fewer do of a periodic one
 SEEN = 4.0  # times its variance is the square of an FRF, mean over the responses, of a line that tells something
 CLOSE = 1e-3  # of its value at the middle, that the denominator is taken for at least
@@ -41,7 +44,7 @@ def runs_on(history: TimeHistory) -> bool:
 
 
 def spacing(history: TimeHistory) -> float:
-    """Distance of lines, Hz, that the record allows: half a window of as few of its lines as there may be.
+    """Distance of lines, Hz, that the record allows: a quarter of a window of as few of its lines as there may be.
 
     There are not more than some thousand in the band that the forces fill.
     """
@@ -49,7 +52,7 @@ def spacing(history: TimeHistory) -> float:
     lines = _spectra(ordered.data[:q])
     power = (np.abs(lines) ** 2 / np.maximum((np.abs(lines) ** 2).sum(axis=0), 1e-300)).sum(axis=1).cumsum()
     top = float(np.searchsorted(power, BAND * power[-1]))
-    return float(max(0.5 * _width(lines, _unknowns(q)), top / MOST_LINES) * ordered.rate / ordered.data.shape[1])
+    return float(max(_width(lines, _unknowns(q)) / OVERLAP, top / MOST_LINES) * ordered.rate / ordered.data.shape[1])
 
 
 def local_frfs(
@@ -61,7 +64,7 @@ def local_frfs(
     ----------
     histories : sequence of TimeHistory
     resolution : float, Hz
-        Distance of the frequency lines; each rests on the lines of the record this far to both sides, further where
+        Distance of the frequency lines; each rests on the lines of the record twice as far to both sides, further where
         these are few or carry no force.
     inputs : sequence of str, optional
         Ids of the force channels; by default all channels whose quantity is force.
@@ -91,7 +94,7 @@ def _frfs(history: TimeHistory, resolution: float, inputs: Sequence[str]) -> tup
     ordered, q = sorted_channels(history, inputs)
     n, n_out = ordered.data.shape[1], len(ordered.channels) - q
     lines, unknowns = _spectra(ordered.data), _unknowns(q)
-    width = _width(lines[:, :q], max(2 * resolution * n / ordered.rate / SPARE, unknowns)) | 1
+    width = _width(lines[:, :q], max(OVERLAP * resolution * n / ordered.rate / SPARE, unknowns)) | 1
     if width > lines.shape[0] // 2:
         raise DataError(f"{history.source}: {ordered.duration:.4g} s are too short for {q} inputs")
     freqs = np.arange(1, int(0.5 * ordered.rate / resolution), dtype=np.float64) * resolution
