@@ -180,11 +180,12 @@ def identify_hammer(
             break
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
     result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
-    said = fit_notes(lines_between(used, low, high), result.modes, result.synthesis_error)
+    reported = lines_between(used, low, high)
+    said = fit_notes(reported, result.modes, result.synthesis_error)
     late = late_channels(result.modes)
     told = (roving,) if roving else ()
     odd = tuple(filter(None, (odd_channel(used, fit.refined.poles), parted_modes(result.model))))
-    told = (*told, *frf_notes(frfs, search.pairs), *result.notes, *said, *late, *odd, *notes)
+    told = (*told, *frf_notes(reported, search.pairs), *result.notes, *said, *late, *odd, *notes)
     return replace(result, notes=told)
 
 
