@@ -50,6 +50,7 @@ from ringtrue.identify.ambient_verdict import (
 )
 from ringtrue.identify.bands import STEP, BandSums, with_fewer_lags
 from ringtrue.identify.choice import chosen, with_picks
+from ringtrue.identify.forced import without_forced
 from ringtrue.identify.poles import PoleSet, StableDiagram, unit
 from ringtrue.identify.repeated import loosened, with_pairs
 from ringtrue.identify.ssi import (
@@ -334,7 +335,7 @@ def identify_stretches(
     for (k, _), other in zip(heavy, again, strict=True):
         found[k], other = surer_groups(found[k], other, settings.confidence_min)
         found.append(other)
-    result = _assemble(good, found, lines, bands, settings, choice, whole)
+    result = _assemble(good, found, lines, bands, settings, known, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.reasons)
         result = replace(result, modes=modes, reasons=reasons)
@@ -356,7 +357,7 @@ def _assemble(
     lines: tuple[Harmonic, ...],
     bands: tuple[Band, ...],
     settings: AmbientSettings,
-    choice: Choice | None,
+    heard: Heard,
     whole: TimeHistory | None,
 ) -> AmbientResult:
     resolution = 61 * 4 / history.duration  # main lobe of the window of `harmonics` in 120 half-overlapped segments
@@ -377,7 +378,10 @@ def _assemble(
             left_out.append(f"pole at {f:.4g} Hz left out: the spectrum ends there: the filter of the recorder")
         else:
             at.append((b, i))
-    by_hand = chosen(found, at, choice, history.source)
+    if not heard.driven:
+        at, forced = without_forced(found, at)
+        left_out += forced
+    by_hand = chosen(found, at, heard.choice, history.source)
     found, at = by_hand.found, by_hand.rows
     left_out += by_hand.notes
     left_out += unresolved(found, np.array([found[b].table.frequencies[i] for b, i in at] + known))

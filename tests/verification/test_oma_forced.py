@@ -1,0 +1,76 @@
+"""Forces with a spectrum of their own beside random ones: what the structure does there is no mode.
+
+A chain of eight storeys under random forces at all floors, and one pattern of forces with a broad peak between the
+second and the third mode (people, waves).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.identify.ambient import AmbientResult, identify_ambient
+from ringtrue.identify.forced import carriers
+
+RATE, SECONDS, STOREYS = 30.0, 1200, 8
+PEAK, WIDTH = 1.9, 0.08  # Hz, damping of the oscillator that has this spectrum
+
+
+def chain() -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies from 0.5 Hz, and shapes."""
+    k = 2 * np.eye(STOREYS) - np.eye(STOREYS, k=1) - np.eye(STOREYS, k=-1)
+    k[-1, -1] = 1
+    squares, shapes = np.linalg.eigh(k)
+    return 0.5 * np.sqrt(squares / squares[0]), shapes
+
+
+def oscillator(force: np.ndarray, f: float, zeta: float) -> np.ndarray:
+    """Acceleration of a unit mass on a spring for forces (.., sample)."""
+    s = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    ringing = lfilter([0, np.exp(s / RATE) - 1], [1, -np.exp(s / RATE)], force)
+    return np.asarray(2 * np.real(s / (2j * s.imag) * ringing) + 2 * np.real(s / (2j * s.imag)) * force)
+
+
+def record(crowd: float) -> TimeHistory:
+    rng = np.random.default_rng(4)
+    f, shapes = chain()
+    force = rng.standard_normal((STOREYS, int(RATE * SECONDS)))
+    force += crowd * np.outer(
+        rng.standard_normal(STOREYS), oscillator(rng.standard_normal(force.shape[1]), PEAK, WIDTH)
+    )
+    q = np.array([oscillator(p, x, 0.01) for p, x in zip(shapes.T @ force, f, strict=True)])
+    y = shapes @ q
+    y += 0.05 * y.std() * rng.standard_normal(y.shape)
+    return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+X", "acceleration") for i in range(STOREYS)), "made")
+
+
+def forced(r: AmbientResult) -> list[str]:
+    return [n for n in r.notes if "a peak of the force" in n]
+
+
+@pytest.mark.parametrize("crowd", [0.0, 1.0])
+def test_a_peak_of_the_force_is_no_mode(crowd: float) -> None:
+    r = identify_ambient(record(crowd))
+    assert len(r.modes) == STOREYS, (r.modes.frequencies, r.notes)
+    assert np.abs(r.modes.frequencies / chain()[0] - 1).max() < 0.005
+    assert len(forced(r)) == (crowd > 0)
+    assert not crowd or f"pole at {PEAK:.1f}"[:-1] in forced(r)[0]
+
+
+def test_only_a_doubtful_pole_of_a_shape_that_others_span_is_forced() -> None:
+    f, z, sure = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.05, 0.01]), np.array([5e-4, 5e-3, 5e-4])
+    own = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 3)))[0].astype(complex)
+    mixed = own.copy()
+    mixed[:, 1] = own[:, 0] - 0.6 * own[:, 2]
+    assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[], [0, 2], []]
+    assert not any(x.size for x in carriers(f, z, sure, own))
+    assert not any(x.size for x in carriers(f, np.full(3, 0.01), np.full(3, 5e-4), mixed))  # as clear as the others
+
+
+def test_too_few_sensors_tell_nothing() -> None:
+    f, z, sure = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.05, 0.01]), np.array([5e-4, 5e-3, 5e-4])
+    any_shape = np.random.default_rng(1).standard_normal((2, 3)).astype(complex)
+    assert not any(x.size for x in carriers(f, z, sure, any_shape))
+    assert not any(x.size for x in carriers(f[:0], z[:0], sure[:0], any_shape[:, :0]))
