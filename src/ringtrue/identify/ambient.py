@@ -36,6 +36,7 @@ from ringtrue.identify.ambient_record import (
 from ringtrue.identify.ambient_verdict import (
     Found,
     confidence,
+    crowded,
     fastest_decay,
     machine,
     overtones,
@@ -73,7 +74,12 @@ from ringtrue.signal.threads import abreast
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 BLOCKS_EACH = 4  # of one stretch of a long record
-ENOUGH = 0.6  # of the orders, where the modes appear in the first third of them
+SHARES = (
+    0.6,
+    1.0,
+    1.5,
+    2.0,
+)  # of the orders: where modes appear in the first third of them, else, and where many crowd a band
 BESIDE = "; where a mode may stand beside it, take the line out (oma --remove-harmonics)"
 
 
@@ -86,7 +92,7 @@ class AmbientSettings:
     fmin, fmax : float, Hz
         Band of interest; None: 50 cycles in the record, and what the rate allows.
     order_max : int
-        Largest model order of each band.
+        Largest model order of each band, up to twice that in one that modes crowd.
     block_rows : int
         Block rows, fewer in a band with few samples.
     references : tuple of str
@@ -177,10 +183,10 @@ def _candidates(
 ) -> tuple[BandPoles, Candidates, Int, list[tuple[int, int]]]:
     """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower orders.
 
-    Of all orders where modes still appear late or are in doubt.
+    Of all orders where modes still appear late or are in doubt, and of more where they crowd the band.
     """
     ssi, band, tries = sums.ssi, sums.band, sums.ssi.order_max // sums.ssi.order_step
-    for share in (ENOUGH, 1.0):
+    for share in SHARES:
         pairs: list[tuple[int, int]] = []
         some = replace(ssi, order_max=max(2 * int(share * ssi.order_max / 2), 2))
         poles = identify_band(r, weights, some, band.rate, (band.low, band.high), heard.turn)
@@ -195,7 +201,7 @@ def _candidates(
             table = replace(table, halves=agreed)
             table, pairs = with_pairs(table, poles, halves, tries, least)
             picked = np.pad(picked, (0, table.pole.size - picked.size), constant_values=-1)
-        if settled(table, tries):
+        if settled(table, tries) or (share >= 1.0 and not crowded(table, tries, some.order_max)):
             break
     return poles, table, picked, pairs
 

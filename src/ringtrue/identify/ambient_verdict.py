@@ -22,6 +22,7 @@ FEW = 4  # channels: with three any shape is like any other
 ECHO, LIKE, ROUGH = 1.25, 0.9, 0.2  # ratio of frequencies, MAC, and deviation of the damping over it
 STEADY = 2.5  # deviations of the logarithm of a fourth moment
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
+CROWD = 0.2  # of the order; each mode takes two
 CHANCE = 0.1  # of it
 
 
@@ -60,6 +61,11 @@ def settled(c: Candidates, orders: int) -> bool:
     """Whether all that may be a mode was there at most of the orders tried, beyond doubt: the higher ones may rest."""
     sure = confidence(c, orders)
     return not ((sure > DOUBTFUL) & ((sure < SURE) | (c.orders[:, 0] < 0.6 * c.orders[:, 1]))).any()
+
+
+def crowded(c: Candidates, orders: int, largest: int) -> bool:
+    """Whether what may be modes takes two fifths of the largest order: some appear too late to be at most orders."""
+    return bool((confidence(c, orders) > 0.5 * DOUBTFUL).sum() > CROWD * largest)
 
 
 def fastest_decay(c: Candidates, orders: int) -> float:
