@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
-from ringtrue.identify.whittle import SpectralBins
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.identify.whittle import CHANCE, WAVES, SpectralBins
 from ringtrue.shapes.mac import mac
 
 CLOSE = 4.0  # sums of half bandwidths between modes that mix
@@ -105,7 +105,8 @@ def _pair(
     expected = power * np.abs(h) ** 2 + rest + LEFT * (power * np.abs(h) ** 2)[:, ::-1]
     smooth = np.stack([np.convolve(x, np.full(7, 1 / 7), "same") for x in seen.T], axis=1)
     expected = np.where(smooth > FOREIGN * expected, smooth, expected)
-    return _solved(q[:, 1], count / expected.prod(1), h, power, rest, known)
+    cell = np.floor((freqs - freqs.min()) / (f[two] * z[two]).min()).astype(np.int64)
+    return _solved(q[:, 1], count / expected.prod(1), h, power, rest, known, cell)
 
 
 def _windows(freqs: Float, f: Float, z: Float) -> list[slice]:
@@ -144,9 +145,13 @@ def _levels(own: Float, h: Complex) -> tuple[Float, Float]:
 
 
 def _solved(
-    cross: Complex, weight: Float, h: Complex, power: Float, rest: Float, known: Complex
+    cross: Complex, weight: Float, h: Complex, power: Float, rest: Float, known: Complex, cell: Int
 ) -> tuple[Complex, Float] | None:
-    """ε_ij and ε_ji and their variances from the cross spectrum (bin,) of the two coordinates."""
+    """ε_ij and ε_ji and their variances from the cross spectrum (bin,) of the two coordinates.
+
+    Errors of bins in one `cell` (bin,), half a bandwidth wide, that go together are no noise: other modes, or forces
+    that modes share.
+    """
     p = power * np.abs(h) ** 2
     force = np.sqrt(power.prod()) * h[:, 0] * h[:, 1].conj()
     x = np.stack([p[:, 1], p[:, 0], force, np.full(len(p), np.sqrt(rest.prod()))], axis=1)
@@ -155,9 +160,12 @@ def _solved(
     n = wx.T @ x + np.diag(hold)
     value = np.array([known[0], known[1].conj(), 0.0, 0.0])
     step = np.linalg.solve(n, wx.T @ cross - hold * value)
-    misfit = float((weight * np.abs(cross - x @ step) ** 2).mean())
-    if misfit > MISFIT:
+    error = np.sqrt(weight) * (cross - x @ step)
+    misfit, size = float((np.abs(error) ** 2).mean()), np.bincount(cell)
+    together = np.abs(np.bincount(cell, error.real) + 1j * np.bincount(cell, error.imag)) ** 2
+    waves = float((together[size > 0] / size[size > 0]).mean())
+    if misfit > MISFIT or waves > WAVES:
         return None
     found = value + step
-    spread = np.diagonal(np.linalg.solve(n, np.eye(4))).real * max(misfit, 1.0)
+    spread = np.diagonal(np.linalg.solve(n, np.eye(4))).real * max(misfit, waves / CHANCE, 1.0)
     return np.array([found[0], found[1].conj()]), spread[:2]
