@@ -14,7 +14,7 @@ from ringtrue.shapes.mac import mac
 RATE, SECONDS, CHANNELS = 40.0, 600, 20
 F = np.geomspace(3.2, 12.5, 14)
 SHAPES = np.random.default_rng(3).standard_normal((CHANNELS, F.size))
-SMALL = AmbientSettings(fmin=3.0, order_max=32)  # fewer than two for each mode and some for noise
+SMALL = AmbientSettings(fmin=3.0, order_max=38)  # little more than two for each mode
 
 
 def record() -> TimeHistory:

@@ -74,12 +74,8 @@ from ringtrue.signal.threads import abreast
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 BLOCKS_EACH = 4  # of one stretch of a long record
-SHARES = (
-    0.6,
-    1.0,
-    1.5,
-    2.0,
-)  # of the orders: where modes appear in the first third of them, else, and where many crowd a band
+# of the orders: where modes appear in the first third of them, else, and in bands crowded with modes
+SHARES = (0.6, 1.0, 1.5)
 BESIDE = "; where a mode may stand beside it, take the line out (oma --remove-harmonics)"
 
 
@@ -92,7 +88,7 @@ class AmbientSettings:
     fmin, fmax : float, Hz
         Band of interest; None: 50 cycles in the record, and what the rate allows.
     order_max : int
-        Largest model order of each band, up to twice that in one that modes crowd.
+        Largest model order of each band, half as much again in one that modes crowd.
     block_rows : int
         Block rows, fewer in a band with few samples.
     references : tuple of str
