@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
-from ringtrue.update.alike import effective_freedom, energy_shares, likeness
+from ringtrue.update.alike import effective_freedom, energy_shares, independent_errors, likeness
 
 N, LENGTH = 60, 3.0
 
@@ -46,6 +46,21 @@ def test_likeness_of_a_clamped_rod_is_two_thirds(shares: np.ndarray) -> None:
 def test_freedom_of_independent_errors_and_of_one_error() -> None:
     assert effective_freedom(np.eye(12)) == pytest.approx(12)
     assert effective_freedom(np.ones((12, 12))) == 1.0
+
+
+@pytest.mark.parametrize(("of_form", "expected"), [(0.0, 40.0), (1.0, 1.0), (0.5, 1 / (0.5 + 0.5 / 40))])
+def test_errors_of_a_shape_are_one_where_other_shapes_hold_them_and_many_where_noise_does(
+    of_form: float, expected: float
+) -> None:
+    """Errors of unit size in 20 modes at 40 channels, some of their square in the span of six shapes of the model."""
+    rng, n, k = np.random.default_rng(5), 40, 20
+    shapes = np.linalg.qr(rng.standard_normal((n, 6)))[0]
+    bent = shapes @ rng.standard_normal((6, k))
+    noise = rng.standard_normal((n, k))
+    rest = np.sqrt(of_form) * bent / np.linalg.norm(bent, axis=0)
+    rest = rest + np.sqrt(1 - of_form) * noise / np.linalg.norm(noise, axis=0)
+    found = independent_errors(rest, np.zeros(k, dtype=np.int64), shapes)
+    assert 1 / found == pytest.approx(1 / expected, abs=0.05)
 
 
 def test_intervals_from_errors_that_are_alike_hold_what_they_say() -> None:

@@ -1,8 +1,11 @@
-"""How alike the errors of modes are: what a model lacks at a place acts on all modes that strain or move there.
+"""How alike errors are: those of the frequencies of modes, and those of a shape at its channels.
+
+What a model lacks at a place acts on all modes that strain or move there.
 
 Relative frequency errors of modes i and j that come of independent errors of stiffness at all elements and of mass at
 all nodes have the covariance Σ_e S_ei S_ej + Σ_n T_ni T_nj, with S and T the shares of strain and kinetic energy.
-Errors that are alike tell less of their size than as many independent ones.
+Errors that are alike tell less of their size than as many independent ones. Errors of form bend a shape towards other
+shapes of the structure, noise bends it anywhere.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.fem.assembly import System
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
+from ringtrue.shapes.subspace import basis
 from ringtrue.update.localise import strain_energies
 
 
@@ -46,3 +50,30 @@ def effective_freedom(correlation: Float) -> float:
     """
     m = len(correlation)
     return float(m**2 / (correlation**2).sum()) if m else 1.0
+
+
+def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
+    """Number of independent errors in a shape: 1 where they are errors of form, the channels where they are noise.
+
+    Of noise the other shapes hold as large a share as the directions they span of all that are free; what they hold
+    beyond that is taken for one error, which any parameter may imitate.
+
+    Parameters
+    ----------
+    rest : (n, k) float64
+        Unit test shapes less their part in the span of the modes that stand for them.
+    own : (k,) int64
+        Number of these modes.
+    shapes : (n, m) float64
+        Of the model, the lowest first; n/2 of them are looked at.
+    """
+    n = len(rest)
+    total = float((rest**2).sum())
+    space = basis(shapes[:, : n // 2])
+    if not total > 0 or not space.size:
+        return 1.0
+    held = float(((space.T @ rest) ** 2).sum()) / total
+    size = (rest**2).sum(axis=0)
+    by_chance = float(size @ np.clip((space.shape[1] - own) / np.maximum(n - own, 1), 0, 1)) / total
+    of_form = float(np.clip((held - by_chance) / (1 - by_chance), 0.0, 1.0))
+    return 1 / (of_form + (1 - of_form) / n)

@@ -1,10 +1,11 @@
 """Predictions on modes left out of the updating, fold by fold, with bands that hold what was measured.
 
-The band of a left-out frequency has three parts: the parameters (posterior), the test, and the model discrepancy,
-which no parameter can remove. The discrepancy is taken from all modes that are predicted unseen: those of the folds,
-and those that the updating does not use at all, which have had no say in the choice of the parameters either. That of
-a mode comes from all *others*, so that none helps to judge itself; `with_discrepancy` puts the number of all into W,
-so that the posterior does not collapse.
+The band of a left-out frequency has three parts: the parameters, the test, and the model discrepancy, which no
+parameter can remove. The parameters of a fold are known as well as errors of that size in the modes left to it allow:
+one that only the left-out mode tells of may be far off and says nothing of the model. The discrepancy is taken from
+all modes that are predicted unseen: those of the folds, and those that the updating does not use at all, which have had
+no say in the choice of the parameters either. That of a mode comes from all *others*, so that none helps to judge
+itself; `with_discrepancy` puts the number of all into W, so that the posterior does not collapse.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.outcome import Outcome
 from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError
-from ringtrue.update.posterior import Posterior, laplace
+from ringtrue.update.posterior import laplace
+from ringtrue.update.residuals import Eigenvalues, Frequencies, Shapes
 from ringtrue.update.several import Configuration, Evaluated, Problem
 from ringtrue.update.trust import Method, solve
 
 LEAST = 1e-4  # model discrepancy, relative
+OF_F = (Eigenvalues, Frequencies)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +39,15 @@ class Held:
         NaN where the mode found no partner, or was used and in no fold.
     mac : (m,) float64
     parameter_std, test_std, model_std : (m,) float64, relative
-        The three parts of the band; `model_std` from all other modes that are predicted.
+        The three parts of the band; `model_std` from all other modes that are predicted. Parameters are known as
+        well as errors of the size found let them be.
     fold : (m,) int64
         -1: in none; a mode that is not used is predicted by all that are.
     converged : bool
     ends : (fold, p) float64
         x of each fold.
+    discrepancy : float
+        Of a frequency, relative, from all modes that are predicted.
     """
 
     test: Float
@@ -53,6 +59,7 @@ class Held:
     fold: Int
     converged: bool
     ends: Float = field(default_factory=lambda: np.zeros((0, 0)))
+    discrepancy: float = float("nan")
 
     def __post_init__(self) -> None:
         f = np.float64
@@ -111,13 +118,17 @@ def folds_of(used: Bool, count: int) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(at[i::count].tolist()) for i in range(count))
 
 
-def discrepancy(error: Float, known: Float) -> float:
-    """Relative standard deviation s of largest likelihood of errors ~ N(0, s² + known²), (m,) each; NaNs left out."""
-    e2, k2 = (v[np.isfinite(error)] ** 2 for v in (error, known))
+def discrepancy(error: Float, known: Float, gain: Float | None = None) -> float:
+    """Relative standard deviation s of largest likelihood of errors ~ N(0, gain s² + known²), (m,) each; NaNs left out.
+
+    `gain` is 1 if not given, larger where s has made the parameters uncertain, too.
+    """
+    seen = np.isfinite(error)
+    e2, k2, g = error[seen] ** 2, known[seen] ** 2, np.ones(int(seen.sum())) if gain is None else gain[seen]
     if not e2.size:
         raise InputError("no left-out mode has found a partner: widen the gates, or leave other modes out")
     grid = np.geomspace(LEAST, max(10 * float(np.sqrt(e2.max())), 2 * LEAST), 200)
-    total = grid[:, None] ** 2 + k2
+    total = grid[:, None] ** 2 * g + k2
     return float(grid[np.argmin((e2 / total + np.log(total)).sum(axis=1))])
 
 
@@ -151,7 +162,7 @@ def k_fold(
     m = target.frequencies.size
     if len({i for f in folds for i in f}) != sum(len(f) for f in folds):
         raise InputError("a mode is in two folds")
-    predicted, mac, spread, of = np.full(m, np.nan), np.full(m, np.nan), np.full(m, np.nan), np.full(m, -1)
+    predicted, mac, spread, of = np.full(m, np.nan), np.full(m, np.nan), np.full((m, 3), np.nan), np.full(m, -1)
     begin, good, ends = start, True, []
     unused = np.flatnonzero(~target.used).tolist()
     for i, fold in enumerate([*folds, unused] if unused else folds):
@@ -159,40 +170,71 @@ def k_fold(
         problem = Problem((replace(configuration, target=replace(target, used=used)), *others))
         done = solve(problem, method, start=begin)
         good, begin = good and done.outcome is Outcome.CONVERGED, done.y if start is None else start
-        predicted_fold(done.end, laplace(problem, done.end), list(fold), predicted, mac, spread)
+        predicted_fold(problem, done.end, list(fold), predicted, mac, spread)
         if i == len(folds):
             break
         of[list(fold)] = i
         ends.append(done.x)
         if progress is not None:
             progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
-    model = _from_others(predicted / target.frequencies - 1, np.hypot(spread, target.std))
-    return Held(target.frequencies, predicted, mac, spread, target.std, model, of, good, np.array(ends))
+    error, by_f = predicted / target.frequencies - 1, spread[:, 0]
+    fixed = by_f * float(np.mean(target.std**2)) + spread[:, 1] * mean_miss(mac) + spread[:, 2]
+    known = np.sqrt(fixed + target.std**2)
+    found = discrepancy(error, known, 1 + by_f)
+    return Held(
+        target.frequencies,
+        predicted,
+        mac,
+        np.sqrt(fixed + by_f * found**2),
+        target.std,
+        _from_others(error, known, 1 + by_f),
+        of,
+        good,
+        np.array(ends),
+        found,
+    )
 
 
-def _from_others(error: Float, known: Float) -> Float:
+def mean_miss(mac: Float) -> float:
+    """Mean 1 − MAC of the modes that have a partner; `LEAST` at least."""
+    seen = mac[np.isfinite(mac)]
+    return max(float(np.mean(1 - seen)), LEAST) if seen.size else LEAST
+
+
+def _from_others(error: Float, known: Float, gain: Float) -> Float:
     """The discrepancy of each mode from the errors of all others, (m,); NaN without an error."""
     seen, out = np.flatnonzero(np.isfinite(error)), np.full(error.size, np.nan)
-    if seen.size < 2:
-        out[seen] = discrepancy(error, known)  # says so where there is none
-        return out
     for i in seen.tolist():  # over modes: a search each
-        rest = seen[seen != i]
-        out[i] = discrepancy(error[rest], known[rest])
+        rest = seen[seen != i] if seen.size > 1 else seen
+        out[i] = discrepancy(error[rest], known[rest], gain[rest])
     return out
 
 
 def predicted_fold(
-    at: Evaluated, posterior: Posterior, fold: list[int], predicted: Float, mac: Float, spread: Float
+    problem: Problem, at: Evaluated, fold: list[int], predicted: Float, mac: Float, spread: Float
 ) -> None:
-    """Fill in the frequencies (Hz), MAC and relative standard deviations of one fold, in place."""
+    """Fill in the frequencies (Hz), MAC and `variance_parts` (m, 3) of the frequencies of one fold, in place."""
     here = at.points[0]
     t, f = here.every.T
     which = np.isin(t, fold)
     t, f = t[which], f[which]
     predicted[t], mac[t] = here.now.frequencies[f], here.mac[which]
-    slope = here.now.d_lambda[f] / (8 * np.pi**2 * here.now.frequencies[f] ** 2)[:, None] @ posterior.link
-    spread[t] = np.sqrt(np.einsum("mp,pq,mq->m", slope, posterior.covariance, slope))
+    slope = here.now.d_lambda[f] / (8 * np.pi**2 * here.now.frequencies[f] ** 2)[:, None] @ problem.link
+    spread[t] = np.einsum("mp,kpq,mq->mk", slope, variance_parts(problem, at), slope)
+
+
+def variance_parts(problem: Problem, at: Evaluated) -> Float:
+    """Covariance of the unknowns (3, q, q): a unit of the mean square error of frequencies, one of 1 − MAC, the rest.
+
+    An error of a shape counts as one, as the parameters imitate it best: what the model lacks is smooth.
+    """
+    terms = [(t, c.target) for c in problem.configurations for t in c.terms]
+    n = int(at.kind.max(initial=-1)) + 1
+    of_f = np.array([(t.std**2 + np.mean(a.std**2)) ** -0.5 if isinstance(t, OF_F) else 0.0 for t, a in terms][:n])
+    of_s = np.array([t.mac**-0.5 if isinstance(t, Shapes) else 0.0 for t, _ in terms][:n])
+    other = np.where((of_f == 0) & (of_s == 0), 1.0, 0.0)
+    none, *each = (laplace(problem, at, k, independent=1.0).covariance for k in (0 * other, of_f, of_s, other))
+    return np.stack([each[0] - none, each[1] - none, each[2]])
 
 
 def with_discrepancy(
@@ -215,5 +257,4 @@ def with_discrepancy(
     Terms of frequencies, shapes and MAC get these weights, in the other configurations too; other kinds stay.
     """
     held = k_fold(configuration, folds, method, start=start, others=others, progress=progress)
-    s = discrepancy(held.error, np.hypot(held.parameter_std, held.test_std))
-    return configuration.weighed(s, max(float(np.nanmean(1 - held.mac)), LEAST)), held
+    return configuration.weighed(held.discrepancy, mean_miss(held.mac)), held

@@ -19,10 +19,10 @@ from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, Upda
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import as_delivered, others_at
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.alike import effective_freedom, energy_shares, likeness
+from ringtrue.update.alike import effective_freedom, energy_shares, independent_errors, likeness
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
-from ringtrue.update.objective import Target, Weights, match
+from ringtrue.update.objective import Target, Weights, match, shape_residual, spans
 from ringtrue.update.plausible import form_flags, kept, plausibility
 from ringtrue.update.pool import conflicts, of_parameter
 from ringtrue.update.posterior import Posterior, around, as_likelihood
@@ -33,7 +33,6 @@ SMALL = 100  # vectors of the model that is updated fold by fold and sampled
 DRAWS = 12  # points around the updated one whose modes it holds, beside those of each parameter by itself
 REACH, LEAST_REACH = 3.0, 0.1  # how far these points lie apart: standard deviations, and x
 FEWEST = 4  # used modes below which none can be left out
-ONE = 1.0  # independent error in a shape: what the model lacks is smooth over the channels
 ALIKE = 0.8  # MAC from which on modes of two solvers are the same
 KEPT = 400  # draws that are stored
 BURN = 0.5  # steps that are thrown away, over those kept
@@ -73,15 +72,15 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
         Configuration(every, paired, terms_of(desk, OWN, every, desk.config.update)),
         *_whole(desk, best, whole, early),
     )
-    freedom = _freedom(desk, every, at, final, held, likely.target)
-    among, slope = _posterior(desk, full, likely.target.weights, whole, best.parameters, freedom)
+    freedom, many = _freedom(desk, every, at, final, held, likely.target), _independent(paired, model, x)
+    among, slope = _posterior(desk, full, likely.target.weights, whole, best.parameters, freedom, many)
     posterior = among.take([every.parameters.names.index(n) for n in best.parameters])
     told = _result(posterior, among, aim, likely.target, slope, final, held, asked.level)
     if not asked.samples:
         return told
     rng = np.random.default_rng([desk.config.study.seed, 7])
     w = likely.target.weights
-    problem = Problem((_likelihood(likely), *(_likelihood(c.weighed(w.frequency, w.mac)) for c in others)))
+    problem = Problem(tuple(_likelihood(c.weighed(w.frequency, w.mac), many) for c in (likely, *others)))
     chains = _sampled(problem, posterior, asked.samples, rng, part(progress, 0.8, 1.0))
     return _with_draws(told, chains, posterior.parameters)
 
@@ -128,6 +127,7 @@ def _posterior(
     factor: Mapping[str, float],
     chosen: Sequence[str],
     freedom: float,
+    independent: float,
 ) -> tuple[Posterior, Float]:
     """About the delivered point, with errors as found, where the candidates that were not chosen may be off, too.
 
@@ -141,7 +141,7 @@ def _posterior(
     slope : (m, p) float64
         ∂λ/∂x of the modes of the first.
     """
-    problem = Problem(tuple(_likelihood(c.weighed(found.frequency, found.mac)) for c in configurations))
+    problem = Problem(tuple(_likelihood(c.weighed(found.frequency, found.mac), independent) for c in configurations))
     p, model = problem.parameters, desk.remodelled.model
     at = problem.evaluate(p.vector(np.array([factor[n] for n in p.names])))
     mine = np.isin(p.names, list(chosen))
@@ -163,11 +163,20 @@ def _freedom(desk: Workbench, every: AtChannels, x: Float, final: FinalStage, he
     return effective_freedom(likeness(energy_shares(opened.model, opened.analysis.system, vectors))) / share**2
 
 
-def _likelihood(found: Configuration) -> Configuration:
+def _independent(paired: Target, model: AtChannels, x: Float) -> float:
+    """Number of independent errors in a shape, by the pairs of the delivered deck."""
+    assert paired.fixed is not None
+    now, (pairs, groups) = model.modes(x), paired.fixed
+    of = spans(paired, pairs, groups)
+    rest = [shape_residual(paired, now, t, g)[0] for t, g in zip(pairs[:, 0].tolist(), of, strict=True)]
+    return independent_errors(np.stack(rest, axis=1), np.array([g.size for g in of]), now.shapes)
+
+
+def _likelihood(found: Configuration, independent: float) -> Configuration:
     """The same with weights that are the inverse covariance of the residuals."""
     w = found.target.weights
     if w.shape > 0:
-        return as_likelihood(found, w.frequency, w.mac, independent=ONE)
+        return as_likelihood(found, w.frequency, w.mac, independent=independent)
     rest = tuple(t for t in found.terms if isinstance(t, Weighted))
     return replace(found, terms=(Eigenvalues(w.frequency), *rest))
 
