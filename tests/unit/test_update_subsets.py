@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,11 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_hybrid, expand_reduced
 from ringtrue.update.dense import DenseModel
-from ringtrue.update.effects import effects
+from ringtrue.update.effects import effects, superposed
 from ringtrue.update.generate import generate
 from ringtrue.update.objective import Target as Aim
-from ringtrue.update.pool import conflicts, of_parameter, screened
+from ringtrue.update.objective import residual
+from ringtrue.update.pool import conflicts, explaining, of_parameter
 from ringtrue.update.proposal import propose
 
 
@@ -66,12 +68,40 @@ def test_a_given_parameter_knows_its_elements() -> None:
     assert (springs.what, springs.kind) == ("PBUSH 900 K1,K2 of 4 CBUSH", "spring")
 
 
-def test_screening_takes_what_adds_most() -> None:
-    """A copy of the largest column adds nothing; a small one of its own does; a column of zeros never comes."""
-    g = np.array([[10.0, 9.9, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0], [0.0, 0.1, 0.0, 0.0]])
-    assert screened(g, 2).tolist() == [0, 2]
-    assert screened(g, 9).tolist() == [0, 2, 1]
-    assert screened(g[:, [1, 0]], 1).tolist() == [1]
+def test_what_explains_the_misfit_comes_first_then_what_tells_most() -> None:
+    """A small cause before a large column that explains nothing; its copy and a column of zeros never come."""
+    g = np.array([[10.0, 10.0, 0.0, 0.0, 5.0], [0.0, 0.0, 2.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]])
+    misfit = np.array([0.0, 1.0, 0.0])
+    assert explaining(misfit, g, 1).tolist() == [2]
+    assert explaining(misfit, g, 3).tolist() == [2, 0, 4]
+    assert explaining(misfit, g[:, [0, 2, 3]], 9).tolist() == [1, 0]
+    assert explaining(g @ [0.0, 0.0, 0.5, 0.0, 0.5], g, 2).tolist() == [4, 2]
+    assert explaining(0 * misfit, 0 * g, 3).size == 0
+
+
+def test_slopes_by_superposition_point_where_the_exact_ones_do() -> None:
+    """Of 17 modes near to each: what is left out of the sum turns no column by more than 15 degrees."""
+    start = twin.start()
+    x, system = np.zeros(len(start.candidates)), start.analysis.system
+    lam, phi = replace(start.reduced, count=40).vectors(x)
+    seen = start.observation.matrix @ (system.transform @ phi)
+    aim = twin.measured({11: 0.7, twin.FEET: 2.0}, np.random.default_rng(0))
+    found = residual(aim, superposed(start.model, system, start.candidates, lam, phi, seen, twin.COUNT))
+    exact = residual(aim, start.reduced.linearise(x))
+    np.testing.assert_allclose(found.value, exact.value, atol=1e-6)
+    size = np.linalg.norm(found.slope, axis=0) * np.linalg.norm(exact.slope, axis=0)
+    assert (np.sum(found.slope * exact.slope, axis=0) > np.cos(np.radians(15)) * size).all()
+
+
+@pytest.mark.parametrize("wrong", [{21: 0.6, 30: 1.6}, {13: 0.6, twin.FEET: 3.0}, {32: 1.7, 10: 0.6, 24: 1.5}])
+def test_what_is_wrong_is_among_the_first_that_explain(wrong: dict[int, float]) -> None:
+    """Of 94 candidates over 16 regions, a dozen."""
+    start = twin.start()
+    aim = twin.measured(wrong, np.random.default_rng(1))
+    r = residual(aim, start.reduced.linearise(np.zeros(len(start.candidates))))
+    first = explaining(r.value, r.slope * start.reduced.parameters.std(), 12)
+    found = [set(start.candidates[i].elements) for i in first.tolist()]
+    assert all(twin.region_elements(region) in found for region in wrong)
 
 
 def test_effects_are_the_slopes_of_the_eigenvalues() -> None:

@@ -28,7 +28,7 @@ def laminate(across: float) -> Model:
 
 def kept(m: Model, *, backwards: bool = False) -> list[str]:
     every = generate(m, CandidateSettings(("material",)))[:: -1 if backwards else 1]
-    return [every[i].name.removeprefix("MAT8 1 ") for i in tractable(m, assemble(m), every)]
+    return [every[i].name.removeprefix("MAT8 1 ") for i in tractable(m, assemble(m), every, len(every))]
 
 
 def test_series_and_powers() -> None:

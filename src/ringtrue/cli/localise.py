@@ -10,24 +10,23 @@ import typer
 
 from ringtrue.backends.embedded import EmbeddedAnalysis
 from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
-from ringtrue.core.arrays import Float, Int
-from ringtrue.core.observation import Observation
+from ringtrue.core.arrays import Int
 from ringtrue.core.progress import part
-from ringtrue.eigen.problem import EigenModes
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
-from ringtrue.model.ports import Linearisation, ModesRequest
+from ringtrue.model.ports import ModesRequest
+from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.parametric import ReducedModel, modes_of
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import LocaliseSection
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
-from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates
+from ringtrue.update.candidates import Candidate, CandidateSettings, membership
+from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates, superposed
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import reduced_errors
-from ringtrue.update.objective import Target, match
-from ringtrue.update.pool import conflicts, screened, tractable
+from ringtrue.update.objective import Target, residual
+from ringtrue.update.pool import SMALL, close, conflicts, drawn
 from ringtrue.update.proposal import Proposal, propose
 
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test
@@ -45,7 +44,7 @@ def localise(
     most: Annotated[int, typer.Option(help="Most parameters that are proposed.", min=1)] = 8,
     pool: Annotated[
         int,
-        typer.Option(help="Candidates that are looked at closely, by what the test's frequencies tell of each.", min=1),
+        typer.Option(help="Candidates that are looked at closely: those that explain most of the misfit.", min=1),
     ] = POOL,
     json: Annotated[
         str | None,
@@ -70,10 +69,10 @@ def localise(
         show(0.2, f"energies of {len(every)} candidates")
         strain, kinetic = effects(model, analysis.system, every, modes.values, modes.vectors)
         moved, lost = moving(every, strain, kinetic)
-        pairs = _paired(analysis, modes, count, bridge, aim)
-        keep = _close(every, moved, 0.5 * (strain - kinetic)[pairs[:, 1]] / aim.weights.frequency, pool)
-        at = tractable(model, analysis.system, keep)
-        keep = tuple(sorted((keep[i] for i in at.tolist()), key=every.index))
+        show(0.22, f"what {len(moved)} candidates explain")
+        there = bridge.matrix @ (analysis.system.transform @ modes.vectors)
+        start = residual(aim, superposed(model, analysis.system, moved, modes.values, modes.vectors, there, count))
+        keep = tuple(moved[i] for i in close(model, analysis.system, moved, start, pool).tolist())
         reduced = reduced_candidates(
             model,
             analysis.system,
@@ -85,13 +84,14 @@ def localise(
             progress=part(show, 0.3, 0.6),
         )
         show(0.6, "error indicators")
-        errors = _errors(analysis, reduced, aim, pairs, keep)
-        words = [c.what for c in keep]
+        errors = _errors(analysis, reduced, aim, start.pairs, keep)
+        words, apart = [c.what for c in keep], conflicts(model, keep)
+        points = drawn(reduced.parameters, apart, np.random.default_rng(0))
         found = propose(
-            reduced,
+            condensed(reduced, points, max(SMALL, 2 * count)),
             aim,
             most=most,
-            apart=conflicts(model, keep),
+            apart=apart,
             errors=errors,
             words=words,
             progress=part(show, 0.6, 1.0),
@@ -103,30 +103,10 @@ def localise(
     return 0
 
 
-def _paired(analysis: EmbeddedAnalysis, modes: EigenModes, count: int, bridge: Observation, aim: Target) -> Int:
-    """Modes of the test and of the lowest `count` of the model that belong together, (k, 2)."""
-    shapes = bridge.matrix @ (analysis.system.transform @ modes.vectors[:, :count])
-    none = np.zeros((shapes.shape[1], 0)), np.zeros((*shapes.shape, 0))
-    return match(aim, Linearisation(np.zeros(0), modes.frequencies[:count], shapes, *none))[0]
-
-
-def _close(
-    every: tuple[Candidate, ...], moved: tuple[Candidate, ...], slopes: Float, pool: int
-) -> tuple[Candidate, ...]:
-    """Candidates that move a mode, those that tell most apart first; `slopes` (k, all) of ln f by its deviation."""
-    names = {c.name for c in moved}
-    at = np.array([i for i, c in enumerate(every) if c.name in names])
-    close = screened((slopes * parameters(every).std())[:, at], pool)
-    rest = np.setdiff1d(np.arange(at.size), close) if at.size <= pool or not close.size else close[:0]
-    return tuple(every[i] for i in at[np.append(close, rest)].tolist())[:pool]
-
-
 def _errors(
     analysis: EmbeddedAnalysis, reduced: ReducedModel, aim: Target, pairs: Int, keep: tuple[Candidate, ...]
 ) -> dict[str, Any]:
     """Concentration of the local errors on each candidate."""
-    if not len(pairs):
-        return {}
     f, shapes = aim.frequencies[pairs[:, 0]], aim.shapes[:, pairs[:, 0]]
     rows = np.arange(len(reduced.basis.observe))
     found, _ = reduced_errors(analysis.model, analysis.system, reduced, rows, f, shapes, pairs[:, 1])

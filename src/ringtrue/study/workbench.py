@@ -171,9 +171,10 @@ class Workbench:
 
     def apart(self, parameters: ParameterSet, progress: Progress) -> AtChannels:
         """A reduced model over other parameters at the channels of the elastic reference modes; it is not kept."""
-        return AtChannels(self._built(parameters, progress), self._rows(self.reference(OWN).channels))
+        return AtChannels(self._built(parameters, progress), self.rows(self.reference(OWN).channels))
 
-    def _rows(self, channels: Sequence[str]) -> Int:
+    def rows(self, channels: Sequence[str]) -> Int:
+        """Positions of channels on the sheet of the study."""
         at = {c: i for i, c in enumerate(self.get("identify").test.channels)}
         return np.array([at[c] for c in channels], dtype=np.int64)
 
@@ -182,11 +183,11 @@ class Workbench:
         model = self._reduced(progress)
         total = len(model.system.parameters)
         held = model.with_parameters(range(len(self.parameters)), np.zeros(total))
-        return AtChannels(held, self._rows(self.reference(OWN).channels), self._loaded(OWN))
+        return AtChannels(held, self.rows(self.reference(OWN).channels), self._loaded(OWN))
 
     def suspended(self, channels: Sequence[str], progress: Progress) -> AtChannels:
         """The reduced model at the channels of the rigid-body reference modes."""
-        return AtChannels(self._reduced(progress), self._rows(channels))
+        return AtChannels(self._reduced(progress), self.rows(channels))
 
     def keep(self, model: AtChannels) -> None:
         """Keep an enriched basis for what follows."""

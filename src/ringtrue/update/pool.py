@@ -8,13 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.parameters import Parameter
+from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.errors import InputError
 from ringtrue.fem.assembly import System
 from ringtrue.fem.change import rows_of, within
 from ringtrue.fem.dependence import form, together
 from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
-from ringtrue.update.candidates import Candidate, Kind, counted, membership
+from ringtrue.update.candidates import Candidate, Kind, counted, membership, parameters
+from ringtrue.update.objective import Residual
 
 KIND: dict[str, Kind] = {
     **dict.fromkeys(("MAT1", "MAT2", "MAT8", "MAT9"), "material"),
@@ -23,35 +25,64 @@ KIND: dict[str, Kind] = {
 }
 MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"}
 BOTH = re.compile(r"T\d*|A|AB|OD")
+SMALL = 160  # vectors of the model that a proposal searches with
+DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
+SHARP = 0.3  # discrepancy that candidates are sought for, in units of the assumed one, in which small errors drown
+NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
 
-def screened(slopes: Float, most: int) -> Int:
-    """The candidates that are looked at closely, in the order of what each adds to those before.
-
-    Greedy on ln det(I + GᵀG), the information of the data over that of the prior: one that acts like others already
-    chosen adds little, however large its effect. Those without effect are left out.
+def close(model: Model, system: System, candidates: Sequence[Candidate], r: Residual, most: int) -> Int:
+    """The candidates that are looked at closely, ascending: of those that can be taken apart the first that explain.
 
     Parameters
     ----------
-    slopes : (n, p) float64
-        Weighted, in units of the prior: of the frequencies alone, which cost no solution.
+    r : Residual
+        Of the nominal model, with slopes to all candidates.
+
+    Raises
+    ------
+    InputError
+        If no mode is paired.
     """
-    g, out = np.asarray(slopes, dtype=np.float64), list[int]()
-    inverse = np.eye(g.shape[0])
+    if not r.used.any():
+        raise InputError("no mode of the model is paired with one of the test: nothing can be localised from them")
+    first = explaining(r.value, r.slope * parameters(candidates).std(), 2 * most)
+    return np.sort(first[tractable(model, system, [candidates[i] for i in first.tolist()], most)])
+
+
+def explaining(misfit: Float, slopes: Float, most: int) -> Int:
+    """Candidates in the order of how much of the misfit each explains with those before free, (k,).
+
+    Forward selection on the score statistic with a prior, (gᵀC⁻¹r)²/(1 + gᵀC⁻¹g) with C = I + Σ ggᵀ over those chosen:
+    the fall of the linearised J. Rao (1948). Where no candidate explains more than noise, the rest are those of which
+    the data tell most beside those chosen, gᵀC⁻¹g: greedy on ln det(I + GᵀG). Those without effect are left out.
+
+    Parameters
+    ----------
+    misfit : (n,) float64
+        Weighted.
+    slopes : (n, p) float64
+        Weighted, in units of the prior.
+    """
+    g, r = np.asarray(slopes, dtype=np.float64) / SHARP, np.asarray(misfit, dtype=np.float64) / SHARP
+    out, spread, rest = list[int](), g.copy(), r.copy()  # C⁻¹g and C⁻¹r
     for _ in range(min(most, g.shape[1])):
-        spread = inverse @ g
-        gain = np.einsum("np,np->p", g, spread)
-        gain[out] = -1.0
-        best = int(np.argmax(np.round(gain, 12)))
-        if gain[best] <= 0:
+        told = np.einsum("np,np->p", g, spread)
+        told[out] = 0.0
+        fall = (g.T @ rest) ** 2 * (told > 0) / (1 + told)
+        by = fall if fall.max() > NOISE else told
+        best = int(np.argmax(np.round(by, 12)))
+        if told[best] <= 0:
             break
         out.append(best)
-        inverse = inverse - np.outer(spread[:, best], spread[:, best]) / (1 + gain[best])
+        mine = spread[:, best] / (1 + told[best])
+        rest = rest - mine * (g[:, best] @ rest)
+        spread = spread - np.outer(mine, g[:, best] @ spread)
     return np.array(out, dtype=np.int64)
 
 
-def tractable(model: Model, system: System, candidates: Sequence[Candidate]) -> Int:
-    """Those whose matrices can be taken apart, in order, without those of which that is too much work.
+def tractable(model: Model, system: System, candidates: Sequence[Candidate], most: int) -> Int:
+    """The first whose matrices can be taken apart, in order, without those of which that is too much work.
 
     Of those that are no powers two may do something together on an element, in a coarse series, but no three: the
     constants of a laminate would have no end.
@@ -59,6 +90,8 @@ def tractable(model: Model, system: System, candidates: Sequence[Candidate]) -> 
     members, out = membership(model, candidates), list[int]()
     near, met = (members @ members.T).toarray() > 0, dict[int, set[int]]()
     for i, c in enumerate(candidates):
+        if len(out) == most:
+            break
         how = form(model, c.parameter, system)
         if how == "rough":
             continue
@@ -106,3 +139,15 @@ def conflicts(model: Model, candidates: Sequence[Candidate]) -> Bool:
         same = bool(fields[i]) and bool(fields[j]) and family[i] == family[j]
         out[i, j] = out[j, i] = bool(fields[i] & fields[j]) if same else product
     return out
+
+
+def drawn(p: ParameterSet, apart: Bool, rng: np.random.Generator) -> list[Float]:
+    """Where a search will look: nominal, each candidate by itself, draws of the prior without two that stay apart."""
+    (low, high), std = p.bounds(), p.std()
+    points = [np.zeros(len(p)), *np.diag(std), *np.diag(-std)]
+    for x in std * rng.standard_normal((DRAWS, len(p))):
+        taken = np.zeros(len(p), dtype=np.bool_)
+        for i in rng.permutation(len(p)).tolist():  # over candidates
+            taken[i] = not (apart[i] & taken).any()
+        points.append(np.where(taken, x, 0.0))
+    return [np.clip(x, low, high) for x in points]

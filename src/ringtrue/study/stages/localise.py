@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
@@ -23,18 +22,16 @@ from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import LEAST, effects
+from ringtrue.update.effects import effects, moving, superposed
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import identifiability
 from ringtrue.update.joint import joint_residual
 from ringtrue.update.localise import ElementErrors, expanded_errors, reduced_errors, variation
 from ringtrue.update.objective import Target, match, residual
-from ringtrue.update.pool import conflicts, of_parameter, screened, tractable
+from ringtrue.update.pool import SMALL, close, conflicts, drawn, of_parameter
 from ringtrue.update.proposal import Proposal, propose
 from ringtrue.update.several import Problem
 
-SMALL = 160  # vectors of the model that the proposal searches with
-DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
 NO_PAIR = (
     "no mode of the model is paired with one that the updating may see: nothing can be localised; look at the deck, "
     "the sensor sheet and correlate.mac_gate"
@@ -91,7 +88,7 @@ def _problem(desk: Workbench, model: AtChannels, others: Sequence[AtChannels]) -
 
 
 def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
-    """The candidates of the study, or those made from the deck that can move the measured frequencies most."""
+    """The candidates of the study, or those made from the deck that explain most of the misfit."""
     model, given, asked = desk.remodelled.model, desk.config.candidates(), desk.config.localise
     if len(given):
         return _Pool(tuple(of_parameter(model, p) for p in given.parameters))
@@ -102,21 +99,16 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     taken = conflicts(model, (*every, *springs))[: len(every), len(every) :]
     every = tuple(every[i] for i in np.flatnonzero(~np.any(taken, axis=1)).tolist())
     system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.fmax).modes
-    lam = (2 * np.pi * modes.frequencies) ** 2
-    strain, kinetic = effects(model, system, every, lam, np.asarray(system.local @ modes.shapes))
-    some = np.flatnonzero((np.abs(strain) + np.abs(kinetic)).max(axis=0) > LEAST)
-    table, aim = found.remodelled, target(desk)
-    test, fe = table.pairing.a[table.used], table.pairing.b[table.used]
-    sigma = np.hypot(aim.weights.frequency, aim.std[test])
-    slopes = 0.5 * (strain - kinetic)[fe] / sigma[:, None] * parameters(every).std()
-    first = some[screened(slopes[:, some], 2 * asked.pool)]
-    first = first[tractable(model, system, [every[i] for i in first.tolist()])]
-    close = np.sort(first[screened(slopes[:, first], asked.pool)])
+    lam, vectors = (2 * np.pi * modes.frequencies) ** 2, np.asarray(system.local @ modes.shapes)
+    some, lost = moving(every, *effects(model, system, every, lam, vectors))
+    seen = desk.bridge(desk.remodelled)(modes.shapes)[desk.rows(found.reference.channels)]
+    start = residual(target(desk), superposed(model, system, some, lam, vectors, seen, lam.size))
+    near = close(model, system, some, start, asked.pool)
     return _Pool(
-        tuple(every[i] for i in close.tolist()),
+        tuple(some[i] for i in near.tolist()),
         len(every),
-        tuple(every[i].name for i in np.setdiff1d(np.arange(len(every)), some).tolist()),
-        tuple(every[i].name for i in np.setdiff1d(some, close).tolist()),
+        tuple(d.name for d in lost),
+        tuple(some[i].name for i in np.setdiff1d(np.arange(len(some)), near).tolist()),
     )
 
 
@@ -154,7 +146,7 @@ def _proposal(
     progress: Progress,
 ) -> Proposal:
     asked, apart = desk.config.localise, conflicts(desk.remodelled.model, pool.candidates)
-    points = _points(model.parameters, apart, np.random.default_rng([desk.config.study.seed, 5]))
+    points = drawn(model.parameters, apart, np.random.default_rng([desk.config.study.seed, 5]))
     search = _small(desk, OWN, model, points)
     names = model.parameters.names
     also = [
@@ -180,18 +172,6 @@ def _small(desk: Workbench, name: str, model: AtChannels, points: Sequence[Float
     if desk.config.residual and _shared(desk):
         small = flexible(small, desk.measured(name), model.loaded)
     return replace(model, model=small)
-
-
-def _points(p: ParameterSet, apart: Bool, rng: np.random.Generator) -> list[Float]:
-    """The nominal model, each candidate by itself, and draws of the prior without two that must stay apart."""
-    (low, high), std = p.bounds(), p.std()
-    points = [np.zeros(len(p)), *np.diag(std), *np.diag(-std)]
-    for x in std * rng.standard_normal((DRAWS, len(p))):
-        taken = np.zeros(len(p), dtype=np.bool_)
-        for i in rng.permutation(len(p)).tolist():  # over candidates
-            taken[i] = not (apart[i] & taken).any()
-        points.append(np.where(taken, x, 0.0))
-    return [np.clip(x, low, high) for x in points]
 
 
 def _result(
