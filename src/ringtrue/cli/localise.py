@@ -10,7 +10,6 @@ import typer
 
 from ringtrue.backends.embedded import EmbeddedAnalysis
 from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
-from ringtrue.core.arrays import Int
 from ringtrue.core.progress import part
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
@@ -22,10 +21,10 @@ from ringtrue.study.config import LocaliseSection
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership
-from ringtrue.update.effects import Dropped, effects, moving, reduced_candidates, superposed
+from ringtrue.update.effects import Dropped, effects, force_residual, moving, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import reduced_errors
-from ringtrue.update.objective import Target, residual
+from ringtrue.update.objective import Target, match
 from ringtrue.update.pool import SMALL, close, conflicts, drawn
 from ringtrue.update.proposal import Proposal, propose
 
@@ -71,8 +70,8 @@ def localise(
         moved, lost = moving(every, strain, kinetic)
         show(0.22, f"what {len(moved)} candidates explain")
         there = bridge.matrix @ (analysis.system.transform @ modes.vectors)
-        start = residual(aim, superposed(model, analysis.system, moved, modes.values, modes.vectors, there, count))
-        keep = tuple(moved[i] for i in close(model, analysis.system, moved, start, pool).tolist())
+        left = force_residual(model, analysis.system, moved, modes.values, modes.vectors, there, aim)
+        keep = tuple(moved[i] for i in close(model, analysis.system, moved, *left, pool).tolist())
         reduced = reduced_candidates(
             model,
             analysis.system,
@@ -84,7 +83,7 @@ def localise(
             progress=part(show, 0.3, 0.6),
         )
         show(0.6, "error indicators")
-        errors = _errors(analysis, reduced, aim, start.pairs, keep)
+        errors = _errors(analysis, reduced, aim, keep)
         words, apart = [c.what for c in keep], conflicts(model, keep)
         points = drawn(reduced.parameters, apart, np.random.default_rng(0))
         found = propose(
@@ -94,6 +93,7 @@ def localise(
             apart=apart,
             errors=errors,
             words=words,
+            passed_over=len(moved) - len(keep),
             progress=part(show, 0.6, 1.0),
         )
     if json:
@@ -104,9 +104,12 @@ def localise(
 
 
 def _errors(
-    analysis: EmbeddedAnalysis, reduced: ReducedModel, aim: Target, pairs: Int, keep: tuple[Candidate, ...]
+    analysis: EmbeddedAnalysis, reduced: ReducedModel, aim: Target, keep: tuple[Candidate, ...]
 ) -> dict[str, Any]:
     """Concentration of the local errors on each candidate."""
+    pairs, _, _ = match(aim, reduced.modes(np.zeros(len(keep))))
+    if not len(pairs):
+        return {}
     f, shapes = aim.frequencies[pairs[:, 0]], aim.shapes[:, pairs[:, 0]]
     rows = np.arange(len(reduced.basis.observe))
     found, _ = reduced_errors(analysis.model, analysis.system, reduced, rows, f, shapes, pairs[:, 1])

@@ -11,18 +11,20 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes, frequencies
+from ringtrue.eigen.problem import EigenModes
 from ringtrue.fem.assembly import System
 from ringtrue.fem.dependence import affine_terms
 from ringtrue.fem.derivatives import bilinear
 from ringtrue.model.model import Model
-from ringtrue.model.ports import Linearisation
 from ringtrue.reduce.affine import observed_system
+from ringtrue.reduce.expand import expand_reduced
 from ringtrue.reduce.parametric import BasisOptions, ReducedModel, reduced_model
 from ringtrue.update.candidates import Candidate, parameters
+from ringtrue.update.objective import Target
 
-NEAR = 16  # modes whose sum is the change of a mode: those nearest to it
-REPEATED = 1e-9  # relative distance of eigenvalues whose shapes mix freely
+NEAR = 16  # modes of the model along which the force residual of a test mode is taken
+EXPANDED = 0.02  # relative error of a measured shape that its expansion may leave as misfit
+SHARP = 0.3  # what candidates shall explain is small beside the discrepancy that an updating assumes
 AT_ONCE = 10_000_000  # numbers of the vectors that are worked on at a time
 LEAST = 1e-5  # share of a mode's strain and kinetic energy below which a candidate does not change it
 
@@ -84,18 +86,21 @@ def effects(
     return dk[0] / lam[:, None], dm[0]
 
 
-def superposed(
+def force_residual(
     model: Model,
     system: System,
     candidates: Sequence[Candidate],
     values: Float,
     vectors: Float,
     seen: Float,
-    count: int,
-) -> Linearisation:
-    """The lowest modes and their slopes to all candidates without a solution: a shape changes by the modes near to it.
+    aim: Target,
+) -> tuple[Float, Float]:
+    """What the test's modes leave of the model's equation of motion, and what each candidate adds to it.
 
-    Fox and Kapoor (1968), the sum cut off at `NEAR` modes: good for a choice among hundreds, not for an updating.
+    φ_kᵀ(K − ω²M)u of each used test mode, u being its shape expanded in the modes of the model, along the modes φ_k
+    nearest to it, and φ_kᵀ(∂K − ω²∂M)u: linear in the parameters, without a pairing and without a solution. Weighted by
+    `SHARP` times the errors that shape and frequency are assumed to keep (`Weights`). Fissette, Stavrinidis
+    and Ibrahim (1988).
 
     Parameters
     ----------
@@ -103,28 +108,32 @@ def superposed(
     vectors : (f, m) float64, unit modal mass
     seen : (channel, m) float64
         The same at the channels.
-    count : int
-        Modes returned, the lowest.
+
+    Returns
+    -------
+    misfit : (n,) float64
+    slopes : (n, p) float64
+        −∂misfit/∂x in units of the prior.
     """
-    m, p, chosen = min(count, values.size), len(candidates), [c.parameter for c in candidates]
-    gap = values[:m] - values[:, None]
-    repeated = np.abs(gap) <= REPEATED * np.abs(values).max(initial=0.0)
-    distance = np.abs(gap)
-    distance[np.arange(m), np.arange(m)] = -1.0  # of all modes its own is the first
-    near = np.argsort(distance, axis=0, kind="stable")[: NEAR + 1]
-    d_lambda, d_shapes = np.empty((m, p)), np.empty((len(seen), m, p))
-    step = max(1, AT_ONCE // (near.shape[0] * vectors.shape[0]))
-    for first in range(0, m, step):
-        mine = np.arange(first, min(first + step, m))
-        some = near[:, mine]
-        left = np.ascontiguousarray(vectors[:, some].transpose(1, 0, 2))
-        dk, dm = bilinear(model, chosen, system, left, vectors[:, mine])
-        force, free = dk - values[mine, None] * dm, repeated[some, mine]
-        mix = np.where(free[:, :, None], 0.0, force / np.where(free, np.inf, gap[some, mine])[:, :, None])
-        mix[0] = -0.5 * dm[0]
-        d_lambda[mine] = force[0]
-        d_shapes[:, mine] = np.einsum("csk,skp->ckp", seen[:, some], mix)
-    return Linearisation(np.zeros(p), frequencies(values[:m]), seen[:, :m], d_lambda, d_shapes)
+    f, chosen = aim.frequencies[aim.used], parameters(candidates)
+    omega2 = (2 * np.pi * f) ** 2
+    energy = np.diag(np.abs(values) + omega2.min())
+    own = np.diag(values), np.eye(values.size)
+    u = expand_reduced(*own, energy, seen, aim.shapes[:, aim.used], f, noise=EXPANDED).shapes
+    u = u / np.linalg.norm(u, axis=0)
+    gap = values[:, None] - omega2
+    near = np.argsort(np.abs(gap), axis=0, kind="stable")[:NEAR]
+    gap, along = np.take_along_axis(gap, near, 0), np.take_along_axis(u, near, 0)
+    of_frequency = 2 * np.hypot(SHARP * aim.weights.frequency, aim.std[aim.used]) * omega2
+    sigma = np.hypot(SHARP * np.sqrt(aim.weights.mac) * gap, of_frequency)
+    slopes = np.empty((*gap.shape, len(chosen)))
+    step = max(1, AT_ONCE // (NEAR * vectors.shape[0]))
+    for first in range(0, f.size, step):
+        at = slice(first, first + step)
+        left = np.ascontiguousarray(vectors[:, near[:, at]].transpose(1, 0, 2))
+        dk, dm = bilinear(model, chosen.parameters, system, left, vectors @ u[:, at])
+        slopes[:, at] = (omega2[at, None] * dm - dk) / sigma[:, at, None]
+    return (gap * along / sigma).ravel(), slopes.reshape(-1, len(chosen)) * chosen.std()
 
 
 def reduced_candidates(

@@ -9,14 +9,12 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.errors import InputError
 from ringtrue.fem.assembly import System
 from ringtrue.fem.change import rows_of, within
 from ringtrue.fem.dependence import form, together
 from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
-from ringtrue.update.candidates import Candidate, Kind, counted, membership, parameters
-from ringtrue.update.objective import Residual
+from ringtrue.update.candidates import Candidate, Kind, counted, membership
 
 KIND: dict[str, Kind] = {
     **dict.fromkeys(("MAT1", "MAT2", "MAT8", "MAT9"), "material"),
@@ -27,26 +25,21 @@ MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"
 BOTH = re.compile(r"T\d*|A|AB|OD")
 SMALL = 160  # vectors of the model that a proposal searches with
 DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
-SHARP = 0.3  # discrepancy that candidates are sought for, in units of the assumed one, in which small errors drown
+MATE, MATES = 0.7, 2  # share of the best fall of J from which on a candidate may be meant in place of the best
 NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
 
-def close(model: Model, system: System, candidates: Sequence[Candidate], r: Residual, most: int) -> Int:
+def close(
+    model: Model, system: System, candidates: Sequence[Candidate], misfit: Float, slopes: Float, most: int
+) -> Int:
     """The candidates that are looked at closely, ascending: of those that can be taken apart the first that explain.
 
     Parameters
     ----------
-    r : Residual
-        Of the nominal model, with slopes to all candidates.
-
-    Raises
-    ------
-    InputError
-        If no mode is paired.
+    misfit, slopes : (n,), (n, p) float64
+        As in `explaining`.
     """
-    if not r.used.any():
-        raise InputError("no mode of the model is paired with one of the test: nothing can be localised from them")
-    first = explaining(r.value, r.slope * parameters(candidates).std(), 2 * most)
+    first = explaining(misfit, slopes, 2 * most)
     return np.sort(first[tractable(model, system, [candidates[i] for i in first.tolist()], most)])
 
 
@@ -54,8 +47,9 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
     """Candidates in the order of how much of the misfit each explains with those before free, (k,).
 
     Forward selection on the score statistic with a prior, (gᵀC⁻¹r)²/(1 + gᵀC⁻¹g) with C = I + Σ ggᵀ over those chosen:
-    the fall of the linearised J. Rao (1948). Where no candidate explains more than noise, the rest are those of which
-    the data tell most beside those chosen, gᵀC⁻¹g: greedy on ln det(I + GᵀG). Those without effect are left out.
+    the fall of the linearised J. Rao (1948). With each come up to two that do nearly as well in its place. Where no
+    candidate explains more than noise, the rest are those of which the data tell most beside those chosen, gᵀC⁻¹g:
+    greedy on ln det(I + GᵀG). Those without effect are left out.
 
     Parameters
     ----------
@@ -64,21 +58,24 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
     slopes : (n, p) float64
         Weighted, in units of the prior.
     """
-    g, r = np.asarray(slopes, dtype=np.float64) / SHARP, np.asarray(misfit, dtype=np.float64) / SHARP
-    out, spread, rest = list[int](), g.copy(), r.copy()  # C⁻¹g and C⁻¹r
-    for _ in range(min(most, g.shape[1])):
+    g, r = np.asarray(slopes, dtype=np.float64), np.asarray(misfit, dtype=np.float64)
+    chosen, out, spread, rest = list[int](), list[int](), g.copy(), r.copy()  # C⁻¹g and C⁻¹r
+    for _ in range(g.shape[1]):
         told = np.einsum("np,np->p", g, spread)
-        told[out] = 0.0
+        told[chosen] = 0.0
         fall = (g.T @ rest) ** 2 * (told > 0) / (1 + told)
-        by = fall if fall.max() > NOISE else told
-        best = int(np.argmax(np.round(by, 12)))
-        if told[best] <= 0:
+        some = fall.max(initial=0.0) > NOISE
+        best = int(np.argmax(np.round(fall if some else told, 12)))
+        if len(out) >= most or told[best] <= 0:
             break
-        out.append(best)
+        order = np.argsort(-fall, kind="stable")
+        mates = order[(fall[order] > MATE * fall[best]) & ~np.isin(order, [*out, best])][:MATES] if some else order[:0]
+        out += [i for i in (best, *mates.tolist()) if i not in out]
+        chosen.append(best)
         mine = spread[:, best] / (1 + told[best])
         rest = rest - mine * (g[:, best] @ rest)
         spread = spread - np.outer(mine, g[:, best] @ spread)
-    return np.array(out, dtype=np.int64)
+    return np.array(out[:most], dtype=np.int64)
 
 
 def tractable(model: Model, system: System, candidates: Sequence[Candidate], most: int) -> Int:

@@ -149,6 +149,7 @@ def propose(
     errors: Mapping[str, Float] | None = None,
     words: Sequence[str] = (),
     problem: Problem | None = None,
+    passed_over: int = 0,
     progress: Progress | None = None,
 ) -> Proposal:
     """A ranked, explained set of parameters.
@@ -169,6 +170,8 @@ def propose(
         What each candidate is.
     problem : Problem, optional
         Other tests and what was measured beside modes, too: all of them, the first being `model` and `target`.
+    passed_over : int
+        Candidates that were left out since they explain less of the same test: the choice was among these, too.
 
     Raises
     ------
@@ -178,7 +181,7 @@ def propose(
     told = progress or (lambda _f, _t: None)
     if most < 1:
         raise InputError(f"propose at most {most} parameters: allowed are 1 and more")
-    found = subsets(model, target, most, alike, apart, part(told, 0.0, 0.7), problem)
+    found = subsets(model, target, most, alike, apart, part(told, 0.0, 0.7), problem, passed_over)
     told(0.7, "testing each parameter")
     return _explained(found, errors or {}, words)
 

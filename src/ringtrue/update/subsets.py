@@ -44,7 +44,8 @@ LATER = 2  # sizes beyond the best one that are looked at
 class Search:
     """The candidates, what they aim at, and which of them may enter.
 
-    With a `problem` over the same candidates all of its tests and data are aimed at; `target` is its first.
+    With a `problem` over the same candidates all of its tests and data are aimed at; `target` is its first. So many as
+    were `passed_over` were compared with the same test before, and are paid for.
     """
 
     model: Candidates
@@ -57,12 +58,19 @@ class Search:
     high: Float
     prior: Float
     problem: Problem | None = None
+    passed_over: int = 0
     seen: dict[bytes, Residual] = field(default_factory=dict)
     done: dict[tuple[tuple[int, ...], bytes, int], Choice] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, model: Candidates, target: Target, alike: float, apart: Bool | None, problem: Problem | None = None
+        cls,
+        model: Candidates,
+        target: Target,
+        alike: float,
+        apart: Bool | None,
+        problem: Problem | None = None,
+        passed_over: int = 0,
     ) -> Search:
         p = model.parameters
         low, high = p.bounds()
@@ -82,6 +90,7 @@ class Search:
             high,
             p.std(),
             problem,
+            passed_over,
         )
 
     @property
@@ -224,6 +233,7 @@ def subsets(
     apart: Bool | None,
     told: Progress,
     problem: Problem | None = None,
+    passed_over: int = 0,
 ) -> Subsets:
     """The best sets of up to `most` candidates, and the one that the criterion chooses.
 
@@ -233,13 +243,15 @@ def subsets(
         Candidates that must not be in one set.
     problem : Problem, optional
         All tests and data, the first of them `target`; over the same candidates.
+    passed_over : int
+        Candidates that were left out since they explain less of the same test.
 
     Raises
     ------
     InputError
         If no mode is paired at the start.
     """
-    plain = Search.of(model, target, alike, apart, problem)
+    plain = Search.of(model, target, alike, apart, problem, passed_over)
     none = Choice(np.zeros(0, dtype=np.int64), np.zeros(len(model.parameters)), np.inf)
     start = plain.point(none.x)
     if not start.used.any():
@@ -363,7 +375,7 @@ def _criteria(search: Search, path: Sequence[Choice]) -> Float:
 
     The best of many sets fits the noise, too: 2 γ ln of the number of sets of that size. Chen and Chen (2008), eq. 2.2.
     """
-    pool = np.unique(search.groups[search.pool]).size
+    pool = np.unique(search.groups[search.pool]).size + search.passed_over
     size = np.array([c.members.size for c in path])
     sets = gammaln(pool + 1) - gammaln(size + 1) - gammaln(np.maximum(pool - size, 0) + 1)
     return np.asarray(2 * PRICE * sets + aicc(search, path))
