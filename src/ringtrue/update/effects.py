@@ -25,7 +25,7 @@ from ringtrue.update.objective import Target
 NEAR = 16  # modes of the model along which the force residual of a test mode is taken
 EXPANDED = 0.02  # relative error of a measured shape that its expansion may leave as misfit
 SHARP = 0.3  # what candidates shall explain is small beside the discrepancy that an updating assumes
-AT_ONCE = 10_000_000  # numbers of the vectors that are worked on at a time
+AT_ONCE = 40_000_000  # numbers of the vectors that are worked on at a time
 LEAST = 1e-5  # share of a mode's strain and kinetic energy below which a candidate does not change it
 
 
@@ -130,7 +130,7 @@ def force_residual(
     step = max(1, AT_ONCE // (NEAR * vectors.shape[0]))
     for first in range(0, f.size, step):
         at = slice(first, first + step)
-        left = np.ascontiguousarray(vectors[:, near[:, at]].transpose(1, 0, 2))
+        left = np.stack([vectors[:, modes] for modes in near[:, at]])
         dk, dm = bilinear(model, chosen.parameters, system, left, vectors @ u[:, at])
         slopes[:, at] = (omega2[at, None] * dm - dk) / sigma[:, at, None]
     return (gap * along / sigma).ravel(), slopes.reshape(-1, len(chosen)) * chosen.std()

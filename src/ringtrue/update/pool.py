@@ -61,7 +61,7 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
     g, r = np.asarray(slopes, dtype=np.float64), np.asarray(misfit, dtype=np.float64)
     chosen, out, spread, rest = list[int](), list[int](), g.copy(), r.copy()  # C⁻¹g and C⁻¹r
     for _ in range(g.shape[1]):
-        told = np.einsum("np,np->p", g, spread)
+        told = np.round(np.einsum("np,np->p", g, spread), 12)
         told[chosen] = 0.0
         fall = (g.T @ rest) ** 2 * (told > 0) / (1 + told)
         some = fall.max(initial=0.0) > NOISE
