@@ -88,6 +88,16 @@ def test_a_mode_that_left_the_gates_still_names_its_spring(wrong: int, factor: f
     assert found.members[0].factor == pytest.approx(factor, rel=0.01)
 
 
+def test_candidates_that_were_left_out_before_are_paid_for() -> None:
+    """A choice of one among a hundred costs its logarithm, whether or not eighty-five were looked at closely."""
+    model = chain(15, 15, std=1.0)
+    aim = aim_at(model, np.where(np.arange(15) == 3, 0.5, 0.0), 10)
+    few, many = (propose(model, aim, most=2, passed_over=n) for n in (0, 85))
+    one = few.criteria[few.sizes == 1], many.criteria[many.sizes == 1]
+    np.testing.assert_allclose(one[1] - one[0], np.log(100 / 15))
+    assert [m.name for m in many.members] == ["p3"]
+
+
 def test_at_most_as_many_as_asked_for() -> None:
     model = chain(15, 15, std=1.0)
     x = np.zeros(15)
