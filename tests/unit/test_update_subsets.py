@@ -96,6 +96,16 @@ def test_the_force_residual_of_exact_shapes_is_what_is_wrong() -> None:
     np.testing.assert_allclose(1 + x * start.reduced.parameters.std()[some], list(wrong.values()), atol=0.15)
 
 
+def test_no_candidate_leaves_a_misfit_and_no_slope() -> None:
+    start = twin.start()
+    lam, phi = start.reduced.vectors(np.zeros(len(start.candidates)))
+    there = start.observation.matrix @ (start.analysis.system.transform @ phi)
+    aim = twin.measured({}, np.random.default_rng(0))
+    misfit, slopes = force_residual(start.model, start.analysis.system, (), lam, phi, there, aim)
+    assert slopes.shape == (misfit.size, 0)
+    assert explaining(misfit, slopes, 3).size == 0
+
+
 def test_what_is_wrong_is_among_the_first_that_explain() -> None:
     """Of 94 candidates over 16 regions two dozen, of six frames with three regions off by half or more."""
     start, held = twin.start(), list[bool]()

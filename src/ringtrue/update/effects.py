@@ -120,7 +120,7 @@ def force_residual(
     energy = np.diag(np.abs(values) + omega2.min())
     own = np.diag(values), np.eye(values.size)
     u = expand_reduced(*own, energy, seen, aim.shapes[:, aim.used], f, noise=EXPANDED).shapes
-    u = u / np.linalg.norm(u, axis=0)
+    u = u / np.maximum(np.linalg.norm(u, axis=0), 1e-300)
     gap = values[:, None] - omega2
     near = np.argsort(np.abs(gap), axis=0, kind="stable")[:NEAR]
     gap, along = np.take_along_axis(gap, near, 0), np.take_along_axis(u, near, 0)
@@ -133,7 +133,7 @@ def force_residual(
         left = np.stack([vectors[:, modes] for modes in near[:, at]])
         dk, dm = bilinear(model, chosen.parameters, system, left, vectors @ u[:, at])
         slopes[:, at] = (omega2[at, None] * dm - dk) / sigma[:, at, None]
-    return (gap * along / sigma).ravel(), slopes.reshape(-1, len(chosen)) * chosen.std()
+    return (gap * along / sigma).ravel(), slopes.reshape(gap.size, len(chosen)) * chosen.std()
 
 
 def reduced_candidates(
