@@ -227,7 +227,7 @@ def test_a_singular_model_is_a_failed_result(deck: Path, capsys: Capture) -> Non
 
 def test_oma(record: Callable[..., Path], capsys: Capture) -> None:
     found = parsed(capsys, "oma", record(), "--rate", 64, "--fmin", 3, "--fmax", 10)
-    assert [round(m["frequency_hz"], 1) for m in found["modes"]] == [4.8, 5.6, 6.5, 8.9]
+    assert [round(m["frequency_hz"], 1) for m in found["modes"]] == [4.8, 5.6, 6.7, 8.9]
     assert all(0.002 < m["damping"] < 0.03 and m["std_damping"] > 0 for m in found["modes"])
     assert len(found["channels"]) == 6
 

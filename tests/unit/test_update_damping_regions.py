@@ -105,8 +105,8 @@ def test_loss_factors_and_dashpot_from_the_damping_of_the_modes(tmp_path: Path) 
     found = dampers(opened.model, regions, values, shapes, total, 0.01)
     np.testing.assert_allclose(found.base[0], 0.0, atol=1e-9 * np.abs(total[0]).max())
     assert found.base[1][0, 0] > 0.1 * total[1][0, 0]  # the bush's GE is nobody's
-    true = complex_modes(values, *total).damping
-    at = np.arange(values.size)
+    damped = complex_modes(values, *total)
+    true, at = damped.damping, np.abs(damped.shapes).argmax(axis=0)  # two close modes change places
     fit = fit_poles(values, found.mechanisms, true, 1e-4 * true, at, base=found.base)
     np.testing.assert_allclose(fit.coefficients, [*GE.values(), B], rtol=2e-3)  # the priors pull by some 1e-4
     ratio, std = mode_damping(values, found.mechanisms, fit, at)

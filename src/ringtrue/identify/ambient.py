@@ -339,7 +339,7 @@ def identify_stretches(
         found.append(other)
     result = _assemble(good, found, lines, bands, settings, known, whole)
     if whole is not good:
-        modes, reasons = overtones(result.modes, result.reasons)
+        modes, reasons = overtones(result.modes, result.uncertainty.frequency, result.reasons)
         result = replace(result, modes=modes, reasons=reasons)
     if second is None and (unsteady := unexplained(result.modes, with_feet(good, places))):
         return identify_stretches((first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady))

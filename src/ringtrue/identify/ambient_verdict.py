@@ -200,10 +200,11 @@ def reason(found: Found, i: int) -> str:
     )
 
 
-def overtones(modes: ModeSet, reasons: tuple[str, ...]) -> tuple[ModeSet, tuple[str, ...]]:
+def overtones(modes: ModeSet, std: Float, reasons: tuple[str, ...]) -> tuple[ModeSet, tuple[str, ...]]:
     """Modes and reasons of a clipped record: the half of the confidence where a mode is an overtone of surer ones.
 
-    Clipping makes responses at a + b, 2a, 3a and 2a ± b of the frequencies a, b of strong modes.
+    Clipping makes responses at a + b, 2a, 3a and 2a ± b of the frequencies a, b of strong modes, as far as these are
+    known: `std` (m,), Hz.
     """
     f, sure = modes.frequencies, modes.confidence.copy()
     told = list(reasons)
@@ -211,7 +212,7 @@ def overtones(modes: ModeSet, reasons: tuple[str, ...]) -> tuple[ModeSet, tuple[
         base = f[(f < f[k]) & (modes.confidence > modes.confidence[k])]
         a, b = (x.ravel() for x in np.meshgrid(base, base))
         made = np.concatenate([a + b, 3 * base, 2 * a + b, 2 * a - b])
-        if made.size and np.abs(made / f[k] - 1).min() < OVERTONE:
+        if made.size and np.abs(made - f[k]).min() < max(OVERTONE * f[k], 2 * std[k]):
             sure[k] *= 0.5
             told[k] += "; may be made by clipping, as an overtone of other modes"
     return replace(modes, confidence=sure), tuple(told)
