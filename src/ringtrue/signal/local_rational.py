@@ -24,9 +24,7 @@ from ringtrue.signal.spectra import sorted_channels
 
 DEGREE = 2  # of every polynomial: two poles, and what other modes add
 TURNS = 3  # of the weight
-SPARE = (
-    4.0  # lines of the record to unknowns of a window, at least: near the ends of a sweep T is hard to tell from H U
-)
+SPARE = 4.0  # lines of the record to an unknown of a window, at least: sweeps hardly tell T from H U at their ends
 OVERLAP = 4  # windows that share a line of the record
 FILLED = 0.4  # of the lines carry a random force; fewer do of a periodic one
 SEEN = 4.0  # times its variance is the square of an FRF, mean over the responses, of a line that tells something
