@@ -16,7 +16,7 @@ from ringtrue.signal.events import NONE, Events, find_events
 from ringtrue.signal.lines import steady_lines, with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic
 from ringtrue.signal.strokes import without_strokes
-from ringtrue.signal.sweeps import without_sweeps
+from ringtrue.signal.sweeps import mixes, without_sweeps
 from ringtrue.signal.threads import abreast
 
 
@@ -24,8 +24,9 @@ def without_strokes_and_sweeps(
     good: TimeHistory, whole: TimeHistory | None
 ) -> tuple[TimeHistory, TimeHistory | None, tuple[str, ...]]:
     """Both records (`whole`: some channels of `good`) without regular blows and run-ups of machines, and notes."""
-    quiet, strokes = without_strokes(good)
-    clean, sweeps = without_sweeps(quiet)
+    heard = mixes(good.data)
+    quiet, strokes = without_strokes(good, heard)
+    clean, sweeps = without_sweeps(quiet, heard if quiet is good else None)
     notes: tuple[str, ...] = ()
     if strokes:
         notes += (

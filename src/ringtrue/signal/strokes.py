@@ -39,9 +39,12 @@ class Strokes:
     interval: float
 
 
-def without_strokes(history: TimeHistory) -> tuple[TimeHistory, Strokes | None]:
-    """The record without the mean response to regular blows, and these; the same object where there are none."""
-    at = _strokes(mixes(history.data))
+def without_strokes(history: TimeHistory, heard: Any_ | None = None) -> tuple[TimeHistory, Strokes | None]:
+    """The record without the mean response to regular blows, and these; the same object where there are none.
+
+    `heard` are its `sweeps.mixes`, if known.
+    """
+    at = _strokes(mixes(history.data) if heard is None else heard)
     if at.size < FEWEST:
         return history, None
     interval = np.diff(at)
@@ -56,14 +59,14 @@ def _strokes(some: Any_) -> Int:
     """(k,) samples at which the signals (ch, sample) are struck."""
     error = np.stack([_unforeseen(x) ** 2 for x in some])
     n = error.shape[1] // WINDOW * WINDOW
-    power = error[:, :n].reshape(len(error), -1, WINDOW).mean(axis=2)
+    power = error[:, :n].reshape(len(error), -1, WINDOW) @ np.full(WINDOW, 1 / WINDOW, dtype=error.dtype)
     typical = np.median(power, axis=1, keepdims=True)
     if not n or not (typical > 0).all():
         return np.empty(0, dtype=np.int64)
     power = (power / typical).mean(axis=0)
     top = np.flatnonzero((power > ABOVE) & (power >= maximum_filter1d(power, 2 * APART + 1)))
     around = np.clip(WINDOW * top[:, None] + np.arange(-2, WINDOW + 2), 0, error.shape[1] - 1)
-    each = (error / typical).mean(axis=0)[around]
+    each = (error[:, around] / typical[:, :, None]).mean(axis=0)
     return np.asarray(np.unique(around[np.arange(top.size), each.argmax(axis=1)]), dtype=np.int64)
 
 

@@ -24,7 +24,7 @@ GROUP = 32  # bins with a common level
 LOW, HIGH = 4.0, 12.0  # times the level of bin and frame: what hangs together, and what noise does not reach
 LEAST, ODD = 8, 2  # frames of a ridge, and how many at either end of its range may be by chance
 LOWEST = 4  # bin
-FEW, QUIET = 500, 0.5  # frames that tell what is typical; level of a frame at least
+FEW, QUIET = 500, 0.5  # frames at most that tell what is typical; level of a frame at least
 MOVES = 1.15  # largest over smallest frequency: five half-power bandwidths of 3 % damping
 SPAN, THIN = 6, 2.5  # bins, and widths of the ridge itself, that it moves by
 STEADY = 0.25  # of its range: how far it may jump from frame to frame
@@ -39,12 +39,13 @@ class Sweep:
     seconds: float
 
 
-def without_sweeps(history: TimeHistory) -> tuple[TimeHistory, tuple[Sweep, ...]]:
+def without_sweeps(history: TimeHistory, heard: Any_ | None = None) -> tuple[TimeHistory, tuple[Sweep, ...]]:
     """The record without tones of changing frequency, and these; the same object where there are none.
 
-    All channels lose the same cells of time and frequency; a mode that a tone rests on loses that time.
+    All channels lose the same cells of time and frequency; a mode that a tone rests on loses that time. `heard` are its
+    `mixes`, if known.
     """
-    found, heard = list[Sweep](), mixes(history.data)
+    found, heard = list[Sweep](), mixes(history.data) if heard is None else heard
     for n in FRAMES:
         if 2 * history.data.shape[1] < LEAST_FRAMES * n:
             continue
@@ -85,7 +86,7 @@ def _whitened(mixes: Any_, n: int) -> Any_:
     for x in mixes:
         y = rfft(_frames(x, n) * taper, axis=1)[:, :bins]
         power = y.real**2 + y.imag**2
-        typical = _upper_median(power[:: max(1, len(power) // FEW)].T)[:, 0] * np.float32(len(mixes) / np.log(2))
+        typical = _upper_median(power[:: -(-len(power) // FEW)].T)[:, 0] * np.float32(len(mixes) / np.log(2))
         total += power / np.maximum(typical, np.finfo(np.float32).tiny)
     total[:, :LOWEST] = 0
     groups = total.reshape(len(total), -1, GROUP)
