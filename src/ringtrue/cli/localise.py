@@ -21,7 +21,7 @@ from ringtrue.study.config import LocaliseSection
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership
-from ringtrue.update.effects import Dropped, effects, force_residual, moving, reduced_candidates
+from ringtrue.update.effects import Dropped, effective, force_residual, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import reduced_errors
 from ringtrue.update.objective import Target, match
@@ -66,8 +66,7 @@ def localise(
         modes = analysis.eigen(ModesRequest(modes_of(count)), part(show, 0.1, 0.2))
         every = generate(model, CandidateSettings(units=units))
         show(0.2, f"energies of {len(every)} candidates")
-        strain, kinetic = effects(model, analysis.system, every, modes.values, modes.vectors)
-        moved, lost = moving(every, strain, kinetic)
+        moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
         show(0.22, f"what {len(moved)} candidates explain")
         there = bridge.matrix @ (analysis.system.transform @ modes.vectors)
         left = force_residual(model, analysis.system, moved, modes.values, modes.vectors, there, aim)

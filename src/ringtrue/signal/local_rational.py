@@ -19,8 +19,7 @@ from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.motions import FRF_KIND
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.signal.hits import input_id
-from ringtrue.signal.spectra import sorted_channels
+from ringtrue.signal.spectra import as_input, sorted_channels
 
 DEGREE = 2  # of every polynomial: two poles, and what other modes add
 TURNS = 3  # of the weight
@@ -103,7 +102,7 @@ def _frfs(history: TimeHistory, resolution: float, inputs: Sequence[str]) -> tup
     coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
     seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1).min(axis=1) > SEEN
     kind = FRF_KIND[ordered.channels[q].quantity]
-    forces = tuple(replace(c, id=input_id(c.id)) for c in ordered.channels[:q])
+    forces = tuple(as_input(c) for c in ordered.channels[:q])
     responses, averages = ordered.channels[q:], np.full(q, freedom)
     return FrfSet(h, freqs, responses, forces, coherence, averages, kind, 0.0, history.source), seen
 

@@ -96,7 +96,7 @@ def shaker_frfs(
         h,
         spectra.freqs[1:],
         ordered.channels[q:],
-        tuple(_input(c) for c in ordered.channels[:q]),
+        tuple(as_input(c) for c in ordered.channels[:q]),
         partial,
         np.full(q, n),
         FRF_KIND[ordered.channels[q].quantity],
@@ -127,7 +127,8 @@ def sorted_channels(history: TimeHistory, inputs: Sequence[str] = ()) -> tuple[T
     return ordered, len(forces)
 
 
-def _input(channel: Channel) -> Channel:
+def as_input(channel: Channel) -> Channel:
+    """The same channel under the name that FRFs have for a reference."""
     return replace(channel, id=input_id(channel.id))
 
 

@@ -54,13 +54,7 @@ def effective(
     values : (m,) float64, (rad/s)²
     vectors : (f, m) float64, unit modal mass
     """
-    return moving(candidates, *effects(model, system, candidates, values, vectors), least)
-
-
-def moving(
-    candidates: Sequence[Candidate], strain: Float, kinetic: Float, least: float = LEAST
-) -> tuple[tuple[Candidate, ...], tuple[Dropped, ...]]:
-    """The same where the effects (m, p) are known."""
+    strain, kinetic = effects(model, system, candidates, values, vectors)
     most = (np.abs(strain) + np.abs(kinetic)).max(axis=0, initial=0.0)
     keep = tuple(c for c, size in zip(candidates, most.tolist(), strict=True) if size > least)
     lost = tuple(

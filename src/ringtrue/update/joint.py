@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.update.choose import Choice
 from ringtrue.update.objective import Residual
-from ringtrue.update.residuals import CrossOrthogonality, Eigenvalues, Frequencies, Mac, Shapes, Term, Weighted
+from ringtrue.update.residuals import OF_FREQUENCY, CrossOrthogonality, Mac, Shapes, Term, Weighted
 from ringtrue.update.several import APART, Evaluated, Problem, held_to
 from ringtrue.update.trust import solve
 
@@ -41,7 +41,7 @@ def _kinds(problem: Problem, at: Evaluated) -> tuple[np.ndarray[tuple[int], np.d
 
 
 def _kind(term: Term) -> int:
-    if isinstance(term, Eigenvalues | Frequencies):
+    if isinstance(term, OF_FREQUENCY):
         return 0
     return 1 if isinstance(term, Shapes | Mac | CrossOrthogonality) else 2
 

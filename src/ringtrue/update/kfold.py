@@ -21,12 +21,11 @@ from ringtrue.core.outcome import Outcome
 from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError
 from ringtrue.update.posterior import laplace
-from ringtrue.update.residuals import Eigenvalues, Frequencies, Shapes
+from ringtrue.update.residuals import OF_FREQUENCY, Shapes
 from ringtrue.update.several import Configuration, Evaluated, Problem
 from ringtrue.update.trust import Method, solve
 
 LEAST = 1e-4  # model discrepancy, relative
-OF_F = (Eigenvalues, Frequencies)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,7 +229,9 @@ def variance_parts(problem: Problem, at: Evaluated) -> Float:
     """
     terms = [(t, c.target) for c in problem.configurations for t in c.terms]
     n = int(at.kind.max(initial=-1)) + 1
-    of_f = np.array([(t.std**2 + np.mean(a.std**2)) ** -0.5 if isinstance(t, OF_F) else 0.0 for t, a in terms][:n])
+    of_f = np.array(
+        [(t.std**2 + np.mean(a.std**2)) ** -0.5 if isinstance(t, OF_FREQUENCY) else 0.0 for t, a in terms][:n]
+    )
     of_s = np.array([t.mac**-0.5 if isinstance(t, Shapes) else 0.0 for t, _ in terms][:n])
     other = np.where((of_f == 0) & (of_s == 0), 1.0, 0.0)
     none, *each = (laplace(problem, at, k, independent=1.0).covariance for k in (0 * other, of_f, of_s, other))

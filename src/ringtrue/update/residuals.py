@@ -197,6 +197,9 @@ class Frequencies:
         return rows_block(root * value, (root / by)[:, None] * d_f, t)
 
 
+OF_FREQUENCY = (Eigenvalues, Frequencies)  # whose `std` is the model discrepancy of a frequency
+
+
 @dataclass(frozen=True, slots=True)
 class Shapes:
     """Differences of shapes, scaled: ψ − Φ(Φ⁺ψ), rotated within close groups; the square sum is 1 − MAC.
@@ -307,7 +310,7 @@ def reweighed(terms: Sequence[Term], frequency: float, mac: float) -> tuple[Term
     """The kinds with other model discrepancies of a frequency (relative) and of 1 − MAC; the rest as it is."""
     out: list[Term] = []
     for t in terms:
-        if isinstance(t, Eigenvalues | Frequencies):
+        if isinstance(t, OF_FREQUENCY):
             out.append(replace(t, std=frequency))
         elif isinstance(t, Shapes):
             out.append(replace(t, mac=mac))
@@ -318,7 +321,7 @@ def reweighed(terms: Sequence[Term], frequency: float, mac: float) -> tuple[Term
 
 def widened(term: Term, by: float) -> Term:
     """A kind of residuals with standard deviations `by` times as large."""
-    if isinstance(term, Eigenvalues | Frequencies | Mac | CrossOrthogonality):
+    if isinstance(term, (*OF_FREQUENCY, Mac, CrossOrthogonality)):
         return replace(term, std=by * term.std)
     if isinstance(term, Shapes):
         return replace(term, mac=by**2 * term.mac)

@@ -22,7 +22,7 @@ from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import effects, force_residual, moving
+from ringtrue.update.effects import effective, force_residual
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import identifiability
 from ringtrue.update.joint import joint_residual
@@ -100,7 +100,7 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     every = tuple(every[i] for i in np.flatnonzero(~np.any(taken, axis=1)).tolist())
     system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.fmax).modes
     lam, vectors = (2 * np.pi * modes.frequencies) ** 2, np.asarray(system.local @ modes.shapes)
-    some, lost = moving(every, *effects(model, system, every, lam, vectors))
+    some, lost = effective(model, system, every, lam, vectors)
     seen = desk.bridge(desk.remodelled)(modes.shapes)[desk.rows(found.reference.channels)]
     near = close(
         model, system, some, *force_residual(model, system, some, lam, vectors, seen, target(desk)), asked.pool
