@@ -262,3 +262,50 @@ def test_the_rate_is_not_rounded_by_the_six_digits_of_its_step(tmp_path: Path, r
     text = function58(lines(Y, (13,) * 6), 2, 1).replace(f"{0.25:13.5E}", f"{1 / rate:13.5E}")
     (tmp_path / "r.uff").write_text(text)
     assert read_record(tmp_path / "r.uff").rate == rate
+
+
+def _plain(kind: int, codes: str, title: str, body: str, even: int = 1, unit: str = "NONE") -> str:
+    """A function without points, its axis and the unit of its abscissa named."""
+    text = function58(body, 5 if kind in (4, 6) else 2, even, kind).replace(f"{3:10d}{-2:4d}", f"{0:10d}{0:4d}")
+    text = text.replace(f"{4:10d}{1:4d}", f"{0:10d}{0:4d}").replace("    17    ", f"    {codes}    ", 1)
+    text = text.replace("NONE                 NONE", f"NONE                 {unit:<4}", 1)
+    return text.replace(f"{12:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20}", f"{12:10d}{0:5d}{0:5d}{0:5d} {title:<20}")
+
+
+def test_channels_without_points_have_the_names_of_their_axes(tmp_path: Path) -> None:
+    """As catman writes them; of function type 0 too, where the abscissa is a time."""
+    body = lines(Y, (13,) * 6)
+    (tmp_path / "t.uff").write_text(_plain(1, "17", "Acc left", body) + _plain(0, "17", "Acc right", body))
+    assert [c.id for c in read_record(tmp_path / "t.uff").channels] == ["Acc left", "Acc right"]
+    pairs = lines(PAIRS, (13,) * 6)
+    (tmp_path / "f.uff").write_text(_plain(4, "18", "Acc left", pairs) + _plain(4, "18", "Acc right", pairs))
+    frfs = read_frfs(tmp_path / "f.uff")
+    assert ([c.id for c in frfs.outputs], [c.id for c in frfs.inputs]) == (["Acc left", "Acc right"], ["in1"])
+    (tmp_path / "f.uff").write_text(_plain(4, "18", "Acc", pairs) * 2)
+    with pytest.raises(DataError, match="name no reference point"):
+        read_frfs(tmp_path / "f.uff")
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("rad/s", 0.5 / np.pi), ("RPM", 1 / 60), ("kHz", 1e3), ("Hz", 1.0)])
+def test_the_unit_of_the_abscissa_counts(tmp_path: Path, unit: str, factor: float) -> None:
+    text = function58(lines(PAIRS, (13,) * 6), 5, 1, 4).replace(
+        f"{17:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}", f"{18:10d}{0:5d}{0:5d}{0:5d} {'Freq':<20} {unit:<20}"
+    )
+    (tmp_path / "f.uff").write_text(text)
+    np.testing.assert_allclose(read_frfs(tmp_path / "f.uff").freqs, X * factor)
+
+
+def test_coherence_on_other_lines_is_left_out(tmp_path: Path) -> None:
+    f, h = np.arange(1, 9) * 0.5, np.arange(1, 9) * (1 + 1j)
+    parts = [write_function(4, f, h, (1, 3), (2, 3), codes=(18, 12, 13))]
+    parts.append(write_function(6, 2 * f, np.full(8, 0.9), (1, 3), (2, 3), codes=(18, 0, 0)))
+    (tmp_path / "f.uff").write_bytes(b"".join(parts))
+    assert np.isnan(read_frfs(tmp_path / "f.uff").coherence).all()
+
+
+def test_the_rate_of_times_that_stand_beside_the_samples(tmp_path: Path) -> None:
+    """Of six digits each; the median step of a long record would be off by their rounding."""
+    t = np.arange(2000) / 512
+    text = function58(lines(np.column_stack([t, np.sin(t)]).ravel(), (13,) * 6), 2, 0, count=t.size)
+    (tmp_path / "t.uff").write_text(text)
+    assert read_record(tmp_path / "t.uff").rate == pytest.approx(512, rel=5e-6)

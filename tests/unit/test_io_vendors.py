@@ -7,10 +7,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import savemat
 
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.records import read_record
+from ringtrue.io.si import to_si
 
 SIGNAL = np.random.default_rng(7).standard_normal((3, 500))  # (channel, sample), at 256 Hz
 TIMES = np.arange(500) / 256
@@ -88,3 +90,83 @@ def test_empty_rows_of_a_spreadsheet_end_a_csv(tmp_path: Path) -> None:
     rows = "\n".join(";".join(f"{v:.9g}".replace(".", ",") for v in r) for r in np.vstack([TIMES, SIGNAL]).T)
     (tmp_path / "r.csv").write_text(f"Time;a;b;c\n{rows}\n;;;\n")
     np.testing.assert_allclose(read_record(tmp_path / "r.csv").data, SIGNAL, rtol=1e-6, atol=1e-8)
+
+
+def _csv(columns: np.ndarray) -> str:
+    return "\n".join(",".join(f"{v:.9g}" for v in r) for r in columns.T) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("index and time, as pandas writes them", ",time,a,b,c\n" + _csv(np.vstack([np.arange(500), TIMES, SIGNAL]))),
+        ("names in a comment, as NumPy writes them", "# t,a,b,c\n" + _csv(np.vstack([TIMES, SIGNAL]))),
+        ("a comment of MATLAB", "% fs: 256\na,b,c\n" + _csv(SIGNAL)),
+        ("a column of words", "t,a,b,c,state\n" + _csv(np.vstack([TIMES, SIGNAL])).replace("\n", ",OK\n")),
+    ],
+)
+def test_text_of_programs(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / "r.csv").write_text(text)
+    got = read_record(tmp_path / "r.csv")
+    assert ([c.id for c in got.channels], got.rate) == (["a", "b", "c"], pytest.approx(256))
+    np.testing.assert_allclose(got.data, SIGNAL, rtol=1e-8)
+
+
+@pytest.mark.parametrize("form", ["v5", "v7.3"])
+def test_arrays_of_structures_in_matlab_files(tmp_path: Path, form: str) -> None:
+    path = tmp_path / "r.mat"
+    if form == "v5":
+        rows = [(x[:, None], t, 1 / 256) for x, t in zip(SIGNAL, "abc", strict=True)]
+        savemat(path, {"ch": np.array(rows, dtype=[("data", "O"), ("name", "O"), ("dt", "O")])})
+    else:
+        with h5py.File(path, "w", userblock_size=512) as file:
+            data = [file.create_dataset(f"#refs#/{i}", data=x[None]) for i, x in enumerate(SIGNAL)]
+            texts = [file.create_dataset(f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16)) for t in "abc"]
+            for t in texts:
+                t.attrs["MATLAB_class"] = np.bytes_("char")
+            for field, cells in (("data", data), ("name", texts)):
+                file.create_dataset(f"ch/{field}", data=np.array([[c.ref for c in cells]], dtype=h5py.ref_dtype))
+            file["Sampling_Frequency_Hz"] = np.array([[256.0]])
+        with path.open("r+b") as raw:
+            raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    got = read_record(path)
+    assert ([c.id for c in got.channels], got.rate) == (["a", "b", "c"], 256.0)
+    np.testing.assert_allclose(got.data, SIGNAL)
+
+
+def test_the_rate_of_a_tdms_may_stand_at_its_root(tmp_path: Path) -> None:
+    with TdmsWriter(tmp_path / "r.tdms") as file:
+        root = RootObject(properties={"SampleRate": 256.0})
+        file.write_segment([root, *(ChannelObject("g", t, x) for t, x in zip("abc", SIGNAL, strict=True))])
+    assert read_record(tmp_path / "r.tdms").rate == 256.0
+
+
+def test_a_step_of_three_digits_in_lvm_gives_way_to_its_column_of_times(tmp_path: Path) -> None:
+    """LabVIEW writes 1/4096 s as 0.000244, which is 4098.4 Hz."""
+    head = [
+        "LabVIEW Measurement",
+        "Separator\tTab",
+        "Decimal_Separator\t.",
+        "X_Columns\tOne",
+        "***End_of_Header***",
+        "",
+    ]
+    head += [
+        "Channels\t1",
+        "Samples\t500",
+        "X0\t0.0",
+        "Delta_X\t0.000244",
+        "***End_of_Header***",
+        "X_Value\ta\tComment",
+    ]
+    rows = [f"{k / 4096:.6f}\t{x:.6f}" for k, x in enumerate(SIGNAL[0])]
+    (tmp_path / "r.lvm").write_text("\n".join([*head, *rows]) + "\n")
+    assert read_record(tmp_path / "r.lvm").rate == pytest.approx(4096, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "quantity"),
+    [("µm/m", 1e-6, "strain"), ("µε", 1e-6, "strain"), ("m/s/s", 1.0, "acceleration"), ("mm/sec", 1e-3, "velocity")],
+)
+def test_units_as_laboratories_write_them(unit: str, factor: float, quantity: str) -> None:
+    assert to_si(unit)[:2] == (quantity, factor)

@@ -44,6 +44,7 @@ _STEP = re.compile(
     re.IGNORECASE,
 )
 _COMMA = re.compile(r"[-+]?\d*,\d+([eEdD][-+]?\d+)?$")
+_COMMENT = ("#", "%", "//")
 _MOST_FOOTER = 20  # lines
 _COARSE = 1e-3  # relative deviation of a rate from times written with few digits
 
@@ -60,7 +61,7 @@ def read_csv(path: Path) -> RawTable:
     head = [_cells(x, delimiter) for x in lines[:top]]
     body, clock = _clocked(lines[top:], delimiter, path)
     data = numbers(body, delimiter, comma, path) if body and width > clock else np.empty((0, len(body)))
-    names = _titles(head, width, path)
+    names = _titles(head, width, path) if head else _commented(told, delimiter, width)
     if names and len(names) - clock != len(data):
         raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
     rate = _told_rate([*told, *lines[:top]])
@@ -87,8 +88,8 @@ def read_columns(path: Path) -> tuple[list[str], Float]:
 def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
     """Comments, the other lines without what ends them, the delimiter of the columns and whether commas are decimal."""
     text = read_text(path).splitlines()
-    told = [x for x in text[:200] if x.startswith("#")]
-    lines = [x for x in text if x.strip() and not x.startswith("#")]
+    told = [x for x in text[:200] if x.startswith(_COMMENT)]
+    lines = [x for x in text if x.strip() and not x.startswith(_COMMENT)]
     if not lines:
         raise DataError(f"{path}: empty, there are no samples")
     lines = _without_footer(lines)
@@ -173,6 +174,12 @@ def _titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
     return [n if _UNIT.match(n) or not u else f"{n} [{u}]" for n, u in zip(fit[-2], units, strict=True)]
 
 
+def _commented(told: Sequence[str], delimiter: str, width: int) -> list[str]:
+    """Names of the columns in the last comment, as NumPy and MATLAB write them; else none."""
+    cells = [x.strip() for x in _cells(told[-1].lstrip("#%/ "), delimiter)] if told else []
+    return cells if len(cells) == width > 1 else []
+
+
 def _is_unit(text: str) -> bool:
     return text.lower() in ("", "-", *_SECONDS) or bool(known(text))
 
@@ -238,15 +245,21 @@ def numbers(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Fl
 
 
 def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Float:
-    """Numbers (row, column) of lines with quotes, D exponents or empty cells."""
-    width = len(_cells(lines[0], delimiter))
+    """Numbers (row, column) of lines with quotes, D exponents or empty cells; columns of words are not numbers."""
+    first, last = _cells(lines[0], delimiter), _cells(lines[-1], delimiter)
+    width = len(first)
+    words = {
+        c
+        for c, x in enumerate(zip(first, last, strict=False))
+        if all(y.strip() and not _is_number(y, comma) for y in x)
+    }
     out = np.full((len(lines), width), np.nan)
     for r, line in enumerate(lines):  # such files are rare, and read cell by cell
         cells = _cells(line, delimiter)
         if len(cells) != width:
             raise DataError(f"{path}: row {r} of the samples has {len(cells)} columns, the first one has {width}")
         for c, cell in enumerate(cells):
-            if cell.strip():
+            if cell.strip() and c not in words:
                 try:
                     out[r, c] = float(_plain(cell, comma))
                 except ValueError:
@@ -265,7 +278,7 @@ def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path
     named = first in _TIMES or (title is not None and title[1].strip() in _TIMES)
     count = not named and len(data) > 1 and data.shape[1] > 2 and bool((np.diff(data[0]) == 1).all())
     if first in _COUNTS or (count and data[0, 0] in (0, 1)):
-        return _named(data[1:], names[1:], told) if count else _named(data, names, told)
+        return _with_time(data[1:], names[1:], told, path) if count else _named(data, names, told)
     unit = _SECONDS.get(title[2].strip(), 1.0) if title else next((u for a, u in _EPOCHS if data[0, 0] > a), 1.0)
     if len(data) < 2 and not named:
         return _named(data, names, told)

@@ -15,6 +15,7 @@ from ringtrue.io.plain import RawTable, read_text
 
 _END = "***End_of_Header***"
 _SPECIAL = ("***Start_of_Special***", "***End_of_Special***")
+_SAME_STEP = 0.05  # relative, as a step of one or two digits may be off
 _JOIN = 0.5  # samples that a segment may begin off the end of the one before
 
 
@@ -38,7 +39,7 @@ def read_lvm(path: Path) -> RawTable:
     lengths = np.array([t.data.shape[1] for _, t in parts])
     rate = first.rate or 0.0
     off = np.abs((np.diff(starts)) * rate - lengths[:-1])
-    same = all(t.names == first.names and t.rate == first.rate for _, t in parts)
+    same = all(t.names == first.names and abs((t.rate or 0.0) - rate) <= 1e-3 * rate for _, t in parts)
     if not same or not (off <= _JOIN).all():
         raise DataError(
             f"{path}: {len(parts)} segments that do not follow each other; read them one by one with read_lvm_segments"
@@ -122,7 +123,20 @@ def _segment(
     names = [x or f"ch{i + 1}" for i, x in enumerate(names)]
     data = _data(list(_rows(lines[end + 2 :], columns, separator)), comma, path)
     units = (*table.get("Y_Unit_Label", [])[:n], *("",) * n)[:n]
-    return start, RawTable(data, 1 / steps[0] if steps[0] else 0.0, tuple(names), units, ("",) * n)
+    rate = _rate(steps[0], lines[end + 2 :], separator, comma)
+    return start, RawTable(data, rate, tuple(names), units, ("",) * n)
+
+
+def _rate(step: float, lines: Sequence[str], separator: str, comma: bool) -> float:
+    """That of the step of the header, which may have three digits, by the ends of the column of times if they agree."""
+    cells = [x.split(separator)[0].strip() for x in lines if x.strip() and not x.startswith("***")]
+    try:
+        first, last = (float(x.replace(",", ".") if comma else x) for x in (cells[0], cells[-1]))
+    except (ValueError, IndexError):
+        first = last = 0.0
+    mean = (last - first) / max(len(cells) - 1, 1)
+    step = mean if step and abs(mean / step - 1) < _SAME_STEP else step
+    return 1 / step if step else 0.0
 
 
 def _columns(n: int, kind: str) -> list[int]:

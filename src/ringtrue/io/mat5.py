@@ -70,9 +70,9 @@ def is_mat5(raw: bytes) -> bool:
 
 
 def read_mat5(path: Path) -> dict[str, Any]:
-    """The variables of a file by name: arrays, texts (str), cells (object arrays), structures (dict of one element).
+    """The variables of a file by name: arrays, texts (str), cells (object arrays), structures (dict).
 
-    Arrays of several structures, sparse matrices and objects are left out.
+    A field of an array of structures is an object array of its values. Sparse matrices and objects are left out.
 
     Raises
     ------
@@ -181,12 +181,18 @@ def _cells(body: _Bytes, shape: tuple[int, ...], size: int, depth: int) -> Any_:
 
 
 def _fields(body: _Bytes, size: int, depth: int) -> dict[str, Any] | None:
-    """Fields of one structure."""
+    """Fields of a structure, or of an array of several."""
     length, names = _integers(body), bytes(body.element()[1])
     width = int(length[0]) if length.size else 0
     if not 0 < width <= 1024:
         raise DataError(f"names of fields of {width} bytes: the file is damaged")
-    if size != 1:
-        return None
     fields = [names[a : a + width].split(b"\x00")[0].decode("latin-1") for a in range(0, len(names), width)]
-    return {f: _nested(body, depth) for f in fields}
+    if size == 1:
+        return {f: _nested(body, depth) for f in fields}
+    if not size or size * len(fields) * 8 > body.left:
+        return None
+    out = {f: np.empty(size, dtype=object) for f in fields}
+    for i in range(size):
+        for f in fields:
+            out[f][i] = _nested(body, depth)
+    return dict(out)

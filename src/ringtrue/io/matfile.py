@@ -70,7 +70,22 @@ def mat_values(path: Path) -> dict[str, Any]:
     DataError
         If the file is damaged.
     """
-    return h5_values(path, _value_73, "MATLAB 7.3") if h5py.is_hdf5(path) else _flat(_read_5(path))
+    return _singly(h5_values(path, _value_73, "MATLAB 7.3") if h5py.is_hdf5(path) else _flat(_read_5(path)))
+
+
+def _singly(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of an array of structures that holds numbers, each by itself: `ch_1.data`, `ch_2.data`."""
+    many = {k: v for k, v in values.items() if isinstance(v, np.ndarray) and v.dtype == object}
+    split = {k.rpartition(".")[0] for k, v in many.items() if any(isinstance(x, np.ndarray) for x in v.flat)}
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        stem, dot, field = key.rpartition(".")
+        if key not in many or not dot or stem not in split:
+            out[key] = value
+            continue
+        each = {f"{stem}_{i + 1}.{field}": x for i, x in enumerate(value.flat) if x is not None}
+        out |= _flat(each)
+    return out
 
 
 def _vectors(values: Mapping[str, Any], samples: int) -> dict[str, Any]:
@@ -99,10 +114,11 @@ def _value_73(name: str, item: h5py.Dataset) -> Any:
         return _text_73(item) if item.attrs.get("MATLAB_class") == b"char" and item.size < _PEEK else item[()]
     if item.dtype.names == ("real", "imag"):
         return (item["real"] + 1j * item["imag"]).T  # MATLAB's order of axes
-    if h5py.check_ref_dtype(item.dtype) and item.size < _PEEK:  # a cell array
+    if h5py.check_ref_dtype(item.dtype) and item.size < _PEEK:  # a cell array, or a field of an array of structures
         cells = [item.file[r] for r in np.ravel(item[()])]
-        if all(isinstance(c, h5py.Dataset) and c.attrs.get("MATLAB_class") == b"char" for c in cells):
-            return np.array([_text_73(c) for c in cells], dtype=object)
+        out = np.empty(len(cells), dtype=object)
+        out[:] = [_value_73("", c) if isinstance(c, h5py.Dataset) and c.dtype.kind in "fiu" else None for c in cells]
+        return out if any(x is not None for x in out) else None
     return None
 
 

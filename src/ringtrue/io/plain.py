@@ -15,9 +15,9 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.errors import DataError, did_you_mean
 
-_RATE_NAMES = ("rate", "fs", "sampling_rate", "sample_rate", "samplerate", "samplingrate", "fsamp", "sr", "f_s")
-_RATE_WORDS = ("samplefrequency", "sample_frequency", "samplingfrequency", "sampling_frequency")
-_STEP_NAMES = ("dt", "increment", "sampling_interval", "sample_interval", "deltat", "delta_t")
+_RATE_NAMES = ("rate", "fs", "samplingrate", "samplerate", "fsamp", "fsample", "sr")  # in letters and digits
+_RATE_WORDS = ("samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq")
+_STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep")
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
 _LONG = 64  # samples: a shorter table is no record
@@ -186,7 +186,8 @@ def check_stored(data: h5py.Dataset, path: str | Path) -> None:
 
 def named_rate(values: Mapping[str, Any]) -> float | None:
     """The sampling rate (Hz) among named scalars: `fs`, `rate`, ... or a step of time such as `dt`."""
-    lower = {k.lower(): float(np.ravel(v)[0]) for k, v in values.items() if _is_real(v) and np.size(v) == 1}
+    real = {k: float(np.ravel(v)[0]) for k, v in values.items() if _is_real(v) and np.size(v) == 1}
+    lower = {re.sub("[^a-z0-9]", "", k.lower()).removesuffix("hz"): x for k, x in real.items()}
     for name in (*_RATE_NAMES, *_RATE_WORDS):
         if name in lower:
             return lower[name]

@@ -24,6 +24,7 @@ _UNITS: dict[str, tuple[Quantity, float, str]] = {
     "cm/s": ("velocity", 1e-2, "m/s"),
     "mm/s": ("velocity", 1e-3, "m/s"),
     "um/s": ("velocity", 1e-6, "m/s"),
+    "nm/s": ("velocity", 1e-9, "m/s"),
     "in/s": ("velocity", _INCH, "m/s"),
     "ft/s": ("velocity", 12 * _INCH, "m/s"),
     "m": ("displacement", 1.0, "m"),
@@ -33,6 +34,7 @@ _UNITS: dict[str, tuple[Quantity, float, str]] = {
     "mil": ("displacement", 1e-3 * _INCH, "m"),
     "mm": ("displacement", 1e-3, "m"),
     "um": ("displacement", 1e-6, "m"),
+    "nm": ("displacement", 1e-9, "m"),
     "n": ("force", 1.0, "N"),
     "kn": ("force", 1e3, "N"),
     "lbf": ("force", 4.4482216152605, "N"),
@@ -53,6 +55,12 @@ _SAME = {
     "volt": "v",
     "volts": "v",
     "m/s**2": "m/s^2",
+    "inch": "in",
+    "inches": "in",
+    "mils": "mil",
+    "micron": "um",
+    "m/m": "strain",
+    **dict.fromkeys(("um/m", "uε", "ue", "ustr", "uepsilon", "microstrain"), "ustrain"),
 }
 
 
@@ -72,6 +80,7 @@ def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
     text = unit.strip().lower().replace("²", "^2").replace("µ", "u").replace("μ", "u")
     if not text:
         return quantity or "unknown", 1.0, {**SI_UNIT, "force": "N"}.get(quantity, "")  # type: ignore[return-value]
+    text = text.replace("/sec", "/s").replace("/s/s", "/s^2")
     text = _SAME.get(text, text[:-1] + "^2" if text.endswith("/s2") else text)
     if text not in _UNITS:
         raise DataError(f"unit {unit!r}{did_you_mean(text, _UNITS)}")

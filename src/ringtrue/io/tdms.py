@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from nptdms import TdmsFile
 
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.plain import RawTable, is_time, time_rate
+from ringtrue.io.plain import RawTable, is_time, named_rate, time_rate
 from ringtrue.io.si import known
 
 _TAGS = (b"TDSm", b"TDSh")
@@ -36,12 +37,15 @@ def read_tdms(path: Path, group: str = "") -> RawTable:
     """
     with _opened(path) as file:
         found = _signals(file, path)
+        told = named_rate(file.properties)
         if group:
             names = list(dict.fromkeys(c.group_name for c in found))
             if group not in names:
                 raise DataError(f"{path}: no group {group!r}{did_you_mean(group, names)}")
             found = [c for c in found if c.group_name == group]
-        return _table(found, path)
+        told = next((r for c in found if (r := named_rate(file[c.group_name].properties)) is not None), told)
+        table = _table(found, path)
+        return table if table.rate is not None else replace(table, rate=told)
 
 
 def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
@@ -49,7 +53,7 @@ def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
     with _opened(path) as file:
         found = _signals(file, path)
         groups = [[c for c in found if c.group_name == g] for g in dict.fromkeys(c.group_name for c in found)]
-        shown = {(tuple(c.name for c in g), _rate(g[0].properties)) for g in groups}
+        shown = {(tuple(c.name for c in g), _rate(g[0])) for g in groups}
         return tuple(_table(g, path) for g in (groups if len(shown) == 1 and len(groups[0]) > 1 else [found]))
 
 
@@ -62,7 +66,7 @@ def _signals(file: TdmsFile, path: Path) -> list[Any]:
 
 def _table(found: list[Any], path: Path) -> RawTable:
     _check_alike(found, path)
-    rate = next((r for c in found if (r := _rate(c.properties)) is not None), None)
+    rate = next((r for c in found if (r := _rate(c)) is not None), None)
     if rate is None and (times := [c for c in found if is_time(c.name)]) and len(times) < len(found):
         rate = time_rate({"time": _values(times[0])}, len(times[0]), path)
         found = [c for c in found if not is_time(c.name)]
@@ -74,15 +78,15 @@ def _table(found: list[Any], path: Path) -> RawTable:
 def _check_alike(found: list[Any], path: Path) -> None:
     """Refuse rates or lengths that differ; where they do from group to group, say which group has which."""
     lengths = sorted({len(c) for c in found})
-    known = [r for c in found if (r := _rate(c.properties)) is not None]
+    known = [r for c in found if (r := _rate(c)) is not None]
     rates_differ = known and max(known) - min(known) > 1e-6 * max(known)
     if not rates_differ and len(lengths) == 1:
         return
     by_group = {g: [c for c in found if c.group_name == g] for g in dict.fromkeys(c.group_name for c in found)}
-    one_each = all(len({(len(c), _rate(c.properties)) for c in g}) == 1 for g in by_group.values())
+    one_each = all(len({(len(c), _rate(c)) for c in g}) == 1 for g in by_group.values())
     if len(by_group) > 1 and one_each:
         told = "; ".join(
-            f"{name}: {len(g)} channels, {len(g[0])} samples" + (f", {r:g} Hz" if (r := _rate(g[0].properties)) else "")
+            f"{name}: {len(g)} channels, {len(g[0])} samples" + (f", {r:g} Hz" if (r := _rate(g[0])) else "")
             for name, g in by_group.items()
         )
         raise DataError(f"{path}: the groups differ in rate or length ({told}): choose one with group (--group NAME)")
@@ -135,10 +139,10 @@ def _values(channel: Any) -> Float:
         return np.asarray(channel[:], dtype=np.float64)
 
 
-def _rate(properties: dict[str, Any]) -> float | None:
-    step = properties.get("wf_increment")
+def _rate(channel: Any) -> float | None:
+    step = channel.properties.get("wf_increment")
     if step is None:
-        return None
+        return named_rate(channel.properties)
     return 1 / float(step) if float(step) else 0.0
 
 

@@ -28,6 +28,16 @@ _WIDTHS = {  # ordinate type, even spacing: columns of a line
     (_COMPLEX_DOUBLE, True): (20,) * 4,
     (_COMPLEX_DOUBLE, False): (13, 20, 20),
 }
+_RADIANS, _TURNS = 0.5 / np.pi, 1 / 60
+_ABSCISSA = {  # to Hz or s
+    **dict.fromkeys(("rad/s", "rad/sec", "rads/s", "rad/second"), _RADIANS),
+    **dict.fromkeys(("rpm", "1/min", "cpm"), _TURNS),
+    "khz": 1e3,
+    "ms": 1e-3,
+    "msec": 1e-3,
+    "us": 1e-6,
+    "min": 60.0,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +64,7 @@ class Function:
     names : tuple of str
         Entities of response and reference.
     x : (n,) float64
-        Abscissa.
+        Abscissa, Hz or s where its unit is another one of frequency or time.
     y : (n,) float64 or complex128
         Ordinates.
     even : bool
@@ -92,6 +102,7 @@ def read_function(block: Block) -> Function:
     values = _samples(block, ordinate, count, even)
     x, y = _split(values, ordinate, even, form[3], form[4], count)
     axes = tuple(_axis(words(x_, _AXIS)) for x_ in lines[7:11])
+    x = x * _ABSCISSA.get(axes[0].unit.lower(), 1.0)
     return Function(kind, tuple(x_.strip() for x_ in lines[:5]), rsp, ref, names, x, y, even, axes)
 
 

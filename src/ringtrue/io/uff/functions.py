@@ -14,7 +14,7 @@ from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT
 from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.atomic import atomic_write
-from ringtrue.io.plain import RawTable
+from ringtrue.io.plain import RawTable, even_rate
 from ringtrue.io.si import known, to_si
 from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TRANSMISSIBILITY, Function, read_function, write_function
 from ringtrue.io.uff.scan import scan
@@ -31,7 +31,9 @@ _QUANTITY: dict[int, Quantity] = {
 _SI = {**SI_UNIT, "force": "N"}
 _DIGITS = 5  # after the first, of a step
 _CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
-_TIME_AXIS, _FREQUENCY_AXIS = 17, 18
+_GENERAL, _TIME_AXIS, _FREQUENCY_AXIS = 0, 17, 18
+_UNNAMED = ("", "NONE")
+_NO_REFERENCE = "in1"
 
 
 def read_functions(path: str | Path) -> tuple[Function, ...]:
@@ -75,7 +77,7 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
     found = _time_functions(functions, path)
     keys = [(*f.response, _motion(f.axes[1].unit, f.axes[1].data_type, units)[0]) for f in found]
     times = {keys.count(k) for k in dict.fromkeys(keys)}
-    if len(set(keys)) < 2 or len(times) > 1 or times == {1}:
+    if len(set(keys)) < 2 or len(times) > 1 or times == {1} or _titles(found):
         return (_time_table(found, units, path),)
     seen: dict[object, int] = {}
     runs: list[list[Function]] = [[] for _ in range(times.pop())]
@@ -86,7 +88,7 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
 
 
 def _time_functions(functions: Sequence[Function], path: Path) -> list[Function]:
-    found = [f for f in functions if f.kind == TIME]
+    found = [f for f in functions if f.kind == TIME or (f.kind, f.axes[0].data_type) == (_GENERAL, _TIME_AXIS)]
     if not found:
         types = " ".join(map(str, sorted({f.kind for f in functions})))
         raise DataError(
@@ -106,7 +108,9 @@ def _time_table(found: Sequence[Function], units: Units | None, path: Path) -> R
 
 
 def _rate(f: Function, path: Path) -> float:
-    step = float(np.median(np.diff(f.x))) if f.x.size > 1 else 0.0
+    if not f.even:
+        return even_rate(f.x, True, path) or 0.0
+    step = float(f.x[-1] - f.x[0]) / (f.x.size - 1) if f.x.size > 1 else 0.0
     if not (np.isfinite(step) and step > 0):
         raise DataError(f"{path}: step of time {step}; it must be positive")
     return _plain_rate(step)
@@ -128,6 +132,8 @@ def _factor(quantity: str, units: Units | None) -> float:
 
 def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ...]:
     """Point and direction of each; a force beside a response of the same point is `F:101+Z`."""
+    if titles := _titles(functions):
+        return tuple(titles)
     names = [label(*f.response) for f in functions]
     if len(set(names)) == len(names):
         return tuple(names)
@@ -137,31 +143,45 @@ def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ..
     return tuple(f"{n}#{i + 1}" for i, n in enumerate(names))
 
 
+def _titles(functions: Sequence[Function]) -> list[str]:
+    """Where no response has a point, what else names each: its entity, the label of its axis, its first text."""
+    if any(f.response[0] for f in functions):
+        return []
+    for texts in zip(*((f.names[0], f.axes[1].label, f.ids[0]) for f in functions), strict=True):
+        if len(set(texts)) == len(texts) and not set(_UNNAMED) & {t.upper() for t in texts}:
+            return list(texts)
+    return []
+
+
 def read_frf_sets(path: str | Path) -> FrfSet:
     """Frequency response functions of a universal file, SI (by data set 164 where it is there); repeated ones averaged.
 
     Raises
     ------
     DataError
-        If there are none, references are missing, the lines differ, or a pair of response and reference is absent.
+        If there are none, several references have no name, the lines differ, or a pair of response and reference is
+        absent.
     """
     functions, units = _functions(path)
     frfs = [f for f in functions if f.kind in (FRF, TRANSMISSIBILITY)]
     if not frfs:
         raise DataError(f"{path}: no frequency response functions (58, function type 4 or 5) in the file")
-    if all(f.reference[0] == 0 for f in frfs):
+    ends = _ends(frfs)
+    if all(f.reference[0] == 0 for f in frfs) and len(set(ends)) < len(frfs):
         raise DataError(f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}")
-    if bad := [f for f in frfs if not np.isfinite(f.y[f.x > 0]).all()]:
-        name = f"{label(*bad[0].response)}/{label(*bad[0].reference)}"
-        raise DataError(f"{path}: function {name} has values that are not finite")
+    if bad := [e for e, f in zip(ends, frfs, strict=True) if not np.isfinite(f.y[f.x > 0]).all()]:
+        raise DataError(f"{path}: function {'/'.join(bad[0])} has values that are not finite")
     freqs = frfs[0].x
-    outputs, inputs = _channels(frfs)
-    data = _place([replace(f, y=f.y * _si(f, units)[1]) for f in frfs], freqs, outputs, inputs, path)
+    if other := [e for e, f in zip(ends, frfs, strict=True) if not _same_lines(f.x, freqs)]:
+        raise DataError(f"{path}: function {'/'.join(other[0])} has other frequency lines")
+    outputs, inputs = _channels(frfs, ends)
+    data = _place([replace(f, y=f.y * _si(f, units)[1]) for f in frfs], ends, freqs, outputs, inputs)
     lost = np.argwhere(np.isnan(data[-1]))
     if lost.size:
         o, i = lost[0]
         raise DataError(f"{path}: no function from {inputs[i].id} to {outputs[o].id} ({len(lost)} pairs are absent)")
-    coherence = _place([f for f in functions if f.kind == COHERENCE], freqs, outputs, inputs, path).real
+    coherences = [f for f in functions if f.kind == COHERENCE and _same_lines(f.x, freqs)]
+    coherence = _place(coherences, _ends(coherences), freqs, outputs, inputs).real
     kind = _one_kind(outputs, path)
     if freqs[0] == 0 and not np.isfinite(data[0]).all():  # 0/0 at 0 Hz
         freqs, data, coherence = freqs[1:], data[1:], coherence[1:]
@@ -224,28 +244,39 @@ def _measures(unit: str, quantity: str) -> bool:
     return bool(unit and known(unit)) and to_si(unit)[0] == quantity
 
 
-def _channels(frfs: Sequence[Function]) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-    out = {label(*f.response): _si(f, None)[0] for f in frfs}
+def _ends(functions: Sequence[Function]) -> list[tuple[str, str]]:
+    """Names of the response and the reference of each function."""
+    responses = _titles(functions) or [label(*f.response) for f in functions]
+    unnamed = all(f.reference[0] == 0 for f in functions)
+    references = [_NO_REFERENCE if unnamed else label(*f.reference) for f in functions]
+    return list(zip(responses, references, strict=True))
+
+
+def _same_lines(x: Float, freqs: Float) -> bool:
+    return x.size == freqs.size and bool(np.abs(x - freqs).max() <= 1e-6 * max(freqs[-1], 1))
+
+
+def _channels(
+    frfs: Sequence[Function], ends: Sequence[tuple[str, str]]
+) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
+    out = {name: _si(f, None)[0] for (name, _), f in zip(ends, frfs, strict=True)}
     outputs = tuple(Channel(name, q, _SI.get(q, "")) for name, q in out.items())
-    inputs = tuple(Channel(name, "force", "N") for name in dict.fromkeys(label(*f.reference) for f in frfs))
+    inputs = tuple(Channel(name, "force", "N") for name in dict.fromkeys(name for _, name in ends))
     return outputs, inputs
 
 
 def _place(
     functions: Sequence[Function],
+    ends: Sequence[tuple[str, str]],
     freqs: Float,
     outputs: Sequence[Channel],
     inputs: Sequence[Channel],
-    path: str | Path,
 ) -> Complex:
     row = {c.id: i for i, c in enumerate(outputs)}
     column = {c.id: i for i, c in enumerate(inputs)}
     data = np.full((freqs.size, len(outputs), len(inputs)), np.nan, dtype=np.complex128)
     times = np.zeros(data.shape[1:])
-    for f in functions:  # a pair measured several times is averaged
-        out, ref = label(*f.response), label(*f.reference)
-        if f.x.size != freqs.size or np.abs(f.x - freqs).max() > 1e-6 * max(freqs[-1], 1):
-            raise DataError(f"{path}: function {out}/{ref} has other frequency lines")
+    for f, (out, ref) in zip(functions, ends, strict=True):  # a pair measured several times is averaged
         if out in row and ref in column:
             at = row[out], column[ref]
             data[:, *at] = f.y if not times[at] else data[:, *at] + (f.y - data[:, *at]) / (times[at] + 1)
