@@ -295,6 +295,12 @@ def test_the_unit_of_the_abscissa_counts(tmp_path: Path, unit: str, factor: floa
     np.testing.assert_allclose(read_frfs(tmp_path / "f.uff").freqs, X * factor)
 
 
+def test_a_form_that_is_not_finite_is_damage(tmp_path: Path) -> None:
+    (tmp_path / "t.uff").write_text(function58(lines(Y, (13,) * 6), 2, 1).replace(f"{7:10d}", f"{'nan':>10}", 1))
+    with pytest.raises(DataError, match="not finite"):
+        read_record(tmp_path / "t.uff")
+
+
 def test_coherence_on_other_lines_is_left_out(tmp_path: Path) -> None:
     f, h = np.arange(1, 9) * 0.5, np.arange(1, 9) * (1 + 1j)
     parts = [write_function(4, f, h, (1, 3), (2, 3), codes=(18, 12, 13))]

@@ -101,7 +101,7 @@ def _own(path: Path) -> bool:
     try:
         with h5py.File(path, "r") as file:
             return GROUP in file or "averages" in file
-    except OSError:
+    except (OSError, RuntimeError):
         return True  # what is wrong with it `read_frfs` tells
 
 

@@ -96,6 +96,8 @@ def read_function(block: Block) -> Function:
     place = words(row(lines, 5), _PLACE)
     kind, rsp, ref, names = _place(place, row(lines, 5))
     form = numbers(row(lines, 6), _FORM)
+    if not np.isfinite(form).all():
+        raise DataError(f"the line of the form has values that are not finite: {row(lines, 6).strip()!r}")
     ordinate, count, even = int(form[0]), int(form[1]), form[2] != 0
     if (ordinate, even) not in _WIDTHS or count < 1:
         raise DataError(f"ordinate type {ordinate} with {count} points; types are 2, 4, 5, 6 with 1 or more")
