@@ -60,6 +60,8 @@ _FDD: dict[str, FddMethod] = {
     "random-decrement": "random decrement",
 }
 LAGS, ENDS_AT = 400, 0.01  # of a half spectrum, and what the exponential window leaves at the last of them
+FEWEST_LAGS, SAMPLES_A_LAG = 64, 8
+MOST_REFERENCES = 8
 ORDERS = {"era": 60, "ssi-data": 40}
 SAME_F, SAME_MAC = 0.01, 0.8  # one mode in two overlapping bands
 
@@ -103,7 +105,8 @@ def identify_ambient_by(
         found = fdd(good, FddSettings(_FDD[method], fmin=s.fmin or 0.0, fmax=s.fmax or 0.0), near=near)
         modes, std = found.modes, found.uncertainty
     else:
-        modes, std = _in_bands(method, good, s, tell)
+        (modes, std), short = _in_bands(method, good, s, tell)
+        notes += short
     modes = replace(modes, source=f"{history.source or 'record'}: {NAMES[method]}")
     reasons = tuple(_reason(method, c) for c in modes.confidence)
     more = (
@@ -136,9 +139,12 @@ def _bayes(history: TimeHistory, s: AmbientSettings, near: Sequence[float]) -> t
     return result.modes, result.uncertainty
 
 
-def _in_bands(method: str, history: TimeHistory, s: AmbientSettings, tell: Progress) -> tuple[ModeSet, Uncertainty]:
-    """Modes of every band of the pyramid; in overlaps those of more confidence."""
-    bands = long_enough(bands_for(history.rate, history.duration, s), history)
+def _in_bands(
+    method: str, history: TimeHistory, s: AmbientSettings, tell: Progress
+) -> tuple[tuple[ModeSet, Uncertainty], tuple[str, ...]]:
+    """Modes of every band of the pyramid, in overlaps those of more confidence; bands too short for the method."""
+    every = long_enough(bands_for(history.rate, history.duration, s), history)
+    bands = long_enough(every, history, _fewest(method, len(history.channels), s))
     ids = tuple(c.id for c in history.channels)
     found = []
     for k, band in enumerate(bands):
@@ -149,7 +155,24 @@ def _in_bands(method: str, history: TimeHistory, s: AmbientSettings, tell: Progr
         modes, std = _clustered(poles, ids, rate / LAGS) if method == "plscf" else modes_of(poles, ids)
         inside = np.flatnonzero((modes.frequencies >= band.low) & (modes.frequencies <= band.high))
         found.append((modes.take(inside), std.take(inside)))
-    return _joined(found)
+    low = min(b.low for b in bands)
+    short = f"below {low:.3g} Hz the record is too short for {NAMES[method]}"
+    return _joined(found), (short,) if len(bands) < len(every) else ()
+
+
+def _fewest(method: str, channels: int, s: AmbientSettings) -> int:
+    """Samples of a band that a method needs, and a few that decimation cuts."""
+    rows, references = _data_rows(channels, s), len(s.references or ()) or min(channels, MOST_REFERENCES)
+    needed = {
+        "plscf": SAMPLES_A_LAG * FEWEST_LAGS,
+        "era": 8 * s.block_rows,
+        "ssi-data": 2 * rows * (channels + references + 1),
+    }
+    return needed[method] + 16
+
+
+def _data_rows(channels: int, s: AmbientSettings) -> int:
+    return max(4, min(s.block_rows, 400 // max(channels, 1)) // 2)
 
 
 def _poles(method: str, part: TimeHistory, band: Band, s: AmbientSettings) -> PoleSet:
@@ -157,7 +180,7 @@ def _poles(method: str, part: TimeHistory, band: Band, s: AmbientSettings) -> Po
     if method == "era":
         return next_era(part, SsiCov(s.block_rows, ORDERS["era"]), references=references)
     if method == "ssi-data":
-        rows = max(4, min(s.block_rows, 400 // max(len(part.channels), 1)) // 2)
+        rows = _data_rows(len(part.channels), s)
         chosen = references or [part.channels[i].id for i in _span(part)]
         return ssi_data(part, SsiCov(rows, ORDERS["ssi-data"]), references=chosen)
     return half_spectra_poles(part, (band.low, band.high), references)
@@ -174,9 +197,9 @@ def _clustered(poles: PoleSet, ids: tuple[str, ...], step: float) -> tuple[ModeS
     return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
 
 
-def _span(part: TimeHistory, most: int = 8) -> Int:
+def _span(part: TimeHistory) -> Int:
     data, _ = prepared(part)
-    return choose_references(data, np.ones(len(data)), most)
+    return choose_references(data, np.ones(len(data)), MOST_REFERENCES)
 
 
 def half_spectra_poles(
@@ -190,9 +213,12 @@ def half_spectra_poles(
         If the record is too short for its lags.
     """
     data, scale = prepared(history)
-    lags = min(LAGS, data.shape[1] // 8)
-    if lags < 64:
-        raise DataError(f"{history.source}: {data.shape[1]} samples are too few for half spectra; needed: {8 * 64}")
+    lags = min(LAGS, data.shape[1] // SAMPLES_A_LAG)
+    if lags < FEWEST_LAGS:
+        raise DataError(
+            f"{history.source}: {data.shape[1]} samples are too few for half spectra; "
+            f"needed: {SAMPLES_A_LAG * FEWEST_LAGS}"
+        )
     ids = [c.id for c in history.channels]
     refs = _span(history) if references is None else np.array([ids.index(r) for r in references], dtype=np.int64)
     decay = -np.log(ENDS_AT) * history.rate / lags

@@ -179,12 +179,12 @@ def references(history: TimeHistory, names: tuple[str, ...]) -> Int | None:
     return np.array([ids.index(n) for n in names], dtype=np.int64)
 
 
-def long_enough(bands: tuple[Band, ...], history: TimeHistory) -> tuple[Band, ...]:
-    """The bands with samples enough for ten block rows."""
-    long = tuple(b for b in bands if history.duration * b.rate >= 200)
+def long_enough(bands: tuple[Band, ...], history: TimeHistory, samples: int = 200) -> tuple[Band, ...]:
+    """The bands with samples enough, by default for ten block rows."""
+    long = tuple(b for b in bands if history.duration * b.rate >= samples)
     if not long:
         raise DataError(
             f"{history.source}: {history.duration:.4g} s are too short for modes above "
-            f"{bands[-1].low:.3g} Hz; needed are {200 / bands[0].rate:.4g} s"
+            f"{bands[-1].low:.3g} Hz; needed are {samples / bands[0].rate:.4g} s"
         )
     return long
