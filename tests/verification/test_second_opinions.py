@@ -40,6 +40,14 @@ def test_ambient_methods_find_the_modes(method: str) -> None:
         identify_ambient_by("effd", ambient.record(0))
 
 
+@pytest.mark.parametrize("method", ["plscf", "era", "ssi-data"])
+def test_bands_too_short_for_a_method_are_left_out_and_said(method: str) -> None:
+    """Of two minutes the lowest band has samples enough for SSI-cov alone."""
+    found = identify_ambient_by(method, ambient.wrap(ambient.record(0).data[:, : int(120 * ambient.RATE)]))
+    assert np.abs(found.modes.frequencies / ambient.F[1] - 1).min() < 0.01
+    assert any("too short for" in n for n in found.notes)
+
+
 @pytest.mark.parametrize("method", ["lsce", "rfp", "cmif"])
 def test_frf_methods_find_the_modes(method: str) -> None:
     m, k, c = hammer.chain()

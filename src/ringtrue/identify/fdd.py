@@ -26,6 +26,8 @@ from ringtrue.signal.preprocess import detrend
 from ringtrue.signal.psd import Csd, Welch, csd
 from ringtrue.signal.windows import window
 
+_FOOT, _FALL = 0.05, 0.3  # of the peak: where the bell ends beside an edge; of a mode: what no mode falls below
+
 Method = Literal["fsdd", "efdd", "random decrement"]
 
 
@@ -255,13 +257,30 @@ def random_decrement(signal: Complex, lags: int) -> Complex:
 
 
 def _spectral(b: _Bell, length: int, rate: float, segments: int) -> list[float]:
-    """Whittle-like fit of ψᴴGψ: one mode seen through the taper, a slope and a background."""
+    """Fit of ψᴴGψ over the bell, or where lines above are lower than any mode has them, a filter, over its peak."""
     f = np.arange(b.first, b.last + 1) * rate / length
+    peak = int(np.argmax(b.enhanced))
+    level = b.enhanced / b.enhanced[peak]
+    low = np.flatnonzero(level < _FOOT)
+    after = low[low > peak + 3]
+    if not after.size:
+        return _one_mode(f, level, length, rate, segments)
+    near = _one_mode(f[: after[0]], level[: after[0]], length, rate, segments)
+    nu, zeta = f / near[0], near[1]
+    mode = 4 * zeta**2 / ((1 - nu**2) ** 2 + 4 * zeta**2 * nu**2)
+    filtered = (level < _FALL * mode) & (f > f[peak + 3])
+    return near if filtered.any() else _one_mode(f, level, length, rate, segments)
+
+
+def _one_mode(f: Float, unit_level: Float, length: int, rate: float, segments: int) -> list[float]:
+    """Whittle-like fit of the spectrum of a modal coordinate: one mode seen through the taper, a slope, a background.
+
+    Frequency, damping and their standard deviations.
+    """
     lag = np.arange(length)
     taper = lag_window(length) * np.where(lag == 0, 1.0, 2.0)
     kernel = np.cos(2 * np.pi * np.outer(f, lag) / rate) * taper
-    peak = int(np.argmax(b.enhanced))
-    unit_level = b.enhanced / b.enhanced[peak]
+    peak = int(np.argmax(unit_level))
 
     def misfit(x: Float) -> Float:
         w, zeta = 2 * np.pi * f[peak] * np.exp(x[0]), np.exp(x[1])
