@@ -127,6 +127,10 @@ def test_nothing_is_invented(signal: Callable[[np.random.Generator], np.ndarray]
         (lambda y: y[:, :150], "too short for modes above"),
         (lambda y: y[:, :20], "is empty"),
         (lambda y: 0 * y, "constant"),
+        (
+            lambda y: np.outer(np.ones(6), np.sin(14.6 * np.pi * np.arange(40_000) / RATE)),
+            "nothing but steady lines at",
+        ),
     ],
 )
 def test_what_cannot_be_identified_is_refused(change: Change, told: str) -> None:
@@ -246,6 +250,15 @@ def test_channel_states_name_what_they_are() -> None:
     ids = [Channel(f"{i}", "acceleration") for i in range(3)] + [Channel(f"F{i}", "force") for i in range(3)]
     history = TimeHistory(y * np.array([1, 1, 1, 1e3, 1e3, 1e3])[:, None], RATE, tuple(ids))
     assert channel_states(history) == ()
+
+
+def test_fast_signals_are_clipped_for_a_sample_at_a_time() -> None:
+    """White noise cut off at 1.5 standard deviations, and the 12 bits of a recorder beside it, which are no clip."""
+    x = np.random.default_rng(0).standard_normal((2, 20_000))
+    y = np.stack([np.clip(x[0], -1.5, 1.5), np.round(x[1] * 500)])
+    (state,) = channel_states(wrap(y))
+    assert state.id == "1+Z"
+    assert state.why.startswith("clipped: 13")
 
 
 # --- FRFs

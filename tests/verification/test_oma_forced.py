@@ -69,6 +69,13 @@ def test_only_a_doubtful_pole_of_a_shape_that_others_span_is_forced() -> None:
     assert not any(x.size for x in carriers(f, np.full(3, 0.01), np.full(3, 5e-4), mixed))  # as clear as the others
 
 
+def test_a_channel_in_another_unit_makes_no_shapes_alike() -> None:
+    f, z, sure = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.05, 0.01]), np.array([5e-4, 5e-3, 5e-4])
+    own = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 3)))[0].astype(complex)
+    own[0] *= 1e3
+    assert not any(x.size for x in carriers(f, z, sure, own))
+
+
 def test_too_few_sensors_tell_nothing() -> None:
     f, z, sure = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.05, 0.01]), np.array([5e-4, 5e-3, 5e-4])
     any_shape = np.random.default_rng(1).standard_normal((2, 3)).astype(complex)

@@ -17,6 +17,7 @@ EACH_SIDE = 3  # modes, that carry most of the motion at a frequency between the
 OUTSIDE = 0.01  # share of a squared shape that may lie outside of the span, times the doubt
 BLIND = 4.0  # that share of the modes among themselves over that of the peak, where the sensors tell them apart
 LOOSE = 2.0  # doubt: what is not known of the damping, over that of the modes, times the damping over theirs
+ODD = 100.0  # times the level of the typical channel
 ROOM = 4  # channels a mode of each side
 
 
@@ -37,6 +38,13 @@ def without_forced(found: list[Found], rows: list[tuple[int, int]]) -> tuple[lis
     return [row for row, k in zip(rows, by, strict=True) if not k.size], notes
 
 
+def _of_one_level(shape: Complex) -> Complex:
+    """Shapes (ch, m) with channels of an odd level (a unit, a sensitivity) at that of the typical channel."""
+    level = np.linalg.norm(shape, axis=1)
+    typical = float(np.median(level))
+    return shape * np.where(level > ODD * typical, typical / np.maximum(level, 1e-300), 1.0)[:, None]
+
+
 def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex) -> list[Int]:
     """For each pole the modes whose motion it is, none for a mode.
 
@@ -48,6 +56,7 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
         Standard deviation of the damping.
     shape : (ch, m) complex128
     """
+    shape = _of_one_level(shape)
     psi = shape / np.linalg.norm(shape, axis=0)
     loose = deviation / np.sqrt(damping / frequency)  # over the statistical floor, up to the length of the record
     out = [np.empty(0, dtype=np.int64) for _ in frequency]

@@ -18,6 +18,7 @@ from scipy.ndimage import maximum_filter1d
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import DataError
 from ringtrue.signal.preprocess import Harmonic, line_name
 from ringtrue.signal.pyramid import Signals
 from ringtrue.signal.windows import window
@@ -25,6 +26,8 @@ from ringtrue.signal.windows import window
 EYES, LONGEST = 4, 1 << 21  # channels (four transforms go in step) and samples that are looked at
 CYCLES = 3600.0  # in which the least damped structure (0.05 %) spreads over four lines of the periodogram
 ABOVE = 50.0  # times the median around; noise reaches it once in 2^50
+EMPTY = 1e-7  # of the record: no recorder has 140 dB
+ROUNDING = 1e-12  # of the strongest line: below is the rounding of single precision
 BESIDE = 25.0  # times the median just outside of the lobe
 FOOT = 1.6  # times the level to either side, where a line was
 FOOT_IN, FOOT_OUT = 60, 300  # lines to each side that hold a foot, and those beyond its sides
@@ -48,6 +51,7 @@ def steady_lines(history: TimeHistory, *, low: float = 0.0, high: float = np.inf
         return ()
     k = np.flatnonzero(power >= maximum_filter1d(power, 2 * LOBE + 1, mode="nearest"))
     k = k[(k > AROUND) & (k < power.size - AROUND) & (step * k * samples / history.rate > CYCLES)]
+    k = k[power[k] > ROUNDING * power.max()]
     beyond = np.arange(LOBE + 1, LOBE + 5)
     side = np.median(power[k + np.concatenate([-beyond, beyond])[:, None]], axis=0)
     k = k[power[k] > BESIDE * side]
@@ -104,6 +108,11 @@ def without_lines(history: TimeHistory, frequencies: Sequence[float]) -> TimeHis
     """The record without sines of constant frequencies, Hz, of slowly changing amplitude and phase.
 
     Least squares over the whole record by a window that keeps close modes out of the fit.
+
+    Raises
+    ------
+    DataError
+        If nothing but rounding is left.
     """
     if not len(frequencies):
         return history
@@ -120,6 +129,9 @@ def without_lines(history: TimeHistory, frequencies: Sequence[float]) -> TimeHis
     data = np.array(history.data)
     for start in range(0, samples, BLOCK):
         data[:, start : start + BLOCK] -= (_basis(history.rate, samples, frequencies, start) @ x).T.astype(data.dtype)
+    if (data.std(axis=1, dtype=np.float64) <= EMPTY * history.data.std(axis=1, dtype=np.float64)).all():
+        told = " ".join(f"{f:.5g}" for f in frequencies[:8])
+        raise DataError(f"{history.source}: nothing but steady lines at {told} Hz: a machine or a generator, no mode")
     return replace(history, data=data)
 
 

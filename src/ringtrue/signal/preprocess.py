@@ -21,6 +21,7 @@ _BATCH = 8  # segments that are transformed together
 _FEW = 2000  # samples that most channels show themselves in
 _LOOK, _LEVELS = 1 << 16, 32  # samples looked at for different values, and how few are a coarse recorder
 _ODD = 100.0  # times the typical level of the channels of a quantity
+_PILE, _BESIDE, _HEAP = 30, 0.01, 5  # samples at an extreme; part of the range beside it; times those there
 _CUT = 2e-3  # share of the samples at an extreme that changes the statistics of the amplitude
 
 
@@ -180,8 +181,18 @@ def _std(x: Any_) -> float:
 
 
 def _stuck(x: Any_, ends: Float) -> int:
-    """Samples that stand at an extreme, in runs of at least three."""
-    return max(_runs(x == end) for end in ends)
+    """Samples that stand at an extreme: in runs of at least three, or all where they pile up there."""
+    flags = [x == end for end in ends]
+    return max(int(at.sum()) if _piled(x, at, end, ends) else _runs(at) for at, end in zip(flags, ends, strict=True))
+
+
+def _piled(x: Any_, at: Bool, end: float, ends: Float) -> bool:
+    """Whether far more samples stand at an extreme than just below it: fast signals are clipped for a sample or two."""
+    count = np.count_nonzero(at)
+    if count <= max(_PILE, x.size // 5000):
+        return False
+    beside = np.count_nonzero(np.abs(x - end) < _BESIDE * np.ptp(ends)) - count
+    return bool(count > _HEAP * beside)
 
 
 def _ends(x: Any_, ends: Float) -> str:
