@@ -357,6 +357,5 @@ def test_a_turned_driving_point_is_told_in_frfs_of_poor_phase(sign: float) -> No
     frfs, _ = simulate(1, n_in=2, decay=0.0)
     phase = 0.7 * np.sin(np.arange(frfs.freqs.size) * 0.7)
     poor = replace(frfs, data=sign * frfs.data * np.exp(1j * phase)[:, None, None])
-    assert all(abs(p.passive) < 0.75 for p in check_driving_points(poor))
     assert {p.verdict == "flipped" for p in check_driving_points(poor)} == {sign < 0}
     assert len(sound_pairs(poor)) == (2 if sign > 0 else 0)

@@ -70,6 +70,25 @@ def test_a_drift_does_not_turn_a_driving_point(sign: float) -> None:
     assert len(sound_pairs(replace(x, data=h))) == (2 if sign > 0 else 0)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("phase", [-2.0, -0.7, 0.7])
+def test_a_delay_of_a_sample_does_not_turn_a_driving_point(sign: float, phase: float) -> None:
+    """Most lines lie above the modes, where the mass line alone is seen; the phase is that at the highest of them."""
+    f = np.arange(1, 1001) * 0.5
+    s, w = 2j * np.pi * f[:, None], 2 * np.pi * np.array([20.0, 35.0, 90.0])
+    h = sign * (s**2 / (s**2 + 0.02 * w * s + w**2)).sum(axis=1) * np.exp(1j * phase * f / f[-1])
+    x = replace(
+        frfs(1, PHI[STRUCK]),
+        freqs=f,
+        data=h[:, None, None],
+        outputs=(Channel("1+Z", "acceleration"),),
+        inputs=(Channel("1+Z", "force"),),
+        coherence=np.full((f.size, 1, 1), np.nan),
+        averages=np.array([np.nan]),
+    )
+    assert len(sound_pairs(x)) == (sign > 0)
+
+
 @pytest.mark.parametrize("delay", [6e-3, -8e-3])
 def test_a_response_that_comes_late_is_told(delay: float) -> None:
     x = frfs(2, PHI[STRUCK])

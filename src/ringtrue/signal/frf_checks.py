@@ -7,12 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex
+from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 
 _SURE, _FLIPPED = 0.8, -0.3
 _BANDS = 24
+_DELAYS = np.linspace(-1, 1, 33) * np.pi  # phases at the highest line
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +76,16 @@ def passive(frfs: FrfSet, output: int, reference: int, *, low: float = 0.0, high
     """Sum of the real part of a driving point's mobility over that of its size, -1 to 1, from `low` to `high` Hz.
 
     Taken in bands of as many lines, each of which counts as far as it has a sign: a drift at the lowest lines, which no
-    weight by size would survive, is one of many.
+    weight by size would survive, is one of many. A delay between force and response of a sample or less turns the
+    real part of the mass line above the modes; so the largest of the sums over such delays is taken.
     """
     use = (frfs.freqs > max(low, 0.0)) & (frfs.freqs <= high)
-    real = mobility(frfs)[use, output, reference].real
+    h, f = mobility(frfs)[use, output, reference], frfs.freqs[use]
+    sums = [_signed((h * np.exp(1j * x * f / f[-1])).real) for x in _DELAYS] if f.size else [0.0]
+    return max(sums, key=abs)
+
+
+def _signed(real: Float) -> float:
     share = np.array([x.sum() / max(np.abs(x).sum(), 1e-300) for x in np.array_split(real, min(_BANDS, real.size))])
     return float((share * np.abs(share)).sum() / max(np.abs(share).sum(), 1e-300))
 
