@@ -14,7 +14,9 @@ from scipy.signal import chirp, lfilter
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.hammer import HammerModes, identify_hammer
+from ringtrue.signal.frf import frf_variance
 from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
+from ringtrue.signal.periodic import period, periodic_frfs
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
 
@@ -140,3 +142,33 @@ def test_forces_that_run_all_the_time_are_told_from_blows() -> None:
         assert 0.15 < spacing(r) < 1.2  # 16 and more lines of 0.025 Hz to a window, some 40 times as many as periods
     blows = np.exp(-(((np.arange(2 * N) % (4 * 128)) - 60.0) ** 2) / 8)[None] + 0.005 * rng.standard_normal((1, 2 * N))
     assert not runs_on(record(blows, rng))
+
+
+@pytest.mark.parametrize("start", ["steady", "at rest"])
+def test_a_force_that_repeats_itself_has_the_lines_of_its_period(start: str) -> None:
+    """Ten seconds, four times: lines of 0.1 Hz for a bandwidth of 0.09 Hz, and transients where it begins at rest."""
+    scores = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        one = rng.standard_normal((1, N // 4))
+        force = np.tile(one, 8)
+        force[:, :N] *= start == "steady"
+        r = record(force, rng, response=0.01)
+        assert period(r) == N // 4
+        (frfs,) = periodic_frfs([r], period(r))
+        use = (frfs.freqs > 4) & (frfs.freqs < 40)
+        assert use.sum() > 200
+        h = exact(frfs.freqs, 1)
+        error = (frfs.data - h)[use]
+        assert np.linalg.norm(error) < 0.03 * np.linalg.norm(h[use])
+        scores.append(np.mean(np.abs(error) ** 2 / (2 * frf_variance(frfs)[use])))
+    assert 0.9 < np.sqrt(np.mean(scores)) < 1.1
+
+
+def test_forces_that_do_not_repeat_or_are_several() -> None:
+    rng = np.random.default_rng(0)
+    assert period(record(rng.standard_normal((1, 2 * N)), rng)) == 0
+    assert period(record(np.sin(2 * np.pi * 7 * np.arange(2 * N) / RATE)[None], rng)) == 0
+    two = record(np.tile(rng.standard_normal((2, N // 4)), 8), rng)
+    with pytest.raises(DataError, match="are one force at each line"):
+        periodic_frfs([two], period(two))

@@ -44,6 +44,7 @@ from ringtrue.io.modes_json import modes_to_json
 from ringtrue.signal.frf import estimate_columns, join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings, HitReport
 from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
+from ringtrue.signal.periodic import period, periodic_frfs
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
@@ -265,7 +266,12 @@ def _measured(
 def _shaken(
     records: Sequence[TimeHistory], resolution: float | None, estimator: Literal["H1", "H2", "Hv"]
 ) -> Sequence[FrfSet]:
-    """FRFs without leakage, on lines of all records, or, where the noise on the force counts, by Welch's spectra."""
+    """FRFs without leakage, on lines of all records, or, where the noise on the force counts, by Welch's spectra.
+
+    A force that repeats itself has the lines of its period.
+    """
+    if resolution is None and estimator == "H1" and (one := period(records[0])) and period(records[-1]) == one:
+        return periodic_frfs(records, one)
     if resolution is None:
         resolution = max(spacing(r) for r in records)
     if estimator == "H1":

@@ -46,7 +46,7 @@ def spacing(history: TimeHistory) -> float:
     There are not more than some thousand in the band that the forces fill.
     """
     ordered, q = sorted_channels(history)
-    lines = _spectra(ordered.data[:q])
+    lines = spectra(ordered.data[:q])
     power = (np.abs(lines) ** 2 / np.maximum((np.abs(lines) ** 2).sum(axis=0), 1e-300)).sum(axis=1).cumsum()
     top = float(np.searchsorted(power, BAND * power[-1]))
     return float(max(_width(lines, _unknowns(q)) / OVERLAP, top / MOST_LINES) * ordered.rate / ordered.data.shape[1])
@@ -90,7 +90,7 @@ def _frfs(history: TimeHistory, resolution: float, inputs: Sequence[str]) -> tup
     """The FRFs of a record at all lines, and (freq,) where every force moves something."""
     ordered, q = sorted_channels(history, inputs)
     n, n_out = ordered.data.shape[1], len(ordered.channels) - q
-    lines, unknowns = _spectra(ordered.data), _unknowns(q)
+    lines, unknowns = spectra(ordered.data), _unknowns(q)
     width = _width(lines[:, :q], max(OVERLAP * resolution * n / ordered.rate / SPARE, unknowns)) | 1
     if width > lines.shape[0] // 2:
         raise DataError(f"{history.source}: {ordered.duration:.4g} s are too short for {q} inputs")
@@ -107,7 +107,7 @@ def _frfs(history: TimeHistory, resolution: float, inputs: Sequence[str]) -> tup
     return FrfSet(h, freqs, responses, forces, coherence, averages, kind, 0.0, history.source), seen
 
 
-def _spectra(data: Any_) -> Complex:
+def spectra(data: Any_) -> Complex:
     """(freq, channel) transform of a record (channel, sample) without its means."""
     x = np.asarray(data, dtype=np.float64)
     return np.asarray(rfft(x - x.mean(axis=1, keepdims=True), axis=1).T / np.sqrt(x.shape[1]), dtype=np.complex128)
@@ -155,25 +155,49 @@ class _Reduced:
 
 def _fit(u: Complex, y: Complex, r: Float) -> tuple[Complex, Float]:
     """FRFs and variance of their parts, (window, out, in), at r = 0, from lines (window, row, in or out) at r."""
-    q, n_out = u.shape[2], y.shape[2]
+    q = u.shape[2]
     powers = r[..., None] ** np.arange(DEGREE + 1)
     forced = (powers[..., :, None] * u[..., None, :]).reshape(*r.shape, -1)
     regressors = np.concatenate([forced, powers], axis=2)
-    data = (y[..., None] * powers[:, :, None]).reshape(*r.shape, -1)
-    coefficients = np.zeros((r.shape[0], DEGREE + 1), dtype=np.complex128)
+    h, part, gain = solved(regressors, y, powers, q)
+    return h, part[:, :, None] * gain[:, None]
+
+
+def solved(regressors: Complex, y: Complex, powers: Complex | Float, rows: int) -> tuple[Complex, Float, Float]:
+    """Least squares of D Y = B X + I in windows of lines.
+
+    Parameters
+    ----------
+    regressors : (window, line, p) complex128
+        X.
+    y : (window, line, out) complex128
+    powers : (window, line, DEGREE + 1)
+        Of the place of the lines, for D, which is 1 in the middle.
+
+    Returns
+    -------
+    b : (window, out, rows) complex128
+        The first coefficients of B.
+    part : (window, out) float64
+        Variance of the real part of I.
+    gain : (window, rows) float64
+        That of the real part of a coefficient is `part` times this.
+    """
+    shape, n_out = powers.shape[:2], y.shape[2]
+    data = (y[..., None] * powers[:, :, None]).reshape(*shape, -1)
+    coefficients = np.zeros((shape[0], DEGREE + 1), dtype=np.complex128)
     coefficients[:, 0] = 1
     for _ in range(TURNS):
         weight = 1 / np.maximum(np.abs(powers @ coefficients[..., None]), CLOSE)
         reduced = _reduced(np.asarray(regressors * weight, dtype=np.complex128), data * weight)
-        rest = reduced.rest.reshape(*r.shape, n_out, DEGREE + 1)
+        rest = reduced.rest.reshape(*shape, n_out, DEGREE + 1)
         coefficients = _denominator(rest, _error(rest, coefficients))
     noise = _error(rest, coefficients)
-    product = reduced.product.reshape(r.shape[0], -1, n_out, DEGREE + 1)
+    product = reduced.product.reshape(shape[0], -1, n_out, DEGREE + 1)
     right = np.einsum("wpod,wd->wpo", product, coefficients)
-    inverse = np.linalg.inv(reduced.triangle)[:, :q]  # of small triangles; its rows are the covariance, too
-    free = r.shape[1] - regressors.shape[2] - DEGREE / n_out
-    variance = 0.5 * noise[:, :, None] / free * (np.abs(inverse) ** 2).sum(axis=2)[:, None]
-    return (inverse @ right).transpose(0, 2, 1), variance
+    inverse = np.linalg.inv(reduced.triangle)[:, :rows]  # of small triangles; its rows are the covariance, too
+    free = shape[1] - regressors.shape[2] - DEGREE / n_out
+    return (inverse @ right).transpose(0, 2, 1), 0.5 * noise / free, (np.abs(inverse) ** 2).sum(axis=2)
 
 
 def _error(rest: Complex, coefficients: Complex) -> Float:
