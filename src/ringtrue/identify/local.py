@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtrc
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
@@ -22,9 +23,11 @@ from ringtrue.errors import InputError
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer, mode_scale
 from ringtrue.identify.lsfd import noise, normalise, prepare
 from ringtrue.identify.refine import refine, shape_deviations
+from ringtrue.shapes.mac import mac
 
 CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
 SHIFT = 0.1  # half bandwidths that matter
+REACH, ALIKE, NEVER = 0.03, 0.7, 1e6  # shift of a frequency and MAC of participations, of a mode in two batches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +68,8 @@ def identify_batches(
 ) -> LocalFit:
     """Modes of a structure measured in several batches that share their inputs.
 
-    The batch with most responses is identified on its own; its poles and participation vectors start the refinement
-    in every other batch, where no pole gets farther than two half bandwidths and one line. The participation vector,
+    The batch with most responses is identified on its own; its modes and participation vectors start the refinement in
+    every other batch, from the poles that this batch by itself has for them, where it has. The participation vector,
     which all batches share, ties the scales of their shapes together.
 
     Parameters
@@ -92,9 +95,26 @@ def identify_batches(
     found = []
     for i, batch in enumerate(batches):
         tell(0.6 + 0.4 * i / len(batches), f"batch {i + 1} of {len(batches)}")
-        found.append(_local(batch, band, first.model))
+        start = first.model if i == lead else tracked(first.model, identify_hammer(batch, settings).model)
+        found.append(_local(batch, band, start))
     at = np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0)
     return _joined(batches, [f.take(at) for f in found], first.model.participation[at], lead)
+
+
+def tracked(modes: ModalModel, own: ModalModel) -> ModalModel:
+    """The modes of one batch with the poles that another has for them by itself, where one goes with a mode.
+
+    The assignment of least Σ 1 - MAC + ½ (Δf/reach)², MAC of the participation vectors: batches share their inputs.
+    """
+    shift = np.log(own.frequencies / modes.frequencies[:, None])
+    like = mac(modes.participation.T, own.participation.T)
+    cost = 1 - like + 0.5 * (shift / REACH) ** 2
+    cost[(like < ALIKE) | (np.abs(shift) > 3 * REACH)] = NEVER
+    row, column = linear_sum_assignment(cost)
+    goes = cost[row, column] < NEVER
+    poles = np.array(modes.poles)
+    poles[row[goes]] = own.poles[column[goes]]
+    return replace(modes, poles=poles)
 
 
 def told_apart(
