@@ -333,6 +333,14 @@ def test_frfs_that_look_wrong(
     assert told in " ".join(out.split())
 
 
+def test_a_response_that_does_not_follow_the_force(frf: Callable[..., Path], capsys: Capture) -> None:
+    coherence = np.full((2, 4, 780), 0.98)
+    coherence[:, 2] = 0.1
+    status, out, _ = call(capsys, "ema", frf(coherence=coherence), "--fmin", 2, "--fmax", 35)
+    assert status == 0
+    assert "response out3: coherence 0.10, the others have 0.98: it does not follow the force" in " ".join(out.split())
+
+
 def test_a_reference_that_does_not_excite_a_mode(frf: Callable[..., Path], capsys: Capture) -> None:
     """One reference at the node of the second mode: the other still shows it; at the node of both it is not there."""
     node = _h(frf, lambda h: h)

@@ -72,6 +72,19 @@ def test_overloads_with_and_without_a_range() -> None:
         estimate_frf(replace(r, data=clipped))
 
 
+def test_a_force_clipped_for_a_sample_or_two_is_told_by_its_pulses() -> None:
+    """Pulses of 3 samples, unlike each other, that all end at one value; equal pulses of a simulation are none."""
+    r = record(1, [0, 1], starts=STARTS + 6e-4 * np.arange(6))
+    clipped = r.data.copy()
+    clipped[0] = np.clip(clipped[0], None, 60.0)
+    with pytest.raises(DataError, match=r"overload of F:2\+Z; .*or measure with a wider range"):
+        estimate_frf(replace(r, data=clipped))
+    n = int(STARTS[0] * RATE)
+    again = np.tile(r.data[:, : 4 * n], 6) + 0.0
+    _, reports = estimate_frf(replace(r, data=again))
+    assert not any("overload" in x for h in reports for x in h.reasons)
+
+
 def test_frf_is_that_of_the_system_under_the_window() -> None:
     """H is seen at s + σ, by the exponential window; 1e-3 is the noise over five averages."""
     outs = [0, 1, 5]

@@ -20,6 +20,7 @@ from ringtrue.signal.frf_checks import passive
 _SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite
 _ODD = 100.0  # times the level of the typical response
 _COHERENT = 0.5
+_UNMOVED = 0.5  # of the typical coherence
 _EVEN = 1e-3  # of the step, that rounded lines differ by
 _TURNED = 0.3  # share of the power at a driving point of the wrong sign; what rings on between hits takes the rest
 _CURED = 0.3  # of the misfit of the residues may be left when one fault is undone
@@ -82,6 +83,7 @@ def frf_notes(frfs: FrfSet, sound: Sequence[tuple[int, int, float]]) -> tuple[st
         typical = float(np.nanmedian(frfs.coherence[:: max(1, frfs.freqs.size // _LOOKS)]))
         if typical < _COHERENT:
             out.append(f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise")
+        out += _unmoved(frfs, typical)
     step = np.diff(frfs.freqs)
     if np.ptp(step) > _EVEN * np.median(step):
         wide = int(step.argmax())
@@ -95,6 +97,22 @@ def frf_notes(frfs: FrfSet, sound: Sequence[tuple[int, int, float]]) -> tuple[st
         rest = "" if sound else ": the modes are not scaled"
         out.append(f"driving point {' '.join(turned)}: sensor or hammer is the other way round; not used{rest}")
     return tuple(out)
+
+
+def _unmoved(frfs: FrfSet, typical: float) -> list[str]:
+    """Responses whose coherence is far below that of the others: they do not follow the force."""
+    some = frfs.coherence[:: max(1, frfs.freqs.size // _LOOKS)]
+    with np.errstate(all="ignore"):
+        of_each = np.array(
+            [np.median(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan for x in some.swapaxes(0, 1)]
+        )
+    low = of_each < _UNMOVED * typical
+    return [
+        f"response {c.id}: coherence {x:.2f}, the others have {typical:.2f}: it does not follow the force (a loose "
+        "cable, a dead sensor)"
+        for c, x, bad in zip(frfs.outputs, of_each, low, strict=True)
+        if bad and typical > _COHERENT
+    ]
 
 
 def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:

@@ -139,7 +139,9 @@ def _check_used(cuts: Sequence[_Cut], reports: Sequence[Sequence[HitReport]]) ->
     for cut, rep in zip(cuts, reports, strict=True):
         if not any(r.accepted for r in rep):
             told = "; ".join(f"{r.time:.2f} s: {', '.join(r.reasons)}" for r in rep[:5])
-            raise DataError(f"{cut.record.source}: none of {len(rep)} hits can be used: {told}")
+            spoilt = all(any(w.startswith("overload of ") for w in r.reasons) for r in rep)
+            way = "; leave such responses out, or measure with a wider range" if spoilt else ""
+            raise DataError(f"{cut.record.source}: none of {len(rep)} hits can be used: {told}{way}")
 
 
 def _cut(record: TimeHistory, settings: HammerSettings) -> _Cut:

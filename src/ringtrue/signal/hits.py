@@ -15,6 +15,7 @@ from ringtrue.errors import ConfigError, DataError, did_you_mean
 
 Estimator = Literal["H1", "H2", "Hv"]
 _NEAR_FULL = 0.985  # of the range counts as an overload
+_ALIKE, _UNLIKE, _FINE = 3, 1e-3, 1e-4  # pulses of one peak; how unlike they are; resolution of a peak
 _FLAT = 4  # equal extreme samples in a row that give clipping away where no range is known
 _HAMMER = re.compile(r"(?<![a-z])(force|hammer|impact|impulse|kraft|f)(?![a-z])", re.IGNORECASE)
 _BEGUN = 0.05  # of the peak, that no sample before it is below
@@ -201,6 +202,8 @@ def check_hits(
     force = force - np.median(force)
     typical = float(np.median(np.abs(force[hits]))) if hits.size else 0.0
     pre = round(settings.pretrigger * record.rate)
+    known = {k: v for k, v in (full_scale or {}).items() if np.isfinite(v)}
+    limits = _ceiling(np.asarray(record.data[at], dtype=np.float64), hits, record.channels[at].id) | known
     reports = []
     responses = np.delete(np.arange(len(record.channels)), at)
     unrest = [_unrest(record.data[responses, h - pre : h - pre + length], pre) for h in hits.tolist() if h >= pre]
@@ -213,7 +216,7 @@ def check_hits(
         if start >= 0:
             block = record.data[:, start : min(stop, record.data.shape[1])]
             why += _double(force, hit, stop, record.rate, settings)
-            why += _overloads(record, block, full_scale or {})
+            why += _overloads(record, block, limits)
             why += _ringing(_unrest(block[responses], pre), quietest)
         name = input_id(record.channels[at].id)
         width = pulse_width(force, hit) / record.rate
@@ -261,6 +264,19 @@ def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSett
     second = int(tail[down[0] :].argmax()) + int(down[0]) + 2 * width + 2
     share = sign * force[hit + second] / abs(force[hit])
     return [f"double hit: {100 * share:.0f} % of the first pulse {1000 * second / rate:.3g} ms after it"]
+
+
+def _ceiling(force: Float, hits: Int, name: str) -> dict[str, float]:
+    """The range of a force whose pulses, though not the same ones, end at one value: clipped for a sample or two."""
+    if hits.size < _ALIKE:
+        return {}
+    peak = np.abs(force[hits])
+    top = np.flatnonzero(peak >= (1 - 1e-6) * peak.max())
+    step = np.diff(np.unique(force[: 1 << 16]))
+    if top.size < _ALIKE or not step.size or step[step > 0].min(initial=np.inf) > _FINE * peak.max():
+        return {}
+    pulses = [np.abs(force[max(h - 8, 0) : h + 9]).sum() for h in hits[top].tolist()]
+    return {name: float(peak.max())} if np.ptp(pulses) > _UNLIKE * max(pulses) else {}
 
 
 def _overloads(record: TimeHistory, block: Any_, full_scale: Mapping[str, float]) -> list[str]:
