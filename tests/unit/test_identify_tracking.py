@@ -246,3 +246,12 @@ def test_track_refuses(record: Path, tmp_path: Path, capsys: Capture) -> None:
     np.save(tmp_path / "lost.npy", np.full((8000, 5), np.nan))
     told = refused(capsys, "track", tmp_path / "lost.npy", "--rate", RATE, *short)
     assert "no stretch could be identified; " in told
+
+
+@pytest.mark.parametrize("known", [0, 3])
+def test_a_regressor_that_is_hardly_known_is_left_out(known: int) -> None:
+    f = 5 + 0.005 * np.random.default_rng(0).standard_normal(24)
+    fit = fit_environment(f, np.full(24, 0.005), {"T": np.where(np.arange(24) < known, np.arange(24.0), np.nan)})
+    assert np.isnan(fit.slope).all()
+    assert fit.reference == pytest.approx(5, abs=4 * 0.005 / np.sqrt(24))
+    assert np.isfinite(fit.residual).all()

@@ -136,6 +136,11 @@ def track(
     with progress("modes through time") as show:
         found, values, notes = _collect(records, begin, (rate, hours), (settings, env, given, leave_out or ()), show)
     tracked = track_modes(found)
+    if given and not any(given.time[0] <= t <= given.time[-1] for t in tracked.times):
+        raise DataError(
+            f"{environment}: its times, {given.time[0]:.4g} to {given.time[-1]:.4g} h, are not those of the stretches, "
+            f"{tracked.times[0]:.4g} to {tracked.times[-1]:.4g} h; the first column is in hours"
+        )
     columns = (*env.names, *(given.names if given else ()))
     regressors = {name: np.array([v[j] for v in values]) for j, name in enumerate(columns)}
     if drift:

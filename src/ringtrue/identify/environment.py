@@ -25,6 +25,7 @@ from ringtrue.errors import InputError
 
 LEVEL = 0.01  # of the tests, for one mode
 LEAST = 6  # values on either side of a change
+FEWEST = 6  # values that a slope needs
 MOST_CHANGES = 5
 MOST_OUTLIERS = 0.1  # of the values
 _MOST_MEMORY = 0.95
@@ -139,7 +140,9 @@ def fit_environment(
     order = np.arange(n) if at is None else np.asarray(at)
     names = tuple(regressors)
     x = np.stack([np.asarray(regressors[k], dtype=np.float64) for k in names], axis=1) if names else np.zeros((n, 0))
-    use: Bool = np.asarray(np.isfinite(x).all(axis=1))
+    seen = np.isfinite(x).sum(axis=0) >= FEWEST
+    use: Bool = np.asarray(np.isfinite(x[:, seen]).all(axis=1))
+    use = use if use.sum() >= FEWEST else np.ones(n, dtype=bool)  # no regressor is known often enough
     x, centre, ok = _centred(x, use)
     base = np.concatenate([np.ones((n, 1)), x[:, ok]], axis=1)
     steps = _steps(y, sd, base, use, order)
