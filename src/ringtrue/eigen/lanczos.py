@@ -76,14 +76,17 @@ class Krylov:
         self.ahead = 0
         self._append(np.zeros((self.basis.shape[0], 0)), 0.0)
 
-    def _orthogonalise(self, w: Float, count: int) -> tuple[Float, Float]:
-        """w minus its part in the first `count` columns, and the coefficients; twice is enough (Kahan)."""
-        v = self.basis[:, :count]
+    def _orthogonalise(self, w: Float, count: int, first: int = 0) -> tuple[Float, Float]:
+        """w minus its part in the first `count` columns, and the coefficients; twice is enough (Kahan).
+
+        The first time without the columns before `first`, where w has no part but rounding.
+        """
         total = np.zeros((count, w.shape[1]))
-        for _ in range(2):
+        for start in (first, 0):
+            v = self.basis[:, start:count]
             c = v.T @ (self.mass @ w)
             w = w - v @ c
-            total += c
+            total[start:] += c
         return w, total
 
     def _norms(self, w: Float) -> Float:
@@ -138,7 +141,7 @@ class Krylov:
         """One block: V grows by Q, a new Q is made."""
         k, b = self.held, self.ahead
         w = self.factor.solve(self.loaded)
-        w, c = self._orthogonalise(w, k + b)
+        w, c = self._orthogonalise(w, k + b, k - self.coupling.shape[1])
         floor = 1e-13 * float(np.linalg.norm(c, axis=0).max(initial=0.0))
         self.projected[: k + b, k : k + b] = c
         self.projected[k : k + b, :k] = c[:k].T
@@ -257,7 +260,7 @@ def solve(
 
 def capacity(rows: int, expected: int, known: int = 0) -> int:
     """Most basis vectors held in a search for `expected` pairs beyond the `known` ones."""
-    return min(known + 2 * expected + 32, rows)
+    return min(known + 3 * expected + 32, rows)
 
 
 def _pairs(krylov: Krylov, count: int, *, exhausted: bool) -> RitzPairs:
