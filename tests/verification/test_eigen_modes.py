@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import solid_meshes
 from eigen_plate import held, line, plate
+from fem_cases import grid, model, steel
 from scipy import linalg, sparse
 
 from ringtrue.eigen import lanczos
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, SingularModel
+from ringtrue.fem.assembly import assemble
 
 RESIDUAL = 1e-8
 
@@ -53,6 +56,29 @@ def test_equal_structures_side_by_side(copies):
     one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)[:4]
     assert np.allclose(got.values, np.repeat(one, copies), rtol=1e-8)
     assert got.complete
+
+
+@pytest.fixture(scope="module")
+def block() -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
+    """K, M and the 20 lowest eigenvalues of a free block of solids, 630 DOFs."""
+    xyz, nodes = solid_meshes.box(6, 5, 4, (1.0, 0.7, 0.4))
+    s = assemble(model(grid(xyz), solid_meshes.elements("CHEXA", nodes), solid_meshes.psolid(), steel()))
+    k, m = s.stiffness, s.mass
+    return k, m, linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True, subset_by_index=(0, 19))
+
+
+@pytest.mark.parametrize("count", [2, 6, 8, 20])
+@pytest.mark.parametrize("bodies", [1, 2, 3])
+def test_free_bodies(block, bodies, count):
+    """As many or fewer modes than there are rigid ones, and more; the bodies differ in stiffness by 3 %."""
+    k, m, one = block
+    stiffer = 1 + 0.03 * np.arange(bodies)
+    many = [sparse.csr_array(sparse.block_diag(a)) for a in ([c * k for c in stiffer], [m] * bodies)]
+    got = solve_modes(Pencil(*many), count)
+    want = np.sort(np.outer(stiffer, one).ravel())[:count]
+    assert got.complete
+    assert got.values.size == count
+    assert np.allclose(got.values, want, rtol=1e-8, atol=1e-9 * one[6])
 
 
 def test_missing_mode_is_found_by_the_count(monkeypatch):

@@ -20,6 +20,9 @@ GAP = 1e-4  # a gap below this share of λ is too narrow for a count
 NEAR = 1e-5  # share of λ: no shift nearer to zero
 FINE = 1e-6  # share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined once
 PROBE = 4  # Lanczos blocks that judge a shift
+JUDGED = 10  # modes that they judge it by
+ELASTIC = 4  # of them at least, however many bodies are free
+STILL = 1e-6  # share of the shift under which a mode is a rigid motion: rounding leaves it 1e-9 of the first guess
 TRIES = 6  # shifts that are judged
 BLURRED = 1e-2  # relative error of the first pair after them: seen from the shift, the modes lie close together
 ROUNDING = 2e-6  # share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
@@ -139,10 +142,11 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
         if error[0] > BLURRED * theta[0] and first < -shift:
             shift = min(-0.3 * abs(first), 1e-4 * shift, nearest)
             continue
-        values = shift + 1 / theta[theta > 1e-12 * theta.max()][: max(2, min(count, 10))]
+        values = shift + 1 / theta[theta > 1e-12 * theta.max()]
+        values = values[: max(JUDGED, int((np.abs(values) < STILL * -shift).sum()) + ELASTIC)]
         better = -suitable_shift(values)
         top = float(np.abs(values).max())
-        far = 2 * top * max(count / 10, 1.0)  # of the order of the highest mode asked for
+        far = 2 * top * max(count / JUDGED, 1.0)  # of the order of the highest mode asked for
         if -NEAR * top > shift > -far or (better > shift and shift == nearest):
             break
         shift = min(better, nearest)
@@ -158,7 +162,7 @@ def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress 
 
     def enough(theta: Float) -> bool:
         values = np.sort(shift + 1 / theta)
-        return (values.size > count and _gap_after(values, count) is not None) or values.size >= count + 40
+        return (values.size > count and _gap_after(values, count, shift) is not None) or values.size >= count + 40
 
     pairs = lanczos.solve(factor, pencil.mass, enough, expected=count + EXTRA, progress=progress, begun=begun)
     del begun
@@ -167,7 +171,7 @@ def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress 
     complete, proof = False, ""
     for _ in range(ROUNDS):
         values = np.sort(shift + 1 / pairs.theta)
-        at = _gap_after(values, count)
+        at = _gap_after(values, count, shift)
         if pairs.exhausted:
             complete, proof = True, f"the mass has rank {values.size}: all modes were found"
             break
@@ -205,11 +209,15 @@ def _again(pencil: Pencil, shift: float, pairs: lanczos.RitzPairs, missing: int)
     )
 
 
-def _gap_after(values: Float, count: int) -> int | None:
-    """How many values stand below the first sufficient gap at or after `count`; None if there is none yet."""
+def _gap_after(values: Float, count: int, shift: float) -> int | None:
+    """How many values stand below the first sufficient gap at or after `count`; None if there is none yet.
+
+    Rigid-body modes are apart by rounding only, however many of them are known: the shift tells their scale.
+    """
     if values.size <= count:
         return None
-    wide = np.diff(values[count - 1 :]) > GAP * np.maximum(np.abs(values[count:]), 1e-6 * np.abs(values[-1]))
+    least = max(1e-6 * abs(float(values[-1])), 1e-3 * abs(shift))
+    wide = np.diff(values[count - 1 :]) > GAP * np.maximum(np.abs(values[count:]), least)
     return count + int(np.argmax(wide)) if wide.any() else None
 
 
