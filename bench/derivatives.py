@@ -40,10 +40,10 @@ def timed(work: Callable[[], object]) -> tuple[object, float]:
 
 
 def moduli(model: Model, groups: int) -> list[Parameter]:
-    """Young's modulus and thickness of element sets: every set is a parameter of its own."""
+    """Young's modulus and thickness of element sets, no more of them than elements: each is a parameter of its own."""
     quads = model["CQUAD4"]
     made = []
-    for g, rows in enumerate(np.array_split(np.arange(len(quads)), groups)):
+    for g, rows in enumerate(np.array_split(np.arange(len(quads)), min(groups, len(quads)))):
         pid = int(quads["PID"][rows[0]])
         same = tuple(quads.ids[rows[quads["PID"][rows] == pid]].tolist())
         made.append(Parameter(f"E{g}", (Target("MAT1", pid, "E", same),)))
@@ -65,7 +65,7 @@ def jacobian(model: Model, parameters: list[Parameter], modes: EigenModes, penci
     """Frequencies' eigenvalues and MAC (2, m, p) by adjoint vectors and element products."""
     rng = np.random.default_rng(0)
     phi = modes.vectors[:, :MODES]
-    seen = rng.choice(pencil.size, 120, replace=False)
+    seen = rng.choice(pencil.size, min(120, pencil.size), replace=False)
     gradient = np.zeros_like(phi)
     gradient[seen] = mac_gradient(phi[seen] + 0.01 * np.abs(phi[seen]).max(axis=0), phi[seen])[1]
     a = adjoint(pencil, modes, gradient, tolerance=1e-6)
@@ -92,15 +92,17 @@ def main() -> None:
     slopes, t = timed(lambda: system_derivatives(model, fifty, system))
     assert isinstance(slopes, list)
     _, t2 = timed(lambda: eigenvalue_derivatives(modes, slopes))
-    print(f"dK/dp, dM/dp as sparse matrices, 50 parameters: {t / unit:.3f}; eigenvalues from them: {t2 / unit:.3f}")
+    made, values = t / unit, t2 / unit
+    print(f"dK/dp, dM/dp as sparse matrices, {len(fifty)} parameters: {made:.3f}; eigenvalues from them: {values:.3f}")
     phi = modes.vectors[:, :MODES]
     _, t = timed(lambda: bilinear(model, fifty, system, phi[None], phi))
-    print(f"eigenvalues {MODES} x 50 from element products, all told (limit 0.1): {t / unit:.3f}")
+    print(f"eigenvalues {MODES} x {len(fifty)} from element products, all told (limit 0.1): {t / unit:.3f}")
     thousand = moduli(model, 500)
     _, t = timed(lambda: jacobian(model, thousand, modes, pencil, system))
-    print(f"frequencies and MAC, {MODES} x 1000 by adjoints (limit 1): {t / unit:.2f}")
+    print(f"frequencies and MAC, {MODES} x {len(thousand)} by adjoints (limit 1): {t / unit:.2f}")
     for count, limit in ((6, 1), (50, 5)) if args.many else ((6, 1),):
         pages = os.times().system
+        count = min(count, len(slopes))
         d, t = timed(lambda n=count: eigenvector_derivatives(pencil, modes, slopes[:n], count=MODES, tolerance=1e-6))
         pages = os.times().system - pages
         worst = max(residual(pencil, modes, slopes[i], np.asarray(d)[:, :, i]) for i in range(0, count, 5))
