@@ -260,7 +260,7 @@ def solve(
 
 def capacity(rows: int, expected: int, known: int = 0) -> int:
     """Most basis vectors held in a search for `expected` pairs beyond the `known` ones."""
-    return min(known + 3 * expected + 32, rows)
+    return min(known + 2 * expected + 6 * BLOCK, rows)
 
 
 def _pairs(krylov: Krylov, count: int, *, exhausted: bool) -> RitzPairs:
