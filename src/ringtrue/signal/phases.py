@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, rfft
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
@@ -92,9 +91,9 @@ def _lines(data: Any_, length: int) -> Any_:
     starts = np.linspace(0, data.shape[1] - length, SEGMENTS).astype(np.int64)
     win = window("hann", length).astype(np.float32)
     out = np.empty((length // 2 + 1, starts.size, len(data)), dtype=np.complex64)
-    for i, x in enumerate(data):  # a channel at a time: all segments of all channels are large
-        part = sliding_window_view(x, length)[starts]
-        out[:, :, i] = rfft((part - part.mean(axis=1, keepdims=True)).astype(np.float32) * win, axis=1).T
+    for k, start in enumerate(starts.tolist()):  # a segment of all channels is in the cache
+        part = data[:, start : start + length]
+        out[:, k] = rfft((part - part.mean(axis=1, keepdims=True)).astype(np.float32) * win, axis=1).T
     return out
 
 
