@@ -90,12 +90,10 @@ class Signals:
     @classmethod
     def straightened(cls, data: Any_) -> Signals:
         """Less their mean and straight line."""
-        n, step = data.shape[1], max(1, AT_ONCE // len(data))
+        n = data.shape[1]
         t = np.linspace(-1.0, 1.0, n)
-        form = np.stack([np.full(n, 1 / n), t / max(float(t @ t), 1.0)], axis=1)
-        line = np.zeros((len(data), 2))
-        for k in range(0, n, step):  # once through the memory
-            line += np.asarray(data[:, k : k + step], dtype=np.float64) @ form[k : k + step]
+        t /= max(float(t @ t), 1.0)
+        line = np.array([[x.sum(dtype=np.float64) / max(n, 1), x @ t] for x in data])  # a channel is in the cache
         return cls(data, line[:, 0], line[:, 1])
 
     def power(self) -> Float:
