@@ -19,7 +19,7 @@ from ringtrue.errors import DataError
 from ringtrue.identify.bands_hammer import choose_bands
 from ringtrue.identify.frf_input import sound_pairs
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
-from ringtrue.identify.lsfd import lsfd, noise, prepare, solve_shapes
+from ringtrue.identify.lsfd import lsfd, noise, prepare
 from ringtrue.identify.peaks import cmif
 from ringtrue.identify.plscf import Plscf, cluster_poles, plscf
 from ringtrue.identify.refine import refine
@@ -249,8 +249,6 @@ def test_lsfd_reproduces_the_frfs_with_unit_modal_a() -> None:
     np.testing.assert_allclose(model.synthesise(frfs.freqs), frfs.data, atol=1e-6 * np.abs(frfs.data).max())
     assert model.norm is Norm.MODAL_A
     np.testing.assert_allclose(np.abs(model.shapes) * np.sqrt(2 * true.imag), np.abs(phi), atol=1e-6)
-    lines = prepare(frfs, noise(frfs))
-    assert (solve_shapes(lines, true, phi[refs].T.astype(complex))[1] >= 0).all()
 
 
 def test_bands_cover_the_range_and_overlap() -> None:

@@ -91,12 +91,13 @@ def principal(data: Complex) -> Complex:
     The combination is real, for the response space of real modes, and leaves r/out of the noise.
     """
     n_out = data.shape[1]
-    rows = data.transpose(1, 0, 2).reshape(n_out, -1)
-    values, vectors = np.linalg.eigh((rows @ rows.conj().T).real)
-    n = 2 * rows.shape[1]
+    rows = np.ascontiguousarray(data.transpose(1, 0, 2)).view(np.float64).reshape(n_out, -1)
+    values, vectors = np.linalg.eigh(rows @ rows.T)
+    n = rows.shape[1]
     edge = n * (1 + np.sqrt(n_out / n)) ** 2  # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
     r = int(np.clip((values > 1.5 * edge).sum(), min(n_out, 4), MOST_PRINCIPAL))
-    return np.asarray(vectors[:, -r:].T @ data)
+    few = (vectors[:, -r:].T @ rows).view(np.complex128)
+    return np.ascontiguousarray(few.reshape(r, len(data), -1).transpose(1, 0, 2))
 
 
 def merged(found: Sequence[Clusters], freqs: Float, decay: float) -> Candidates:

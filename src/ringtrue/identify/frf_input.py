@@ -49,9 +49,9 @@ def refuse_bad_frfs(frfs: FrfSet) -> None:
     size = np.abs(h)
     if not _SMALL < size.max() < _LARGE:
         raise DataError(f"{where}: the largest value is {size.max():.2g}; no unit makes that")
-    flat = np.ptp(h.real, axis=0) + np.ptp(h.imag, axis=0) == 0
+    flat: Bool = np.all(h == h[0], axis=0)
     for name, channels, axis in (("response", frfs.outputs, 1), ("reference", frfs.inputs, 0)):
-        if (dead := flat.all(axis=axis)).any():
+        if (dead := np.asarray(flat.all(axis=axis))).any():
             ids = " ".join(c.id for c, d in zip(channels, dead, strict=True) if d)
             raise DataError(f"{where}: {name} {ids} is the same at all lines: a dead channel; leave it out")
     if (h.imag == 0).all():

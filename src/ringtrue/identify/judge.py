@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float
-from ringtrue.identify.lsfd import Lines, solve_shapes, weighted_rest
+from ringtrue.identify.lsfd import Lines, weighted_rest
 from ringtrue.identify.refine import Refined
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
@@ -98,8 +98,9 @@ def judge(
     strict : bool
         False while modes may still be missing: their neighbours then have complex shapes.
     """
-    shapes, gain = solve_shapes(lines, fit.poles, fit.participation)
-    total = gain.sum(axis=0)
+    shapes = fit.shapes
+    # fall of the weighted sum of squares (σ = 1) by each mode with all others present
+    total = (2 * np.abs(shapes) ** 2 / np.maximum(fit.known.state.shape_var, np.finfo(float).tiny)).sum(axis=0)
     driven = _driven(fit, shapes, pairs)
     gains, ratio = _gains(lines, fit, shapes, total)
     real = _real(shapes, lines.response, strict)

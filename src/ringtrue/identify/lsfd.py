@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
 from scipy.ndimage import median_filter
 
 from ringtrue.core.arrays import Complex, Float
@@ -181,15 +180,8 @@ def augment(x: Complex) -> Complex:
     return np.concatenate([x, x.conj()], axis=0)
 
 
-def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> tuple[Complex, Float]:
-    """Shapes ψ (out, m), given poles (m,) and participation (m, in), and what each mode adds to the fit.
-
-    Returns
-    -------
-    shapes : (out, m) complex128
-    gain : (out, m) float64
-        Fall of the weighted sum of squares (σ = 1) by the mode with all others present.
-    """
+def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> Complex:
+    """Shapes ψ (out, m) complex128, given poles (m,) and participation (m, in)."""
     q = functions(lines, poles)
     qh = q.conj().T
     d = augment(participation * lines.input).T[:, :, None]  # (in, 2 m, 1)
@@ -197,12 +189,8 @@ def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> tuple[
     b = mirrored_rows(qh @ lines.y)
     rhs = (d.conj() * b).sum(axis=0)
     scale = 1 / np.sqrt(np.maximum(np.diag(n).real, np.finfo(float).tiny))
-    factor = lu_factor(scale[:, None] * n * scale)
-    m = poles.size
-    psi = np.asarray(scale[:, None] * lu_solve(factor, scale[:, None] * rhs), dtype=np.complex128)
-    inverse = scale[:, None] * lu_solve(factor, np.diag(scale).astype(np.complex128))
-    gain = np.abs(psi[:m].T) ** 2 / np.maximum(np.diag(inverse).real[:m], np.finfo(float).tiny)
-    return psi[:m].T, np.asarray(gain * lines.response[:, None] ** 2)
+    psi = scale[:, None] * np.linalg.solve(scale[:, None] * n * scale, scale[:, None] * rhs)
+    return np.asarray(psi[: poles.size].T, dtype=np.complex128)
 
 
 def lsfd(
@@ -226,7 +214,7 @@ def lsfd(
         Of unit modal A where there are driving points.
     """
     lines = lines or prepare(frfs, noise(frfs))
-    shapes, _ = solve_shapes(lines, poles, participation)
+    shapes = solve_shapes(lines, poles, participation)
     rest = frfs.data - modal_part(lines, poles, shapes, participation)
     lower, upper = _residuals(rest, lines)
     model = ModalModel(poles, shapes, participation, lower, upper, frfs.outputs, frfs.inputs, frfs.kind)

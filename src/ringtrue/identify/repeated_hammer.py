@@ -50,7 +50,7 @@ def united(lines: Lines, fit: Refined, pairs: Pairs) -> Refined:
             continue
         poles[[i, j]] = poles[[i, j]].mean()
         part[[i, j]] = basis / lines.input
-        shapes = solve_shapes(lines, poles, part)[0][:, [i, j]]
+        shapes = solve_shapes(lines, poles, part)[:, [i, j]]
         part[[i, j]] = _orthogonal(shapes, part[[i, j]], pairs, lines.response)
     if not twins(poles):
         return fit
