@@ -109,8 +109,10 @@ def _upper_median(a: Any_) -> Any_:
 
 def _moving(white: Any_, step: float) -> tuple[Bool, list[Sweep]]:
     """Cells (frame, bin) of ridges that move, and these; bins are `step` Hz apart."""
+    mask, sweeps = np.zeros(white.shape, dtype=np.bool_), list[Sweep]()
+    if np.count_nonzero(white > HIGH) < LEAST:
+        return mask, sweeps
     cell, count = label(white > LOW, np.ones((3, 3)))
-    mask, sweeps = np.zeros(white.shape, dtype=np.bool_), []
     strong = np.bincount(cell[white > HIGH], minlength=count + 1)[1:]
     ridges = np.flatnonzero(strong >= LEAST).tolist()
     places = find_objects(cell) if ridges else []
