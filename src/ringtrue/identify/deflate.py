@@ -9,7 +9,7 @@ from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.identify.judge import Candidates
-from ringtrue.identify.lsfd import Lines, weighted_rest
+from ringtrue.identify.lsfd import Lines
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.refine import Refined
 from ringtrue.identify.repeated_hammer import twins
@@ -32,7 +32,7 @@ def missed(lines: Lines, fit: Refined, sets: Sequence[PoleSet], decay: float, mo
         Exponential window still in `sets`.
     most : int
     """
-    rest = weighted_rest(lines, fit.poles, fit.participation, fit.shapes)
+    rest = fit.known.rest
     at = _peaks(rest, lines, fit)[:most]
     omega = lines.s.imag[at]
     zeta = np.median(-fit.poles.real / np.abs(fit.poles)) if fit.poles.size else 0.01

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float
-from ringtrue.identify.lsfd import Lines, weighted_rest
+from ringtrue.identify.lsfd import Lines
 from ringtrue.identify.refine import Refined
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
@@ -102,7 +102,7 @@ def judge(
     # fall of the weighted sum of squares (σ = 1) by each mode with all others present
     total = (2 * np.abs(shapes) ** 2 / np.maximum(fit.known.state.shape_var, np.finfo(float).tiny)).sum(axis=0)
     driven = _driven(fit, shapes, pairs)
-    gains, ratio = _gains(lines, fit, shapes, total)
+    gains, ratio = _gains(lines, fit, total)
     real = _real(shapes, lines.response, strict)
     share = shares(lines, fit, shapes)
     clear = _clear(fit, shapes, lines) & (share > VISIBLE) & (gains.factor > 0.99) & (driven.factor > 0.99)
@@ -149,21 +149,15 @@ def _stable(c: Candidates, clear: Bool) -> _Aspect:
     )
 
 
-def _gains(lines: Lines, fit: Refined, shapes: Complex, total: Float) -> tuple[_Aspect, Float]:
+def _gains(lines: Lines, fit: Refined, total: Float) -> tuple[_Aspect, Float]:
     """Gain per real unknown over the squared error near the mode, weighted with its own magnitude; that ratio."""
-    rest = _rest(lines, fit.poles, fit.participation, shapes)
+    rest = 0.5 * (np.abs(fit.known.rest) ** 2).mean(axis=(0, 2))  # per real value
     near = np.abs(1 / (lines.s[:, None] - fit.poles)) ** 4
     near /= near.sum(axis=0)
-    ratio = total / (2 * shapes.shape[0]) / np.maximum(near.T @ rest, 1e-300)
+    ratio = total / (2 * fit.shapes.shape[0]) / np.maximum(near.T @ rest, 1e-300)
     factor = np.clip(np.log(np.maximum(ratio, 1e-9) / 2) / np.log(SIGNIFICANT / 2), 0, 1)
     text = [f"contribution {10 * np.log10(max(r, 1e-9)):.0f} dB over the error" for r in ratio]
     return _texts(factor, text, [f"weak, {t}" for t in text]), ratio
-
-
-def _rest(lines: Lines, poles: Complex, participation: Complex, shapes: Complex) -> Float:
-    """(freq,) mean squared weighted error per real value."""
-    e = weighted_rest(lines, poles, participation, shapes)
-    return np.asarray(0.5 * (np.abs(e) ** 2).mean(axis=(0, 2)))
 
 
 def _damped(fit: Refined, damping_max: float) -> _Aspect:

@@ -67,11 +67,14 @@ class Known:
         Zero for the parameters that fix the scales.
     own : (out, m) float64
         Squared weighted errors that the residues see.
+    rest : (in, freq, out) complex128
+        What the fit leaves of the data, in units of the noise.
     """
 
     state: State
     covariance: Complex
     own: Float
+    rest: Complex
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +205,8 @@ def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
 
 def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refined:
     m = state.poles.size
-    cov, own, error2 = _covariance(lines, state, local)
+    rest = weighted_rest(lines, state.poles, state.part / lines.input, state.shapes)
+    cov, own, error2 = _covariance(lines, state, rest if local else None)
     slope = _slopes(state.poles)
     real = slope @ _real(cov[: 2 * m, : 2 * m], m) @ slope.T
     values, vectors = np.linalg.eigh((real + real.T) / 2)
@@ -218,14 +222,14 @@ def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refine
         float(np.sqrt(error2)),
         state.cost,
         outcome,
-        Known(state, cov, own),
+        Known(state, cov, own, rest),
     )
 
 
-def _covariance(lines: Lines, state: State, local: bool) -> tuple[Complex, Float, float]:
+def _covariance(lines: Lines, state: State, rest: Complex | None) -> tuple[Complex, Float, float]:
     """Covariance of all augmented parameters, zero for those that fix the scales, and the squared weighted errors.
 
-    The errors are those (out, m) that the residues see, and that of all data.
+    The errors are those (out, m) that the residues see, and that of all data; without the `rest` they are the same.
     """
     free = state.free
     data = 2 * lines.y.size
@@ -236,12 +240,12 @@ def _covariance(lines: Lines, state: State, local: bool) -> tuple[Complex, Float
     inner = np.linalg.pinv(scale[:, None] * h * scale, rcond=FLAT, hermitian=True)
     cov[np.ix_(free, free)] = 2 * scale[:, None] * inner * scale
     everywhere = np.full(state.shapes.shape, error2), np.full(state.poles.size, error2)
-    own, shared = _local_error(lines, state) if local else everywhere
+    own, shared = everywhere if rest is None else _local_error(lines, state, rest)
     each = np.tile(np.sqrt(shared), state.hessian.shape[0] // shared.size)
     return cov * each[:, None] * each, own, error2
 
 
-def _local_error(lines: Lines, state: State) -> tuple[Float, Float]:
+def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Float]:
     """Squared weighted errors where each mode is seen: (out, m) of its residues, (m,) of its pole and participation.
 
     The errors of measured FRFs grow with the response, in the channels that see a mode most of all: so each error
@@ -249,7 +253,6 @@ def _local_error(lines: Lines, state: State) -> tuple[Float, Float]:
     share, as of noise on the force, move a pole together: their sum along the shape counts where it is larger.
     """
     m, n_out = state.poles.size, state.shapes.shape[0]
-    rest = weighted_rest(lines, state.poles, state.part / lines.input, state.shapes)
     part = (np.abs(state.part) ** 2).T[:, None]
     by_shape, by_pole = (part * np.abs(functions(lines, state.poles, k)[:, :m]) ** 2 for k in (1, 2))
     by_shape, by_pole = (w / w.sum(axis=(0, 1)) for w in (by_shape, by_pole))  # (in, freq, mode)
