@@ -212,7 +212,8 @@ def _band(sums: BandSums, settings: AmbientSettings, heard: Heard) -> Found:
     poles, table, picked, pairs = _candidates(sums, r, weights, (halves[0], halves[1]), settings.confidence_min, heard)
     sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
     turning = tuple(i for both in pairs for i in both)
-    found = _found(sums, poles, table, sure, picked, turning, motion)
+    diagram = _diagram(poles, table, sums)
+    found = _found(sums, diagram, table, sure, picked, turning, motion)
     at = np.array([i for _, i in select([found], settings.confidence_min)], dtype=np.int64)
     if not at.size or heard.driven:
         return found
@@ -221,13 +222,13 @@ def _band(sums: BandSums, settings: AmbientSettings, heard: Heard) -> Found:
         bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
         table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
         sure = without_echoes(table, sure)
-    found = _found(sums, poles, widened(table, wandering), sure, picked, turning, motion)
+    found = _found(sums, diagram, widened(table, wandering), sure, picked, turning, motion)
     return replace(found, wandering=tuple((int(i), float(wandering[i])) for i in np.flatnonzero(wandering)))
 
 
 def _found(
     sums: BandSums,
-    poles: BandPoles,
+    diagram: StableDiagram,
     table: Candidates,
     sure: Float,
     picked: Int,
@@ -238,7 +239,7 @@ def _found(
     scale = sums.scale[:, None] if motion is None else sums.scale[:, None] * motion.lift(table.pole)
     scaled = table.shape * scale
     std = var.modulus_std(scaled, table.shape_deviation * scale.T[:, :, None])
-    return Found(table, unit(scaled), std, sure, _diagram(poles, table, sums), picked, turning)
+    return Found(table, unit(scaled), std, sure, diagram, picked, turning)
 
 
 def _diagram(poles: BandPoles, table: Candidates, sums: BandSums) -> StableDiagram:
