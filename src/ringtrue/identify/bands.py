@@ -6,7 +6,7 @@ Each band is a pass over the signals at its rate, which also gives those of the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
@@ -22,7 +22,6 @@ from ringtrue.signal.pyramid import Signals
 from ringtrue.signal.stream import Fir, decimator, high_passer
 
 SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
-IN_STEP = 8  # channels that are transformed together: memory of more is mapped anew each time
 STEP = 4  # from one rate to the next
 MOST_BLOCKS = 32
 NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
@@ -209,9 +208,9 @@ def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:
     edges = [first]
     while edges[-1] <= last:  # sub-bands, with bins of one width each
         edges.append(max(int(edges[-1] * 1.2), edges[-1] + 1))
-    for k, some in product(range(parts), range(0, eyes.size, IN_STEP)):
-        start, few = k * (y.samples // parts), slice(some, some + IN_STEP)
-        lines[:, k, few] = rfft(y.part(start, start + n, eyes[few]), axis=1)[:, first : last + 1].T
+    for k in range(parts):
+        start = k * (y.samples // parts)
+        lines[:, k] = rfft(y.part(start, start + n, eyes), axis=1)[:, first : last + 1].T
     found = [_sub_band(lines[a - first : b - first], a, unit) for a, b in pairwise(edges)]
     f, count, cross = (np.concatenate(x) for x in zip(*found, strict=True))
     return SpectralBins(f * band.rate / n, count, cross, n / band.rate)
