@@ -26,6 +26,14 @@ def history(data: np.ndarray, rate: float, quantity: str = "acceleration") -> Ti
     return TimeHistory(data, rate, channels, "made")
 
 
+def test_samples_of_a_channel_are_side_by_side_however_the_table_came():
+    table = np.random.default_rng(0).standard_normal((50, 3))
+    turned, rows = history(table.T, 100.0).data, history(np.ascontiguousarray(table.T), 100.0).data
+    assert turned.strides[1] == turned.itemsize
+    np.testing.assert_array_equal(turned, rows)
+    assert np.shares_memory(history(rows[:, 10:30], 100.0).data, rows)  # a part of a record is not copied
+
+
 def test_spectrum_of_white_noise_has_its_variance_and_no_cross_terms():
     y = np.random.default_rng(1).standard_normal((3, 60000)) * np.array([[1.0], [2.0], [3.0]])
     s = csd(history(y, 100.0), Welch(0.5))

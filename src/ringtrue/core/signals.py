@@ -43,6 +43,7 @@ class TimeHistory:
     Attributes
     ----------
     data : (channel, sample) float32 or float64, in the unit of each channel
+        Copied where the samples of a channel are not side by side in memory, as in a table turned round.
     rate : float, Hz
     channels : tuple of Channel
     source : str
@@ -54,6 +55,9 @@ class TimeHistory:
     source: str = ""
 
     def __post_init__(self) -> None:
+        data = np.asarray(self.data)
+        if data.strides[-1:] != (data.itemsize,):  # all work goes along the channels
+            object.__setattr__(self, "data", np.ascontiguousarray(data))
         freeze_fields(self, data=None)
         object.__setattr__(self, "channels", tuple(self.channels))
         if self.data.ndim != 2 or self.data.shape[0] != len(self.channels):
