@@ -68,6 +68,20 @@ def test_points_are_added_until_the_auto_mac_is_low() -> None:
     assert lower_auto_mac(shapes, poor, 0.0, 6).size == 6
 
 
+def test_additions_that_hardly_lower_the_auto_mac_are_left_out() -> None:
+    """Near its end a string moves alike in modes 1 and 2: no number of points there tells them apart."""
+    shapes, _ = string(59, 2)
+    end, start = shapes[:15], np.array([0, 1, 2])
+    many = lower_auto_mac(end, start, 0.25, 12)
+    few = lower_auto_mac(end, start, 0.25, 12, worth=0.02)
+    worst = [worst_off_diagonal(auto_mac(end[at, 0])) for at in (many, few)]
+    assert worst[0] > 0.25
+    assert few.size < many.size == 12
+    assert worst[1] <= worst[0] + 0.02
+    reached = lower_auto_mac(shapes, start, 0.25, 12, worth=0.02)
+    assert worst_off_diagonal(auto_mac(shapes[reached, 0])) <= 0.25
+
+
 def test_additions_keep_their_distance() -> None:
     shapes, xyz = string(59, 4)
     poor = np.array([0, 1, 2, 3, 4])

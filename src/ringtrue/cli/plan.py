@@ -270,7 +270,8 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     body = [[heads[k][1].format(r[k]) if r[k] is not None else "-" for k in here] for r in told["modes"]]
     rows(f"{deck}: {len(body)} target modes", [heads[k][0] for k in here], body)
     lines = [
-        f"{stage.test.points.size} points of {stage.candidates} candidates: {' '.join(map(str, told['points']))}",
+        f"{len(stage.test.channels)} channels at {stage.test.points.size} points, of {stage.candidates} candidates: "
+        f"{' '.join(map(str, told['points']))}",
         f"strike at {' '.join(stage.references)}",
         f"worst auto-MAC {stage.worst_off_diagonal:.2f}; without the most important point "
         f"{100 * stage.left_by_loss:.0f} % of the information about any mode is left",

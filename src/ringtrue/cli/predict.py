@@ -48,7 +48,7 @@ def run(
 ) -> int:
     """Unbalance run-up of the rotor on the validated model: response, bearing and support forces, with bands.
 
-    Without options it is the stage `predict` of the study, from its [predict]; what an option states stands in its
+    Without options it is the stage `predict` of the study, from its \\[predict]; what an option states stands in its
     place, and then the result is shown, not stored.
 
     Example: ringtrue predict study.toml --rotor 9001 --mass 1200 --grade 2.5 --springs bearings=58

@@ -103,11 +103,19 @@ def thinned(score: Float, xyz: Float, held: Bool, distance: float) -> Int:
 
 
 def lower_auto_mac(
-    shapes: Float, chosen: Int, target: float, most: int, *, xyz: Float | None = None, min_distance: float = 0.0
+    shapes: Float,
+    chosen: Int,
+    target: float,
+    most: int,
+    *,
+    xyz: Float | None = None,
+    min_distance: float = 0.0,
+    worth: float = 0.0,
 ) -> Int:
     """Adds the points that lower the worst off-diagonal auto-MAC most, until it is below `target` or `most` are in.
 
-    It ends before where no point is farther than `min_distance` from all that are in.
+    It ends before where no point is farther than `min_distance` from all that are in. Where the target is not reached,
+    the last additions that lower it by less than `worth` together are left out.
 
     Parameters
     ----------
@@ -117,23 +125,27 @@ def lower_auto_mac(
     most : int
     xyz : (n, 3) float64, m, optional
     min_distance : float, m
+    worth : float, 0..1
     """
     n, _, m = shapes.shape
-    chosen = np.array(chosen)
+    chosen, first = np.array(chosen), len(chosen)
     open_ = np.ones(n, dtype=np.bool_)
     open_[chosen] = False
     if xyz is not None and min_distance > 0:
         open_ &= cKDTree(xyz[chosen]).query(xyz)[0] > min_distance
-    while chosen.size < most:
-        now = shapes[chosen].reshape(-1, m)
+    now = shapes[chosen].reshape(-1, m)
+    worst = [worst_off_diagonal(auto_mac(now))]
+    while chosen.size < most and worst[-1] > target and open_.any():
         rest = np.flatnonzero(open_)
-        if not rest.size or worst_off_diagonal(auto_mac(now)) <= target:
-            break
         best = rest[_best_addition(now.T @ now, shapes[rest])]
         chosen = np.append(chosen, best)
+        now = shapes[chosen].reshape(-1, m)
+        worst.append(worst_off_diagonal(auto_mac(now)))
         open_[best] = False
         if xyz is not None and min_distance > 0:
             open_ &= np.linalg.norm(xyz - xyz[best], axis=1) > min_distance
+    if worth and worst[-1] > target:
+        chosen = chosen[: first + int(np.argmax(np.array(worst) <= worst[-1] + worth))]
     return np.sort(chosen)
 
 

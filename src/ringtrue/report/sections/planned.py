@@ -36,7 +36,8 @@ def section(data: Stages) -> Section | None:
     if plan is None:
         return None
     facts = [
-        Fact("Channels chosen", f"{len(plan.test.channels)} of {plan.candidates}"),
+        Fact("Points", str(plan.test.points.size)),
+        Fact("Channels", str(len(plan.test.channels))),
         Fact("Worst auto-MAC", fixed(100 * plan.worst_off_diagonal, 1), "%"),
         Fact("Frequency step", number(plan.frequency_step, 3), "Hz"),
         Fact("Block", number(plan.block, 4), "s"),
@@ -47,6 +48,8 @@ def section(data: Stages) -> Section | None:
         Text(f"{sentence(plan.rule)} Hammer references: {', '.join(plan.references)}."),
     ]
     names = [str(i + 1) for i in plan.target_modes.tolist()]
+    if missed := [n for n, r in zip(names, plan.reach.tolist(), strict=True) if r < MISSED]:
+        blocks.append(Text(f"The references miss mode {', '.join(missed)}: strike at more points."))
     auto = correlation.matrix(plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False)
     left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]
     right = _precision(data, plan)
@@ -165,7 +168,7 @@ def _appropriated(plan: PlanStage) -> Table:
 
 
 def _points(plan: PlanStage) -> Table:
-    """Measuring points, and what is struck there."""
+    """Measuring points, and what is struck there; the struck ones first."""
     struck = {p: [r for r in plan.references if r.startswith((f"{p}+", f"{p}-"))] for p in plan.test.points.tolist()}
     channels: dict[int, int] = {}
     for p in plan.test.at.tolist():
@@ -174,6 +177,7 @@ def _points(plan: PlanStage) -> Table:
         (str(p), group, *(fixed(v, 3) for v in xyz), str(channels.get(p, 0)), " ".join(struck[p]))
         for p, xyz, group in zip(plan.test.points.tolist(), plan.test.xyz.tolist(), plan.test.groups, strict=True)
     ]
+    rows.sort(key=lambda row: not row[-1])
     heads = ("point", "|part", "x, m", "y, m", "z, m", "channels", "|strike")
     return Table(heads, rows, "Measuring points, on nodes of the model.", scroll=True)
 

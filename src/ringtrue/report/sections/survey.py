@@ -29,7 +29,7 @@ def _system(model: ModelStage, computed: Float) -> Table:
     x, y, z = (fixed(float(v) * length, 2) for v in model.cg)
     inertia = np.diag(model.inertia) * length**2 * (mass / model.mass if model.mass else 1.0)
     rows = [
-        ("Model", model.title or "–", ""),
+        *([("Model", model.title, "")] if model.title else []),
         ("Mass", number(mass, 4), unit),
         ("Centre of gravity x, y, z", f"{x}, {y}, {z}", "m"),
         ("Moments of inertia xx, yy, zz", ", ".join(number(float(v), 4) for v in inertia), f"{unit}·m²"),

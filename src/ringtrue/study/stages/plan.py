@@ -32,6 +32,7 @@ from ringtrue.study.results import ModelStage, PlanStage
 from ringtrue.study.workbench import Workbench
 
 SEED = 7919  # of the virtual test, added to that of the study
+WORTH = 0.02  # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
 APART = 0.8  # m, most that measuring points must be apart where nothing is said
 RESIDUE: dict[str, Callable[[Float, int], Int]] = {
     "greedy": select_references,
@@ -224,7 +225,8 @@ def _points(
         aims = _aims(desk, plan, able, seen, phi, targets)
         chosen = greedy_logdet(aims, count, xyz=xyz, min_distance=apart, fixed=fixed, cost=cost)
     kept = 0.0 if plan.min_distance is None else apart  # what was asked for holds for additions, too
-    chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, plan.sensors + 15, xyz=xyz, min_distance=kept)
+    most = plan.sensors + 15
+    chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, most, xyz=xyz, min_distance=kept, worth=WORTH)
     if plan.redundancy:
         chosen = np.sort(make_redundant(phi, chosen, plan.redundancy, most=2 * plan.sensors + 15))
     return chosen
