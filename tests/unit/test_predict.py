@@ -8,17 +8,22 @@ A Jeffcott rotor: a mass M on a spring k across its axis, unbalance U = m e turn
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from small_study import FULL, write_study
 
+from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.main import run
 from ringtrue.cli.predict import settings
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, InputError
+from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.edit import apply_factors
+from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
 from ringtrue.study.config import PredictSection
 from ringtrue.study.opened import Opened
@@ -250,3 +255,53 @@ def test_input_is_checked() -> None:
         bands(np.zeros((5, 2)), 0.9)
     with pytest.raises(ConfigError, match="unbalance"):
         Unbalance(0.0, 2.5, 50.0)
+
+
+CHAIN = """SOL 103
+CEND
+SPC = 1
+BEGIN BULK
+GRID,1,,0.,0.,0.
+GRID,2,,0.,0.,1.
+GRID,3,,0.,0.,2.
+CBUSH,1,51,1,,,,,0
+CBUSH,2,52,2,1,,,,0
+CBUSH,3,53,3,2,,,,0
+PBUSH,51,K,1.+6,1.3+6,3.+6
+PBUSH,52,K,2.+6,2.3+6,4.+6
+PBUSH,53,K,3.+6,2.8+6,5.+6
+CONM2,4,1,,40.
+CONM2,5,2,,30.
+CONM2,6,3,,20.
+SPC1,1,456,1,2,3
+ENDDATA
+"""
+
+
+def test_forces_stand_with_the_unbalance_however_the_springs_were_updated(tmp_path: Path) -> None:
+    """Far below the first mode every spring of a chain passes on the whole force, U w^2, at any stiffness."""
+    (tmp_path / "chain.bdf").write_text(CHAIN)
+    found = {51: 1.0, 52: 0.6, 53: 1.5}
+    springs = [Parameter(str(k), tuple(Target("PBUSH", k, f) for f in ("K1", "K2", "K3")), 0.2, 5.0) for k in found]
+    built = apply_factors(read_deck(tmp_path / "chain.bdf"), ParameterSet(tuple(springs)), np.array([*found.values()]))
+    with EmbeddedSolver().open(built) as analysis:
+        modes = replace(analysis.modes(ModesRequest(count=9)).modes, damping=np.full(9, ZETA))
+        write_modes(tmp_path / "test.json", modes.rows([d for d in modes.channels if d[1:3] in ("+X", "+Y", "+Z")]))
+    sheet = "point,x,y,z,direction,channel,quantity,unit\n"
+    sheet += "".join(f"{n},0,0,{n - 1},+{a},{n}+{a},acceleration,m/s^2\n" for n in (1, 2, 3) for a in "XYZ")
+    (tmp_path / "sensors.csv").write_text(sheet)
+    text = '[model]\ndeck = "chain.bdf"\nfmax = 200.0\n[test]\nsheet = "sensors.csv"\nmodes = "test.json"\n'
+    text += "[update]\nleft_out = 0\nchoose = 2\n"
+    for k in found:
+        text += f'[[candidate]]\nname = "spring {k}"\ntargets = ["PBUSH {k} K1,K2,K3"]\n'
+    text += '[predict]\nrotor = 3\nmass = 20.0\naxis = "Z"\nlines = 60\ndraws = 20\n[predict.springs]\n'
+    (tmp_path / "study.toml").write_text(text + "".join(f"s{k} = [{k}]\n" for k in found))
+    results = run_study(tmp_path / "study.toml").results
+    run, best = results["predict"].run_up, results["update"].sets[results["update"].chosen]
+    assert best.parameters[0] != "spring 51"  # positions in the set are not those among the candidates
+    force = Unbalance(20.0, 2.5, 50.0).force(run.freqs[:1])[0]
+    for k in found:
+        for axis in "XY":
+            at = run.names.index(f"s{k}, sum along {axis}")
+            assert run.nominal[at, 0] == pytest.approx(force, rel=0.01)  # inertia: (1 Hz / 16 Hz)^2
+            assert run.amplitude.median[at, 0] == pytest.approx(force, rel=0.03)

@@ -112,12 +112,16 @@ def predict(
     Raises
     ------
     ConfigError
-        If the study was not run to its end, or node or springs are not in the deck.
+        If the study was not run to its end, node or springs are not in the deck, or the test modes have no damping.
     """
     if "final" not in desk.store.stages():
         raise ConfigError("the study has no updated model yet: `ringtrue run` it to its final stage first")
     posterior, error = _posterior(desk, part(progress, 0.0, 0.3))
     opened, final = desk.remodelled, desk.get("final")
+    if not np.median(final.damping) > 0:
+        raise ConfigError(
+            "a run-up needs damping; that of the test modes is 0. Where it is not known leave it out: 1 % is assumed"
+        )
     across = plane(axis)
     motion = _translations(opened.analysis.system, rotor)
     loads = motion[list(across)].toarray().T
@@ -125,7 +129,7 @@ def predict(
     v = model.basis.vectors
     outputs = [Output(f"rotor, node {rotor}", UNIT[desk.deck.units], Rows(np.asarray(motion @ v)), 3)]
     for name, ids in springs.items():
-        outputs += _forces(opened, posterior.parameters, name, ids, v)
+        outputs += _forces(opened, model.system.parameters, name, ids, v)
     progress(0.6, "damping")
     damping, words = _damping(desk, v)
     result = run_up(
@@ -264,7 +268,10 @@ def _translations(system: System, node: int) -> sparse.csr_array:
 
 
 def _forces(opened: Opened, parameters: ParameterSet, name: str, ids: Sequence[int], v: Float) -> list[Output]:
-    """The largest force in one spring of a group, and the sum over the group along each axis."""
+    """The largest force in one spring of a group, and the sum over the group along each axis.
+
+    `parameters` are those of the reduced system, all of them in its order: `Rows` counts them so.
+    """
     model, system = opened.model, opened.analysis.system
     at = _bushes(model, name, ids)
     t = system.transform
