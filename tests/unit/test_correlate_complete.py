@@ -17,7 +17,7 @@ from ringtrue.correlate.complete import complete, complete_json
 from ringtrue.correlate.frf import amplitude_correlation, band_levels, compare_frfs, shape_correlation
 from ringtrue.correlate.pairing import pair_modes, turning
 from ringtrue.errors import InputError
-from ringtrue.io.modes_json import read_frequency_std, write_modes
+from ringtrue.io.modes_json import read_std, write_modes
 
 CHANNELS = tuple(f"{i}+Z" for i in range(1, 41))
 
@@ -171,9 +171,9 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_modes(tmp_path / "a.json", a, std)
     write_modes(tmp_path / "a.h5", a, std)
     write_modes(tmp_path / "b.json", b)
-    np.testing.assert_allclose(read_frequency_std(tmp_path / "a.h5"), std.frequency)
-    np.testing.assert_allclose(read_frequency_std(tmp_path / "a.json"), std.frequency)
-    assert np.isnan(read_frequency_std(tmp_path / "b.json")).all()
+    np.testing.assert_allclose(read_std(tmp_path / "a.h5"), (std.frequency, std.damping))
+    np.testing.assert_allclose(read_std(tmp_path / "a.json"), (std.frequency, std.damping))
+    assert np.isnan(read_std(tmp_path / "b.json")).all()
     files = ["correlate", str(tmp_path / "a.json"), str(tmp_path / "b.json")]
     assert run([*files, "--complete", "--json", str(tmp_path / "out.json")]) == 0
     shown = capsys.readouterr().out

@@ -118,6 +118,16 @@ def test_modes_of_a_file_and_a_sensor_the_wrong_way_round(tmp_path: Path) -> Non
     assert "looks" not in "\n".join(told(again))
 
 
+def test_damping_of_a_file_of_modes_reaches_the_regions(tmp_path: Path) -> None:
+    """Without standard deviations in the file, too: a ratio of 1 % is a loss factor of 2 %."""
+    write_modes(tmp_path / "test.json", true_modes(tmp_path))
+    text = TOML.format('modes = "test.json"') + small_study.candidates(small_study.TRUTH)
+    found = run_study(study(tmp_path, "", text)).results["damping"]
+    assert not found.why
+    np.testing.assert_allclose(found.modes.after, 0.01, rtol=0.1)
+    np.testing.assert_allclose(found.regions.coefficients, 0.02, rtol=0.2)
+
+
 def test_a_channel_that_two_tests_do_not_agree_on_is_told(tmp_path: Path) -> None:
     """Dead in the ambient record alone: the model is compared with the hammer modes, which are whole."""
     modes = true_modes(tmp_path)

@@ -18,7 +18,7 @@ from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.matrices import read_matrices
-from ringtrue.io.modes_json import read_frequency_std, read_modes
+from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
@@ -148,7 +148,7 @@ def correlate(
     full: CompleteCorrelation | None = None
     if everything or mass is not None:
         weight = _mass(mass, len(one.channels)) if mass is not None else None
-        std_a, std_b = read_frequency_std(a), 0.0 if deck else read_frequency_std(b)
+        std_a, std_b = read_std(a)[0], 0.0 if deck else read_std(b)[0]
         full = complete(one, two, table.pairing, mass=weight, gate=gate, std_a=std_a, std_b=std_b)
         value["complete"] = complete_json(full, table.pairing)
     if json:

@@ -20,7 +20,7 @@ from ringtrue.core.progress import Progress, part
 from ringtrue.correlate.assign import PairingSettings
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.io.modes_json import read_frequency_std, read_modes
+from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import field_changes
@@ -216,7 +216,7 @@ def _settings(
 
 def _target(config: StudyConfig, test: Path, leave_out: str) -> tuple[Target, ModeSet]:
     """What the file says, less the channels that the study leaves out, and its modes."""
-    whole, spread = read_modes(test), read_frequency_std(test)
+    whole, (spread, _) = read_modes(test), read_std(test)
     if config.test and config.test.leave_out:
         whole = whole.rows([c for c in whole.channels if c not in config.test.leave_out])
     kept, channels = measured_part(whole)

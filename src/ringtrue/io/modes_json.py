@@ -177,16 +177,17 @@ def _read_h5(path: Path) -> ModeSet:
     return modes
 
 
-def read_frequency_std(path: str | Path) -> Float:
-    """Standard deviations (m,) Hz of the frequencies in a file that `read_modes` reads; NaN where it has none."""
+def read_std(path: str | Path) -> tuple[Float, Float]:
+    """Standard deviations of a file that `read_modes` reads: of frequencies (m,) Hz and damping (m,); NaN where none."""
     path = Path(path)
     modes = read_modes(path)
     if path.suffix.lower() == ".json":
         rows = json.loads(path.read_text(encoding="utf-8"))["modes"]
-        return np.array([_float(row.get("std_frequency_hz")) for row in rows], dtype=np.float64)
+        f, z = ([_float(row.get(key)) for row in rows] for key in ("std_frequency_hz", "std_damping"))
+        return np.array(f, dtype=np.float64), np.array(z, dtype=np.float64)
     if path.suffix.lower() in _HDF5:
         with h5py.File(path, "r") as file:
             found = codec.load(file["uncertainty"]) if "uncertainty" in file else None
         if isinstance(found, Uncertainty) and found.frequency.size == len(modes):
-            return found.frequency
-    return np.full(len(modes), np.nan)
+            return found.frequency, found.damping
+    return np.full(len(modes), np.nan), np.full(len(modes), np.nan)

@@ -13,7 +13,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.assign import NO_LOCKS, Followed, PairingSettings
 from ringtrue.correlate.pairing import CorrelationTable, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io.modes_json import read_frequency_std, read_modes
+from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage
@@ -131,10 +131,10 @@ def reference_of_file(path: Path, config: StudyConfig) -> Reference:
     DataError
         If it holds no elastic mode that was measured at a common set of channels.
     """
-    whole, spread = read_modes(path), read_frequency_std(path)
+    whole, (spread, damping) = read_modes(path), read_std(path)
     at, channels = measured_part(whole)
     modes = whole.take(at).rows(channels)
-    std = Uncertainty.independent(spread[at], np.zeros(at.size), np.zeros(modes.shapes.shape))
+    std = Uncertainty.independent(spread[at], damping[at], np.zeros(modes.shapes.shape))
     edge = elastic_edge(modes.frequencies, config)
     high, low = np.flatnonzero(modes.frequencies >= edge), np.flatnonzero(modes.frequencies < edge)
     if not high.size or not modes.channels:

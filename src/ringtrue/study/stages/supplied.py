@@ -13,7 +13,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.io.frfs import read_frfs
-from ringtrue.io.modes_json import read_frequency_std, read_modes
+from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.signal.frf import join_frfs
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.study.results import IdentifyStage
@@ -47,13 +47,12 @@ def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> Identif
     DataError
         If it holds no mode, or a channel is not on the sensor sheet.
     """
-    modes, spread = read_modes(path), read_frequency_std(path)
+    modes, (spread, damping) = read_modes(path), read_std(path)
     modes = modes.rows([c for c in modes.channels if c not in set(lost)]) if lost else modes
     on_sheet(modes.channels, sheet, path)
     if not len(modes):
         raise DataError(f"{path}: no mode in the file")
-    none = np.full(len(modes), np.nan)
-    std = Uncertainty.independent(spread, none, np.zeros(modes.shapes.shape))
+    std = Uncertainty.independent(spread, damping, np.zeros(modes.shapes.shape))
     return IdentifyStage(
         test=sheet,
         records=(),
