@@ -178,7 +178,7 @@ def _read_h5(path: Path) -> ModeSet:
 
 
 def read_std(path: str | Path) -> tuple[Float, Float]:
-    """Standard deviations of a file that `read_modes` reads: of frequencies (m,) Hz and damping (m,); NaN where none."""
+    """Standard deviations in a file that `read_modes` reads: of frequencies (m,) Hz, of damping (m,); NaN: none."""
     path = Path(path)
     modes = read_modes(path)
     if path.suffix.lower() == ".json":

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ringtrue.plan.rehearsal import Rehearsal, missed_words
 from ringtrue.plots import correlation, identification
 from ringtrue.report.parts import (
@@ -48,7 +50,7 @@ def section(data: Stages) -> Section | None:
         Text(f"{sentence(plan.rule)} Hammer references: {', '.join(plan.references)}."),
     ]
     names = [str(i + 1) for i in plan.target_modes.tolist()]
-    if missed := [n for n, r in zip(names, plan.reach.tolist(), strict=True) if r < MISSED]:
+    if missed := [names[i] for i in np.flatnonzero(plan.reach < MISSED).tolist()]:
         blocks.append(Text(f"The references miss mode {', '.join(missed)}: strike at more points."))
     auto = correlation.matrix(plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False)
     left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]

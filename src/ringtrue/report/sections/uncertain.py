@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ringtrue.core.arrays import Bool
@@ -153,4 +155,7 @@ def _parameters(s: UncertaintyStage) -> Table:
 
 
 def _span(low_high: np.ndarray) -> str:
-    return f"{number(float(low_high[0]), 3)} to {number(float(low_high[1]), 3)}"
+    low, high = (float(v) for v in low_high)
+    narrow = 0 < high - low < 0.02 * abs(high)  # three digits would not tell the ends apart
+    digits = 2 + math.ceil(math.log10(abs(high) / (high - low))) if narrow else 3
+    return f"{number(low, digits)} to {number(high, digits)}"

@@ -9,7 +9,9 @@
   const skinData = [...document.querySelectorAll("script.skin-data")];
   const viewData = [...document.querySelectorAll("script.view-data")];
   const drawn = [];
-  const widthOf = (div) => Math.max(div.parentElement.clientWidth, 200);
+  // Diagrams side by side keep 230 px each; a narrow window scrolls over them.
+  const abreast = (layout) => new Set(Object.keys(layout).filter((k) => /^xaxis/.test(k)).map((k) => (layout[k].domain || [0])[0])).size;
+  const widthOf = (div, layout) => Math.max(div.parentElement.clientWidth, abreast(layout) > 1 ? 230 * abreast(layout) : 200);
 
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
 
@@ -28,10 +30,15 @@
     delete trace.meta;
   }
 
+  // Numbers stand in the cells of a heat map where these are wide enough for them: 15 px, beside 130 px of labels and scale.
+  const numbered = (trace, width) => (width - 130 >= 15 * trace.x.length ? "%{text}" : "");
+  const withNumbers = (data) => data.flatMap((t, i) => (t.type === "heatmap" && t.text ? [i] : []));
+
   function drawPlot(div) {
     const spec = JSON.parse(plotData[+div.dataset.plot].textContent);
     spec.data.forEach(unfold);
-    spec.layout.width = widthOf(div);
+    spec.layout.width = widthOf(div, spec.layout);
+    for (const i of withNumbers(spec.data)) spec.data[i].texttemplate = numbered(spec.data[i], spec.layout.width);
     div.ringtrueHeight = spec.layout.height;
     return Plotly.newPlot(div, spec.data, spec.layout, config).then(() => {
       drawn.push(div);
@@ -60,10 +67,12 @@
   function fit(paper) {
     for (const div of drawn) {
       const narrow = div.closest(".columns"), flat = paper && !div.data.some((t) => t.type === "heatmap");
-      const width = paper ? (narrow ? (PAPER - 34) / 2 : PAPER) : widthOf(div);
+      const width = paper ? (narrow ? (PAPER - 34) / 2 : PAPER) : widthOf(div, div.layout);
       const height = Math.round(div.ringtrueHeight * (flat && !narrow ? 0.82 : 1));
       if (Math.abs(width - div._fullLayout.width) < 2 && height === div._fullLayout.height) continue;
       div.style.height = `${height}px`;
+      const cells = withNumbers(div.data);
+      if (cells.length) Plotly.restyle(div, { texttemplate: cells.map((i) => numbered(div.data[i], width)) }, cells);
       Plotly.relayout(div, { width, height });
     }
   }
