@@ -151,6 +151,21 @@ def test_frf_is_the_direct_solution() -> None:
         np.testing.assert_allclose(h[q], direct[np.ix_(term.outputs, term.inputs)], rtol=1e-10)
 
 
+def test_a_frf_that_symmetry_or_noise_leaves_nothing_of_does_not_drown_the_others() -> None:
+    """Two masses that do not feel each other: the model's transfer FRF is 0, the measured one noise 80 dB down."""
+    names = ParameterSet((Parameter("k", (), 0.2, 5.0),))
+    model = DenseModel.springs(1e4 * np.diag([1.0, 3.0]), np.eye(2), 1e4 * np.diag([1.0, 3.0])[None], names)
+    both = np.array([0, 1])
+    term = Frf(np.array([5.0, 12.0]), np.ones((2, 2, 2)), both, both, 0.02)
+    now = model.linearise(np.array([0.1]))
+    target = Target(now.frequencies, now.shapes, np.full(2, 0.002), np.ones(2, dtype=bool))
+    true, _ = term.response(point(model, now, target))
+    noise = 1e-4 * np.array([[0, 1], [1, 0]]) * np.abs(true).max(axis=(1, 2), keepdims=True)
+    term = replace(term, measured=true + noise)
+    assert np.abs(term(point(model, now, target)).value).max() < 0.1  # in standard deviations
+    check(term, model, target, np.array([0.0]))
+
+
 def test_anti_resonances_of_a_driving_point_are_the_modes_with_it_held() -> None:
     model = row()
     m = matrices_at(model, X)

@@ -17,6 +17,9 @@ from ringtrue.update.harmonic import Damping
 from ringtrue.update.residuals import NO_MODE, Block, Point, rows_block
 
 FAR = 30.0
+FLOOR = (
+    1e-3  # of the root mean square over the FRFs at a line: what lies below, by symmetry or in noise, has no logarithm
+)
 RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a zero of an FRF
 
 
@@ -44,7 +47,8 @@ class Frf:
     order : {0, 1, 2}
         Of differentiation: 0 receptance, 1 mobility, 2 accelerance.
     form : {"log", "complex"}
-        ln|H|, or H over the root mean square of the measured one, real and imaginary parts.
+        ln √(|H|² + ε²), ε 60 dB below the root mean square of the measured FRFs at that line; or H over the root mean
+        square of the measured one, real and imaginary parts.
     std : float
         Of one value: of ln|H|, or of the scaled parts.
     """
@@ -85,7 +89,11 @@ class Frf:
         h, d_h = self.response(at)
         d_h = d_h.reshape(h.size, -1)
         if self.form == "log":
-            value, slope = np.log(np.abs(self.measured / h)).ravel(), (d_h / h.reshape(-1, 1)).real
+            square = np.abs(self.measured) ** 2
+            floor = FLOOR**2 * np.mean(square, axis=(1, 2), keepdims=True)
+            size = np.abs(h) ** 2 + floor
+            value = 0.5 * np.log((square + floor) / size).ravel()
+            slope = (h.conj().reshape(-1, 1) * d_h).real / size.reshape(-1, 1)
             return rows_block(value / self.std, slope / self.std, np.full(h.size, NO_MODE))
         scale = self.std * float(np.sqrt(np.mean(np.abs(self.measured) ** 2)))
         rest = (self.measured - h).ravel() / scale
