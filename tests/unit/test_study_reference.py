@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.study.reference import beyond, measured_part
+from ringtrue.core.testmodel import TestModel
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.io.modes_json import write_modes
+from ringtrue.study.config import parse_config
+from ringtrue.study.reference import beyond, measured_part, reference_modes
+from ringtrue.study.stages.supplied import supplied_modes
 
 
 def modes(known: npt.NDArray[np.bool_]) -> ModeSet:
@@ -50,3 +57,20 @@ def test_a_deck_whose_modes_end_with_the_test_is_told() -> None:
     assert "computed to 10.5 Hz" in note
     assert "fmax to 12 or more" in note
     assert "3 of them above it" in beyond(found, 7.0)[0]
+
+
+def test_rigid_body_modes_of_a_file_are_those_below_the_edge(tmp_path: Path) -> None:
+    """A test that was identified elsewhere has no ambient part, and tunes a suspension all the same."""
+    known = modes(np.ones((6, 9), dtype=bool))  # 1 to 9 Hz
+    std = Uncertainty.independent(0.01 * known.frequencies, known.damping, np.zeros((6, 9)))
+    write_modes(tmp_path / "test.json", known, std)
+    points = np.arange(6)
+    xyz = np.column_stack([points, 0 * points, 0 * points]).astype(float)
+    axes = np.tile([0.0, 0.0, 1.0], (6, 1))
+    sheet = TestModel(points, xyz, known.channels, points, axes, np.zeros((0, 2), dtype=np.int64))
+    text = '[model]\ndeck = "a.bdf"\n[correlate]\nrigid_below = 3.5\n'
+    text += '[[suspension]]\nname = "springs"\ntargets = ["PBUSH 1 K1"]\n'
+    found = reference_modes(supplied_modes(tmp_path / "test.json", sheet, ()), parse_config(text, tmp_path / "s.toml"))
+    np.testing.assert_allclose(found.rigid.frequencies, [1, 2, 3])
+    np.testing.assert_allclose(found.rigid_std.frequency, [0.01, 0.02, 0.03])
+    np.testing.assert_allclose(found.elastic.frequencies, np.arange(4, 10))

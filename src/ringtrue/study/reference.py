@@ -92,7 +92,7 @@ def _gaps(modes: ModeSet) -> tuple[str, ...]:
 
 
 def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
-    """Pick the reference modes.
+    """Pick the reference modes: rigid-body ones of the ambient tests, or else of the hammer test or the file.
 
     Raises
     ------
@@ -102,13 +102,10 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
     every = np.concatenate([found.ambient.frequencies, found.hammer.frequencies if found.hammer else np.zeros(0)])
     edge = elastic_edge(every, config)
     least = config.identify.confidence
-    ambient_sure = found.ambient.confidence >= least
-    low = np.flatnonzero((found.ambient.frequencies < edge) & ambient_sure)
-    rigid, gaps = found.ambient.take([]), tuple[str, ...]()
-    if low.size:
-        at, channels = measured_part(found.ambient.take(low))
-        low = low[at]
-        rigid = realise_modes(found.ambient.take(low).rows(channels))
+    gaps = tuple[str, ...]()
+    rigid, rigid_std = _rigid(found.ambient, found.ambient_uncertainty, edge, least)
+    if not len(rigid) and found.hammer is not None and found.hammer_uncertainty is not None:
+        rigid, rigid_std = _rigid(found.hammer, found.hammer_uncertainty, edge, least)
     if found.hammer is not None and found.hammer_uncertainty is not None:
         high = np.flatnonzero(found.hammer.frequencies >= edge)
         elastic, std = realise_modes(found.hammer.take(high)), found.hammer_uncertainty.take(high)
@@ -120,7 +117,16 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
         elastic = realise_modes(elastic)
     if not len(elastic):
         raise DataError("the test holds no elastic mode: nothing to correlate with")
-    return Reference(elastic, std, rigid, found.ambient_uncertainty.take(low), gaps)
+    return Reference(elastic, std, rigid, rigid_std, gaps)
+
+
+def _rigid(modes: ModeSet, std: Uncertainty, edge: float, least: float) -> tuple[ModeSet, Uncertainty]:
+    """The confident modes below the edge, at the channels that have seen them all."""
+    low = np.flatnonzero((modes.frequencies < edge) & (modes.confidence >= least))
+    if not low.size:
+        return modes.take(low), std.take(low)
+    at, channels = measured_part(modes.take(low))
+    return realise_modes(modes.take(low[at]).rows(channels)), std.take(low[at])
 
 
 def reference_of_file(path: Path, config: StudyConfig) -> Reference:

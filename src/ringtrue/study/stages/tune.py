@@ -39,7 +39,7 @@ def target(desk: Workbench) -> Target:
     found: CorrelateStage = desk.get("correlate")
     if not len(found.rigid):
         raise DataError(
-            "rigid-body tuning: the ambient test holds no rigid-body mode to tune [[suspension]] to; set "
+            "rigid-body tuning: the test holds no rigid-body mode to tune [[suspension]] to; set "
             "correlate.rigid_below above them, or leave [[suspension]] out"
         )
     return _target(desk, found)
