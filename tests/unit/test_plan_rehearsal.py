@@ -210,6 +210,18 @@ def test_bad_options_are_refused(deck: Path, capsys: pytest.CaptureFixture[str],
     assert told in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("strike", ["worst", "greedy", "qr", "mif"])
+def test_only_what_can_be_reached_is_struck(deck: Path, capsys: pytest.CaptureFixture[str], strike: str) -> None:
+    words = ["plan", str(deck), "--modes", "1-3", "--points", "4", "--references", "2", "--strike", strike]
+    run([*words, "--strike-at", "104,205,209", "--json", "-"])
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["references"]) == 2
+    assert {int(r.split("+")[0]) for r in told["references"]} <= {104, 205, 209}
+    assert set(told["references"]) <= set(told["channels"])
+    assert run([*words, "--strike-at", "999", "--json", "-"]) == 2
+    assert "strike_at: none of [999] is a candidate" in capsys.readouterr().err
+
+
 def test_a_folder_with_a_study_is_left_alone(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (deck.parent / "study.toml").write_text("")
     assert run(["plan", str(deck), "--out", str(deck.parent)]) == 2

@@ -44,6 +44,9 @@ def plan(
     points: Annotated[int, typer.Option(help="Measuring points; sensors, unless triaxial.", min=1)] = 20,
     directions: Annotated[str, typer.Option(help=f"Of a sensor: {', '.join(DIRECTIONS)}.")] = DIRECTIONS[0],
     references: Annotated[int, typer.Option(help="Points to strike.", min=1)] = 3,
+    strike_at: Annotated[
+        str, typer.Option(metavar="LIST", help="Nodes that can be struck; any point if not given.")
+    ] = "",
     strike: Annotated[str, typer.Option(help=f"How these are chosen: {', '.join(STRIKES)}.")] = STRIKES[0],
     method: Annotated[str, typer.Option(help=f"How points are chosen: {', '.join(METHODS)}.")] = METHODS[0],
     box: Annotated[
@@ -89,6 +92,7 @@ def plan(
         "min_distance": "even" if distance is None else distance,
         "ambient": False,
         "strike": strike,
+        "strike_at": numbers(strike_at, "--strike-at"),
         "directions": directions,
         "references": references,
         "method": method,

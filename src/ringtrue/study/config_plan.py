@@ -56,6 +56,7 @@ class PlanSection(_Section):
     # driving-point residues by the mean of the logarithms, or by the mode that is excited worst; QR of M·Φ; force
     # appropriation by the mode indicator
     strike: Strike = "greedy"
+    strike_at: list[int] = []  # candidate nodes that can be struck; what is chosen there is measured. Empty: any point
     suspension: int = Field(default=0, ge=0)  # points to hang from; 0: not asked for
     sensor_mass: float = Field(default=0.0, ge=0)  # kg a point, for the shift of the frequencies
     lines: Literal["mesh", "nearest"] = "mesh"  # the drawing of the points follows the mesh, or joins neighbours

@@ -162,11 +162,21 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     ambient_at = _ambient(plan, able, shapes[:, :, first], apart) if plan.ambient else np.zeros(0, dtype=np.int64)
     fixed = np.isin(np.arange(able.at.size), ambient_at) | np.isin(able.node, plan.fixed)
     progress(0.3, "measuring points")
+    spots = np.flatnonzero(np.isin(able.node, plan.strike_at))  # where alone may be struck: chosen before the points
+    if plan.strike_at and not spots.size:
+        raise ConfigError(f"[plan] strike_at: none of {plan.strike_at[:8]} is a candidate")
+    if spots.size:
+        hits, values, forces = _exciters(desk, plan, able, shapes, spots, targets)
+        struck, axis = spots[hits // able.each], hits % able.each
+        fixed |= np.isin(np.arange(able.at.size), struck)
     chosen = _points(desk, plan, able, shapes, targets, fixed, apart)
     rows = shapes[chosen][:, :, targets].reshape(-1, targets.size)
     labels = able.labels(chosen)
     progress(0.5, "where to excite")
-    hits, values, forces = _exciters(desk, plan, able, shapes, chosen, targets)
+    if spots.size:
+        hits = np.searchsorted(chosen, struck) * able.each + axis
+    else:
+        hits, values, forces = _exciters(desk, plan, able, shapes, chosen, targets)
     mac = auto_mac(rows)
     need = resolution(f[targets], plan.damping)
     every = resolution(f[first], plan.damping, precision=plan.precision)
