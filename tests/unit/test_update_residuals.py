@@ -214,6 +214,17 @@ def test_reduced_model_gives_the_same_matrices_projected() -> None:
     np.testing.assert_allclose(matrices_at(part, X[3:]).d_mass, small.d_mass[3:], atol=1e-12)
 
 
+def test_motions_without_mass_give_a_whole_basis_its_flexibility_in_silence() -> None:
+    """A chain of three springs with one mass at its middle: one mode, and two motions that only deform it."""
+    k = 1e4 * np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+    m, names = np.diag([0.0, 2.0, 0.0]), ParameterSet((Parameter("k", (), 0.2, 5.0),))
+    every = (AffineTerm(power(0), sparse.csr_array(k), sparse.csr_array((3, 3))),)
+    system = AffineSystem(sparse.csr_array(k), sparse.csr_array(m), names, every, sparse.eye_array(3).tocsr())
+    whole = reduced_model(system, 1).on(np.eye(3)).whole()
+    lam, _ = whole.vectors(np.zeros(1))
+    assert lam[0] == pytest.approx(1e4 / 2 / 2)  # two springs in series under 2 kg
+
+
 def masses() -> tuple[AffineSystem, np.ndarray]:
     """Two bodies of 2 and 3 kg at known places, three translations each; a factor on each."""
     xyz = np.array([[1.0, 2, 3], [-1, 0.5, 2]])

@@ -183,12 +183,13 @@ class ReducedModel:
                 f"reduced model: stiffness not definite at |x| up to {far:.3g}; stay nearer to 0"
             ) from e
         theta, y = theta[::-1], y[:, ::-1]
+        moving = int(np.count_nonzero(theta[: self.count] > MASSLESS * theta[0]))
         theta = np.maximum(theta, MASSLESS * theta[0])  # a motion without mass adds its flexibility, no mode
         y = y / np.sqrt(theta)
         lam = self.shift + 1 / theta
-        low = y[:, : self.count]  # far from the shift, 1/θ has lost digits that Rayleigh quotients keep
+        low = y[:, :moving]  # far from the shift, 1/θ has lost digits that Rayleigh quotients keep
         low /= np.sqrt(np.einsum("ij,ij->j", low, m @ low))
-        lam[: self.count] = np.einsum("ij,ij->j", low, k @ low)
+        lam[:moving] = np.einsum("ij,ij->j", low, k @ low)
         return lam, y
 
     def error(self, x: Float, *, modes: int | None = None) -> float:
