@@ -157,5 +157,5 @@ def _parameters(s: UncertaintyStage) -> Table:
 def _span(low_high: np.ndarray) -> str:
     low, high = (float(v) for v in low_high)
     narrow = 0 < high - low < 0.02 * abs(high)  # three digits would not tell the ends apart
-    digits = 2 + math.ceil(math.log10(abs(high) / (high - low))) if narrow else 3
+    digits = 1 + math.ceil(math.log10(abs(high) / (high - low))) if narrow else 3
     return f"{number(low, digits)} to {number(high, digits)}"
