@@ -8,6 +8,7 @@ A Jeffcott rotor: a mass M on a spring k across its axis, unbalance U = m e turn
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -278,9 +279,16 @@ ENDDATA
 """
 
 
-def test_forces_stand_with_the_unbalance_however_the_springs_were_updated(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("units", "length"), [("SI", 1.0), ("mm-t-s", 1000.0)])
+def test_forces_stand_with_the_unbalance_however_the_springs_were_updated(
+    tmp_path: Path, units: str, length: float
+) -> None:
     """Far below the first mode every spring of a chain passes on the whole force, U w^2, at any stiffness."""
-    (tmp_path / "chain.bdf").write_text(CHAIN)
+    chain = CHAIN.replace("0.,1.", f"0.,{length}").replace("0.,2.", f"0.,{2 * length}")
+    if units == "mm-t-s":  # N/mm and t
+        chain = re.sub(r"(\d\.)\+6|(\d\.\d)\+6", lambda m: f"{(m[1] or m[2])}+3", chain)
+        chain = re.sub(r"(CONM2,\d,\d,,)(\d+)\.", lambda m: f"{m[1]}{float(m[2]) / 1000}", chain)
+    (tmp_path / "chain.bdf").write_text(chain)
     found = {51: 1.0, 52: 0.6, 53: 1.5}
     springs = [Parameter(str(k), tuple(Target("PBUSH", k, f) for f in ("K1", "K2", "K3")), 0.2, 5.0) for k in found]
     built = apply_factors(read_deck(tmp_path / "chain.bdf"), ParameterSet(tuple(springs)), np.array([*found.values()]))
@@ -290,7 +298,8 @@ def test_forces_stand_with_the_unbalance_however_the_springs_were_updated(tmp_pa
     sheet = "point,x,y,z,direction,channel,quantity,unit\n"
     sheet += "".join(f"{n},0,0,{n - 1},+{a},{n}+{a},acceleration,m/s^2\n" for n in (1, 2, 3) for a in "XYZ")
     (tmp_path / "sensors.csv").write_text(sheet)
-    text = '[model]\ndeck = "chain.bdf"\nfmax = 200.0\n[test]\nsheet = "sensors.csv"\nmodes = "test.json"\n'
+    text = f'[model]\ndeck = "chain.bdf"\nunits = "{units}"\nfmax = 200.0\n'
+    text += '[test]\nsheet = "sensors.csv"\nmodes = "test.json"\n'
     text += "[update]\nleft_out = 0\nchoose = 2\n"
     for k in found:
         text += f'[[candidate]]\nname = "spring {k}"\ntargets = ["PBUSH {k} K1,K2,K3"]\n'
