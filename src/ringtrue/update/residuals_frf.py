@@ -17,9 +17,7 @@ from ringtrue.update.harmonic import Damping
 from ringtrue.update.residuals import NO_MODE, Block, Point, rows_block
 
 FAR = 30.0
-FLOOR = (
-    1e-3  # of the root mean square over the FRFs at a line: what lies below, by symmetry or in noise, has no logarithm
-)
+FLOOR = 1e-3  # of the root mean square of the FRFs at a line: what lies below, by symmetry or noise, has no logarithm
 RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a zero of an FRF
 
 
