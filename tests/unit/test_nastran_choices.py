@@ -58,6 +58,7 @@ SETS = "GRID,1\nCONM2,2,1,,4.\nCELAS2,3,9.,1,1\nSPC1,5,2356,1\nSPC,6,1,4,0.\n"
     ("case", "more", "held"),
     [
         ("SPC = 5\nBEGIN BULK\n", "", {2, 3, 5, 6}),
+        ("spc 5 $ blank\nBEGIN BULK\n", "", {2, 3, 5, 6}),
         ("SPC = 8\nBEGIN BULK\n", "SPCADD,8,5,6\n", {2, 3, 4, 5, 6}),
         ("", "SPCADD,8,5,6\n", {2, 3, 4, 5, 6}),
         ("SPC = 5\nBEGIN BULK\n", "SPCADD,5,6\n", {4}),  # goes before the set of its own number
@@ -81,6 +82,8 @@ def test_sets_that_are_not_clear_are_refused(tmp_path: Path) -> None:
     assert [str(f) for f in survey(both).faults] == [str(both) + ": " + _UNCLEAR]
     with pytest.raises(DeckError, match="asks for SPC = 9; the deck has 5, 6"):
         read_deck(write(tmp_path, "SPC = 9\nBEGIN BULK\n" + SETS))
+    with pytest.raises(DeckError, match="asks for MPC = 9; the deck has none"):
+        read_deck(write(tmp_path, "SPC = 5\nMPC = 9\nBEGIN BULK\n" + SETS))
 
 
 _UNCLEAR = "without case control, which of the SPC sets 5, 6 holds? Write SPC = n above BEGIN BULK"
@@ -101,9 +104,15 @@ def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "card"), [("BGSET = 1", "BGSET,1,2,3"), ("BCSET = 1", "BCTSET,1,2,3"), ("BCONTACT = 1", "BCBODY1,1")]
+    ("command", "card"),
+    [
+        ("BGSET = 1", "BGSET,1,2,3"),
+        ("BCSET = 1", "BCTSET,1,2,3"),
+        ("BCONTACT = 1", "BCBODY1,1"),
+        ("STATSUB(PRELOAD) = 1", "FORCE,1,1,,9.,1."),
+    ],
 )
-def test_glue_and_contact_that_are_chosen_stop(tmp_path: Path, command: str, card: str) -> None:
+def test_glue_contact_and_preload_that_are_chosen_stop(tmp_path: Path, command: str, card: str) -> None:
     bulk = "BEGIN BULK\n" + SPRING + card + "\n"
     assert read_deck(write(tmp_path, "CEND\n" + bulk)).kept == {card.split(",")[0]: 1}
     with pytest.raises(UnsupportedCard, match=rf"main\.bdf:7: {card.split(',')[0]}"):

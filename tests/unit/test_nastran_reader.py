@@ -77,7 +77,9 @@ def test_case_control_of_the_first_subcase(tmp_path: Path) -> None:
         "SOL 103\nCEND\nTITLE = A wing $ not this\nSPC = 4\nmethod(structure)=3\nSET 1 = 1,2,\n 3\n"
         "SUBCASE 1\n SPC=5\nSUBCASE 2\n SPC=6\n MPC=7\nBEGIN BULK\n"
     )
-    model = read(tmp_path, text + NODES + "PARAM,WTMASS,.00259\nPARAM,GRDPNT,0\nPARAM,autospc,yes\nENDDATA\nrubbish")
+    model = read(
+        tmp_path, text + NODES + "SPC1,5,3,1\nPARAM,WTMASS,.00259\nPARAM,GRDPNT,0\nPARAM,autospc,yes\nENDDATA\nrubbish"
+    )
     assert (model.case.title, model.case.spc, model.case.method, model.case.mpc) == ("A wing", 5, 3, 0)
     assert dict(model.params) == {"WTMASS": 0.00259, "GRDPNT": 0, "AUTOSPC": "YES"}
 
@@ -400,7 +402,8 @@ def test_rigid_and_scalar_elements(tmp_path: Path) -> None:
 
 def test_the_subcase_with_a_method_is_taken(tmp_path: Path) -> None:
     text = "CEND\nMPC = 9\nTITLE = a,\nSUBCASE 1\n SPC = 1\nSUBCASE 2\n METH = 3\n SPC = 2\nAUTOSPC(PRINT)=NO\n"
-    model = read(tmp_path, text + "PARAM,WTMASS,.5\nBEGIN BULK\nPARAM,WTMASS,1.\n" + NODES)
+    sets = "SPC1,2,3,1\nMPC,9,1,2,1.,2,2,-1.\n"
+    model = read(tmp_path, text + "PARAM,WTMASS,.5\nBEGIN BULK\nPARAM,WTMASS,1.\n" + NODES + sets)
     assert (model.case.title, model.case.method, model.case.spc, model.case.mpc) == ("a,", 3, 2, 9)
     assert dict(model.params) == {"WTMASS": 0.5, "AUTOSPC": "NO"}
 

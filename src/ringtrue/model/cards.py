@@ -177,6 +177,7 @@ PSEAM PBUSH2D PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT3 MAT11 MATORT MAT
 DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEBULK SECONCT SEELT SESET SEBNDRY SELOC SEMPLN SETREE
 CSUPER CSUPEXT RELEASE BCONP BCTABLE BLSEG SLBLOAD AXIC PDAMP5
 """
+PRELOADS = ("FORCE", "MOMENT", "PLOAD", "GRAV", "ACCEL", "RFORCE", "TEMP", "DEFORM", "SLOAD", "SPCD", "LOAD")
 _REASONS = (  # what cards have in common that are not read, and how their names begin
     ("superelements: give the whole structure as one deck, or reduced matrices as DMIG with K2GG and M2GG",
      ("BEGIN SUPER", "SE", "CSUP", "RELEASE", "EXTRN")),
@@ -191,6 +192,7 @@ _REASONS = (  # what cards have in common that are not read, and how their names
      ("CFLUID", "CHACAB", "CHACBR", "MFLUID", "CAABSF")),
     ("beams of three nodes: give two CBEAM", ("CBEAM3", "PBEAM3", "CBAR3")),
     ("layered solids: give PSOLID with the mean of the layers as MAT9, or shells with PCOMP", ("PCOMPS", "PCOMPLS")),
+    ("preload: the modes are those of the unloaded structure; take STATSUB out to have them", PRELOADS),
     ("sections by their outline: give PBEAM, or PBEAML with one of the sections", ("PBMSECT", "PBRSECT")),
 )  # fmt: skip
 TABLES = ("PBUSHT", "PDAMPT", "PELAST")  # kept: tables over frequency or for nonlinear solutions; nominal values count

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from ringtrue.errors import DeckError
 from ringtrue.io.nastran.fields import whole
 from ringtrue.io.nastran.lexer import real
+from ringtrue.model.cards import PRELOADS
 from ringtrue.model.model import CaseControl
 
-_COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?\s*=\s*(.*?)\s*", re.I | re.S)
+_COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S)  # a blank may stand for =
 _SUBCASE = re.compile(r"\s*SUBC\w*", re.I)
 _CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC")
 STIFFENING = {  # commands that bring in stiffness which is not read, and how the names of their cards begin
@@ -18,6 +19,7 @@ STIFFENING = {  # commands that bring in stiffness which is not read, and how th
     "BGSET": ("BGSET", "BGADD"),
     "BCSET": ("BCTSET", "BCTADD"),
     "BCONTACT": ("BCBODY", "BCTABL"),
+    "STATSUB": PRELOADS,
 }
 _NAMES = (*_CHOICES, *STIFFENING)
 _SHORT = {
@@ -25,6 +27,7 @@ _SHORT = {
     "TITL": "TITLE",
     "AUTO": "AUTOSPC",
     "TEMP": "TEMPERATURE",
+    "STAT": "STATSUB",
 }  # Nastran reads the first four characters
 _TEXT = re.compile(r"\s*(TITL|SUBT|LABE)", re.I)
 _TERM = re.compile(r"(?:\(?\s*([^*()\s]+?)\s*\)?\s*\*)?\s*([A-Z]\w*)", re.I)

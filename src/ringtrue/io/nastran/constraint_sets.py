@@ -45,8 +45,8 @@ def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
         there, asked = sets(model.tables, kind), int(getattr(model.case, kind.lower()))
         names = ", ".join(map(str, there))
         where = model.files[0] if model.files else None
-        if asked and there and asked not in there:
-            out.append(DeckError(f"case control asks for {kind} = {asked}; the deck has {names}", path=where))
+        if asked and asked not in there:
+            out.append(DeckError(f"case control asks for {kind} = {asked}; the deck has {names or 'none'}", path=where))
         elif not asked and not chosen and there:
             why = f"without case control, which of the {kind} sets {names} holds? Write {kind} = n above BEGIN BULK"
             out.append(DeckError(why, path=where))
