@@ -26,7 +26,7 @@ from ringtrue.eigen.residual import residual_vectors
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, SingularModel
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.derivatives import system_derivatives
+from ringtrue.fem.derivatives import system_derivatives, transform_derivative
 from ringtrue.fem.response import coupled, direct
 from ringtrue.fem.response import frf as superpose
 from ringtrue.fem.spins import without_spins
@@ -116,8 +116,11 @@ class EmbeddedAnalysis:
         lam = np.array([eigenvalue(f) for f in modes.frequencies])
         columns = [np.einsum("fm,fm->m", phi, s.stiffness @ phi - (s.mass @ phi) * lam) for s in slopes]
         d_lambda = np.stack(columns, axis=1) if columns else np.zeros((len(modes), 0))
-        full = self.system.transform @ d_phi.reshape(phi.shape[0], -1)
-        return d_lambda, full.reshape(-1, len(modes), len(slopes))
+        full = (self.system.transform @ d_phi.reshape(phi.shape[0], -1)).reshape(-1, len(modes), len(slopes))
+        for i, p in enumerate(parameters.parameters):  # over parameters, of which few move nodes
+            if (moved := transform_derivative(self.model, p, self.system)) is not None:
+                full[:, :, i] += moved @ phi
+        return d_lambda, full
 
     def _lowest_up_to(self, top: float, count: int) -> EigenModes:
         """All modes from the lowest to well above `top` Hz."""

@@ -41,7 +41,7 @@ def system_derivatives(model: Model, parameters: Sequence[Parameter], system: Sy
     out = []
     for p, full in zip(parameters, _summed(m, slopes, len(parameters)), strict=True):
         K, M, D, H = (_congruent(T, Tt, A) for A in full)
-        if (dT := _transform_slope(m, p, system)) is not None:
+        if (dT := transform_derivative(model, p, system)) is not None:
             K, M, D, H = (A + B for A, B in zip((K, M, D, H), _carried(model, system, dT), strict=True))
         out.append(Slope(K, M, sparse.csr_array(D), sparse.csr_array(H + G * K)))
     return out
@@ -67,21 +67,23 @@ def _summed(m: Mesh, slopes: Sequence[ElementSlopes], count: int) -> list[list[s
     ]
 
 
-def _transform_slope(m: Mesh, p: Parameter, system: System) -> sparse.csr_array | None:
-    """∂T/∂a of the motion of all nodes by the free ones, where nodes of the parameter move; None if it is zero."""
-    total = None
-    grids = [t for t in p.targets if moves_nodes(t)]
-    moves: list[tuple[Target | None, int, float]] = [(t, 0, abs(t.step) or 1.0) for t in grids]
+def transform_derivative(model: Model, p: Parameter, system: System) -> sparse.csr_array | None:
+    """∂T/∂a of `system.transform` at a = 1, (full, f) csr, where nodes of the parameter move; None if it is zero.
+
+    It is not zero where the arm of a rigid element changes, or a node goes round a cylindrical displacement frame.
+    """
+    moves: list[tuple[Target | None, int, float]] = [(t, 0, abs(t.step) or 1.0) for t in p.targets if moves_nodes(t)]
     moves += [(None, k, float(np.abs(s.vectors).max(initial=0.0))) for k, s in enumerate(p.shapes)]
+    if not moves:
+        return None
+    total, reach = sparse.csr_array(system.transform.shape), _reach(mesh(model))
     for target, shape, size in moves:
-        h = SMALL * min(1.0, _reach(m) / (size or 1.0))
+        h = SMALL * min(1.0, reach / (size or 1.0))
         for k, c in CENTRAL:
             for sign in (1, -1):
-                T = _transform(displaced(m.model, p, sign * k * h, target=target, shape=shape), system)
-                total = T * (sign * c / h) if total is None else total + T * (sign * c / h)
-    if total is None or np.abs(total.data).max(initial=0.0) < 1e-9:
-        return None
-    return sparse.csr_array(total)
+                T = _transform(displaced(model, p, sign * k * h, target=target, shape=shape), system)
+                total = sparse.csr_array(total + T * (sign * c / h))
+    return total if np.abs(total.data).max(initial=0.0) >= 1e-9 else None
 
 
 def _reach(m: Mesh) -> float:
@@ -150,9 +152,7 @@ def bilinear(
                 Av = A[:, :, None] * at[0] if A.ndim == 2 else A @ at[0]
                 np.add.at(total, s.owner, np.stack([np.einsum("edm,edm->em", x, Av) for x in at[1:]], axis=1))
     for i, p in enumerate(parameters):
-        if (p.shapes or any(moves_nodes(t) for t in p.targets)) and (
-            dT := _transform_slope(mesh(model), p, system)
-        ) is not None:
+        if (dT := transform_derivative(model, p, system)) is not None:
             dK, dM, _, _ = _carried(model, system, dT)
             for total, carried in ((K, dK), (M, dM)):
                 total[i] += np.einsum("sfm,fm->sm", left, carried @ right)
