@@ -89,6 +89,16 @@ def test_sets_that_are_not_clear_are_refused(tmp_path: Path) -> None:
 _UNCLEAR = "without case control, which of the SPC sets 5, 6 holds? Write SPC = n above BEGIN BULK"
 
 
+def test_another_subcase_with_modes_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    case = "CEND\nMETHOD = 1\nSUBCASE 1\n SPC = 5\nSUBCASE 2\n LABEL = b\n SPC=5\nSUBCASE= 7\n SPC = 6\nBEGIN BULK\n"
+    model = read_deck(write(tmp_path, case + SETS))
+    assert (model.case.spc, model.case.others) == (5, (7,))
+    assert "SUBCASE [7]" in caplog.text
+    assert any("SUBCASE 7: not taken" in f.text for f in check_deck(model).findings)
+    static = read_deck(write(tmp_path, case.replace("METHOD = 1\n", "").replace("LABEL = b", "METHOD = 1") + SETS))
+    assert (static.case.spc, static.case.others) == (5, ())
+
+
 def test_sets_that_nothing_chooses_are_told(tmp_path: Path) -> None:
     model = read_deck(write(tmp_path, "CEND\nMETHOD = 1\nBEGIN BULK\n" + SETS))
     told = [f.text for f in check_deck(model).findings if "case control chooses no SPC" in f.text]

@@ -156,7 +156,12 @@ def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool
 
 
 def _unchosen(model: Model) -> Iterator[Finding]:
-    """Supports and equations of a deck whose case control takes none of them."""
+    """Supports and equations of a deck whose case control takes none of them, and subcases that are not taken."""
+    if model.case.others:
+        numbers = ", ".join(map(str, model.case.others))
+        yield Finding(
+            "warning", f"SUBCASE {numbers}: not taken; the modes are those of the first subcase with a METHOD"
+        )
     for name, (_, cards) in KINDS.items():
         chosen = getattr(model.case, name.lower())
         for card in cards:

@@ -102,7 +102,8 @@ class Table:
 class CaseControl:
     """The choices of the (first) subcase; 0 where not made.
 
-    `k2gg`, `m2gg` and `b2gg` are the DMIG names that are added to stiffness, mass and damping, each with its factor.
+    `k2gg`, `m2gg` and `b2gg` are the DMIG names that are added to stiffness, mass and damping, each with its factor;
+    `others` are further subcases that compute modes, of other sets, and are not taken.
     """
 
     title: str = ""
@@ -113,6 +114,7 @@ class CaseControl:
     k2gg: tuple[tuple[float, str], ...] = ()
     m2gg: tuple[tuple[float, str], ...] = ()
     b2gg: tuple[tuple[float, str], ...] = ()
+    others: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

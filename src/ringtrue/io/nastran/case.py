@@ -12,8 +12,9 @@ from ringtrue.model.cards import PRELOADS
 from ringtrue.model.model import CaseControl
 
 _COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S)  # a blank may stand for =
-_SUBCASE = re.compile(r"\s*SUBC\w*", re.I)
+_SUBCASE = re.compile(r"\s*SUBC\w*[\s=]*(\d{1,9})?", re.I)
 _CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC")
+_SETS = ("SPC", "MPC", "NSM", "K2GG", "M2GG", "B2GG")
 STIFFENING = {  # commands that bring in stiffness which is not read, and how the names of their cards begin
     "TEMPERATURE": ("MATT",),
     "BGSET": ("BGSET", "BGADD"),
@@ -41,20 +42,32 @@ def commands(top: Sequence[str]) -> dict[str, str]:
     top : sequence of str
         Executive and case control lines.
     """
+    common, *subcases = (choices for _, choices in _sections(top))
+    chosen = next((s for s in subcases if "METHOD" in s), subcases[0] if subcases else {})
+    return {**common, **chosen}
+
+
+def _sections(top: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
+    """The choices above all subcases, under 0, and those of each subcase with its number."""
     begun = not any(re.match(r"\s*CEND\b", line, re.I) for line in top)
-    common: dict[str, str] = {}
-    subcases: list[dict[str, str]] = []
+    sections: list[tuple[int, dict[str, str]]] = [(0, {})]
     for line in _joined(top):
         begun = begun or bool(re.match(r"\s*CEND\b", line, re.I))
-        if begun and _SUBCASE.match(line):
-            subcases.append({})
+        if begun and (subcase := _SUBCASE.match(line)):
+            sections.append((int(subcase[1] or 0), {}))
         found = _COMMAND.fullmatch(line)
         name = found[1].upper() if found else ""
         name = _SHORT.get(name[:4], name)
         if begun and found and name in _NAMES:
-            (subcases[-1] if subcases else common)[name] = found[3]
-    chosen = next((s for s in subcases if "METHOD" in s), subcases[0] if subcases else {})
-    return {**common, **chosen}
+            sections[-1][1][name] = found[3]
+    return sections
+
+
+def _not_taken(top: Sequence[str], found: Mapping[str, str]) -> tuple[int, ...]:
+    """Further subcases that compute modes, of other sets."""
+    (_, common), *subcases = _sections(top)
+    every = [(number, {**common, **choices}) for number, choices in subcases]
+    return tuple(n for n, c in every if "METHOD" in c and any(c.get(k) != found.get(k) for k in _SETS))
 
 
 def _joined(top: Iterable[str]) -> list[str]:
@@ -88,6 +101,7 @@ def case_control(top: Sequence[str]) -> CaseControl:
         number.get("MPC", 0),
         number.get("NSM", 0),
         **{name.lower(): _matrices(name, found) for name in ("K2GG", "M2GG", "B2GG")},
+        others=_not_taken(top, found),
     )
 
 

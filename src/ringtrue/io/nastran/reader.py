@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Ragged, Table, stacked
 from ringtrue.model.references import Missing, missing, unused
 
+log = logging.getLogger(__name__)
 _SHARED_IDS = frozenset(  # several cards of one id belong together
     ("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL)
 )
@@ -72,6 +74,8 @@ def read_deck(path: str | Path) -> Model:
         raise UnsupportedCard(card, path=place[0], line=place[1], why=why)
     for wrong in unclear_sets(model, chosen=bool(deck.top)):
         raise wrong
+    if model.case.others:
+        log.warning("%s: SUBCASE %s not taken, only the first with a METHOD is", path, list(model.case.others))
     idle = unused(model)
     for fault_ in missing(model):
         if not np.isin(fault_.rows, idle.get(fault_.reference.card, ())).all():  # Nastran, too, leaves these alone
