@@ -89,6 +89,14 @@ def test_sets_that_are_not_clear_are_refused(tmp_path: Path) -> None:
 _UNCLEAR = "without case control, which of the SPC sets 5, 6 holds? Write SPC = n above BEGIN BULK"
 
 
+def test_words_as_values_of_params(tmp_path: Path) -> None:
+    model = read_deck(write(tmp_path, "PARAM,COUPMASS,YES\nPARAM,K6ROT,NO\nPARAM,WTMASS\nPARAM,SNORM,ON\n" + SPRING))
+    assert (model.param("COUPMASS", -1), model.param("K6ROT", 100.0), model.param("G", 0.5)) == (1.0, 0.0, 0.5)
+    for name in ("WTMASS", "SNORM"):
+        with pytest.raises(DeckError, match=rf"main\.bdf: PARAM field {name}: '.*' is not a number"):
+            model.param(name, 1.0)
+
+
 def test_another_subcase_with_modes_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     case = "CEND\nMETHOD = 1\nSUBCASE 1\n SPC = 5\nSUBCASE 2\n LABEL = b\n SPC=5\nSUBCASE= 7\n SPC = 6\nBEGIN BULK\n"
     model = read_deck(write(tmp_path, case + SETS))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Int, frozen
-from ringtrue.errors import InputError
+from ringtrue.errors import DeckError, InputError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +98,9 @@ class Table:
         return replace(self, columns={**self.columns, name: frozen(values)})
 
 
+_SWITCH = {"YES": 1.0, "NO": 0.0}
+
+
 @dataclass(frozen=True, slots=True)
 class CaseControl:
     """The choices of the (first) subcase; 0 where not made.
@@ -147,8 +150,19 @@ class Model:
         return self.tables[card]
 
     def param(self, name: str, default: float) -> float:
-        """A numeric PARAM, or the default."""
-        return float(self.params.get(name, default))
+        """A numeric PARAM, or the default; YES is 1 and NO is 0.
+
+        Raises
+        ------
+        DeckError
+            If its value is another word, or blank.
+        """
+        value = self.params.get(name, default)
+        value = _SWITCH.get(value, value) if isinstance(value, str) else value
+        if isinstance(value, str):
+            where = self.files[0] if self.files else None
+            raise DeckError(f"{value!r} is not a number", path=where, card="PARAM", field=name)
+        return float(value)
 
     def with_values(self, card: str, field_name: str, ids: NDArray[Any], values: NDArray[Any]) -> Model:
         """A copy with `field_name` of the rows with these ids replaced.
