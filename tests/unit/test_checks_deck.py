@@ -229,6 +229,13 @@ def test_a_folded_brick(tmp_path: Path) -> None:
     assert any("is folded" in f.text for f in report(tmp_path, text).findings)
 
 
+def test_a_brick_without_its_nodes(tmp_path: Path) -> None:
+    text = CUBE + "CHEXA,1,1,11,2,3,4,5,6\n,7,8\n"
+    assert [f.text for f in report(tmp_path, text).findings if f.severity == "error"] == [
+        "CHEXA 1: G1 names GRID or SPOINT 11: not there"
+    ]
+
+
 def test_tables_of_properties_are_told(tmp_path: Path) -> None:
     """PELAST, PBUSHT, PDAMPT: the nominal values hold, and the check says so."""
     deck = tmp_path / "t.bdf"

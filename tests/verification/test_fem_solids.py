@@ -357,6 +357,14 @@ def test_second_order_cubes_agree(a: str, b: str) -> None:
     assert energy[0] == pytest.approx(energy[1], rel=0.05)
 
 
+@pytest.mark.parametrize("name", ["CHEXA", "CPENTA", "CPYRAM5"])
+def test_a_body_without_stiffness_has_its_mass(name: str) -> None:
+    """E = 0 is how decks carry weight alone."""
+    s = assemble(body(name, *cube(name, 1, 0.0), steel(0.0, NU, RHO), psolid(), AUTOSPC="NO"))
+    assert not s.stiffness.nnz
+    assert s.mass.diagonal().sum() == pytest.approx(3 * RHO)
+
+
 def test_inside_out_indefinite_and_fluid_are_refused() -> None:
     xyz, nodes = cube("CPYRAM5", 1, 0.0)
     with pytest.raises(DeckError, match=r"CPYRAM 1.*node order"):

@@ -147,7 +147,7 @@ def _corners(model: Model, card: str, x: Float, rows: Int, good: Bool) -> list[F
     found = _report(model, card, rows[folded], "error", "is folded: no positive Jacobian at a corner")
     skew = good & ~folded & (corner.min(axis=1) < JACOBIAN * corner.max(axis=1))
     found += _report(model, card, rows[skew], "warning", f"has corner Jacobians of a ratio under {JACOBIAN:g}")
-    length = np.linalg.norm(edges, axis=3).reshape(len(x), -1)
+    length = np.linalg.norm(edges, axis=3).reshape(len(x), spokes.size)
     slender = good & (length.max(axis=1) > ASPECT * length.min(axis=1))
     return found + _report(model, card, rows[slender], "warning", f"has an aspect ratio over {ASPECT:g}")
 

@@ -52,9 +52,13 @@ def rotation(R: Any_, k: int) -> Any_:
 
 
 def condense(K: Any_, keep: Int, drop: Int) -> Any_:
-    """Static condensation K_kk - K_kd K_dd⁻¹ K_dk, (e, d, d) -> (e, k, k)."""
-    Kkd = K[:, keep[:, None], drop]
-    return K[:, keep[:, None], keep] - Kkd @ np.linalg.solve(K[:, drop[:, None], drop], Kkd.swapaxes(1, 2))
+    """Static condensation K_kk - K_kd K_dd⁻¹ K_dk, (e, d, d) -> (e, k, k); without it where K_dd is zero."""
+    Kkk, Kkd, Kdd = K[:, keep[:, None], keep], K[:, keep[:, None], drop], K[:, drop[:, None], drop]
+    live = np.abs(Kdd).max(axis=(1, 2), initial=0) > 0
+    if live.all():
+        return Kkk - Kkd @ np.linalg.solve(Kdd, Kkd.swapaxes(1, 2))
+    Kkk[live] -= Kkd[live] @ np.linalg.solve(Kdd[live], Kkd[live].swapaxes(1, 2))
+    return Kkk
 
 
 def scaled(c: Any_, K: Any_) -> Any_:

@@ -96,7 +96,7 @@ def _reals(cells: NDArray[np.bytes_], c: NDArray[np.uint8]) -> tuple[Float, Bool
     value = np.where(c[0] == _MINUS, -value, value)
     for i in np.flatnonzero(good & ~exact).tolist():  # rare: more digits than a double holds
         value[i] = float(_plain(cells[i], c[:, i], mark[:, i]))
-    return value, good
+    return value, good & np.isfinite(value)
 
 
 def _plain(cell: bytes, c: NDArray[np.uint8], mark: Bool) -> bytes:
