@@ -193,6 +193,12 @@ def test_in_plane_bending_of_one_row_of_quads() -> None:
     assert u[0] - u[1] == pytest.approx(10 / (2e11 * 0.1 / 12), rel=1e-3)  # the drilling springs are 4e-4 of G
 
 
+def test_a_rod_without_length_is_refused() -> None:
+    rod = cards("CONROD", EID=[3], MID=1, G1=1, G2=2, A=1.0)
+    with pytest.raises(DeckError, match=r"CONROD 3.*one place"):
+        assemble(model(grid(np.zeros((2, 3))), steel(), rod))
+
+
 def test_inside_out_hexa_is_refused() -> None:
     with pytest.raises(DeckError, match=r"CHEXA 1.*node order"):
         assemble(model(*solid("CHEXA", CUBE, [4, 3, 2, 1, 8, 7, 6, 5]), steel()))

@@ -373,5 +373,9 @@ def test_inside_out_indefinite_and_fluid_are_refused() -> None:
     bad[0, 0] = -1e9
     with pytest.raises(DeckError, match=r"MAT9 2.*not positive"):
         assemble(body("CPYRAM5", xyz, nodes, mat9(bad), psolid(2)))
+    with pytest.raises(DeckError, match=r"CPYRAM 1.*no volume"):
+        assemble(body("CPYRAM5", xyz * (1.0, 1.0, 0.0), nodes[:1]))
+    with pytest.raises(DeckError, match=r"MAT1 1.*ratio 0\.5 must"):
+        assemble(body("CPYRAM5", xyz, nodes, steel(E, 0.5, RHO), psolid()))
     with pytest.raises(UnsupportedCard, match="PFLUID"):
         assemble(body("CPYRAM5", xyz, nodes, steel(), cards("PSOLID", PID=[1], MID=1, FCTN="PFLUID")))

@@ -181,6 +181,20 @@ def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     return Isotropic(E, G, nu, rho, loss)
 
 
+def check_ratio(model: Model, mid: Int, nu: Any_, most: float) -> None:
+    """Poisson's ratios nu (e,) of MAT1 mid (e,) that make no positive elasticity.
+
+    Raises
+    ------
+    DeckError
+        If one is not between -1 and `most`: 0.5 for solids, 1 for plane stress.
+    """
+    if (bad := (nu.real <= -1) | (nu.real >= most)).any():
+        mat, i = model["MAT1"], int(np.flatnonzero(bad)[0])
+        why = f"Poisson's ratio {nu.real[i]:g} must be between -1 and {most:g} here"
+        raise error(model, mat, int(mat.find(mid[i : i + 1])[0]), why)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Matrices:
     """Element matrices over full basic-frame DOFs.

@@ -6,7 +6,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import scaled
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, isotropic, lookup
+from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import node_dofs, segment
 
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -64,10 +64,18 @@ def measure(m: Mesh, card: str, at: Int) -> Float:
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CROD, CONROD or CTUBE."""
+    """Matrices of the rows `at` (e,) of CROD, CONROD or CTUBE.
+
+    Raises
+    ------
+    DeckError
+        If an element has no length.
+    """
     t = m.model[card]
     nodes = m.nodes(t.stack("G1", "G2")[at], t, at)
     x = m.xyz[nodes]
+    if (short := (x[:, 0] == x[:, 1]).all(axis=1)).any():
+        raise error(m.model, t, int(at[short][0]), "its two ends are at one place")
     iso, A, J, nsm = _section(m, card, at)
     M = mass(x, iso.rho * A + nsm + m.nsm(card, at), m.model.param("COUPMASS", -1) > 0)
     return Matrices(node_dofs(nodes), kernel(x, iso.E * A, iso.G * J), M, iso.loss, np.empty((0, 12, 12)))

@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.isotropy import plane_stress, solid
-from ringtrue.fem.mesh import isotropic
+from ringtrue.fem.mesh import Isotropic, check_ratio, error, isotropic
 from ringtrue.model.model import Model, Table
 
 RIGID_SHEAR = 1000.0  # no transverse shear modulus given: G12 times this, which bends as if rigid in shear
@@ -45,7 +45,7 @@ def layers(
     Raises
     ------
     DeckError, UnsupportedCard
-        If a material is absent; on plane strain of a MAT2 or MAT8.
+        If a material is absent or not positive; on plane strain of a MAT2 or MAT8.
     """
     used = mid > 0
     where = {card: used & (model[card].find(mid) >= 0) for card in _OTHER if card in model}
@@ -55,7 +55,12 @@ def layers(
     parts: list[tuple[Bool, Layer]] = []
     rest = used & ~taken
     if rest.any():
-        parts.append((rest, _mat1(model, mid[rest], table, row[rest], None if confined is None else confined[rest])))
+        iso = isotropic(model, mid[rest], table, row[rest])
+        if not core:
+            check_ratio(model, mid[rest], iso.nu, 1.0)
+        parts.append((rest, _mat1(iso, None if confined is None else confined[rest])))
+    if "MAT8" in where and not core:
+        _check_mat8(model, np.unique(model["MAT8"].find(mid[where["MAT8"]])))
     parts += [(w, _OTHER[card](model[card], model[card].find(mid[w]), core)) for card, w in where.items() if w.any()]
     return _merged(mid.size, parts)
 
@@ -79,8 +84,7 @@ def _through(g1: Any_, g12: Any_, g2: Any_) -> Any_:
     return np.stack([np.stack(np.broadcast_arrays(*r), axis=-1) for r in rows], axis=-2)
 
 
-def _mat1(model: Model, mid: Int, table: Table, row: Int, confined: Bool | None) -> Layer:
-    iso = isotropic(model, mid, table, row)
+def _mat1(iso: Isotropic, confined: Bool | None) -> Layer:
     c11, c12 = plane_stress(iso.E, iso.nu)
     if confined is not None and confined.any():
         c11, c12 = (np.where(confined, s, p) for s, p in zip(solid(iso.E, iso.nu), (c11, c12), strict=True))
@@ -93,6 +97,14 @@ def _mat2(t: Table, row: Int, core: bool) -> Layer:
     rigid = RIGID_SHEAR * g33
     through = _through(g11, g12, g22) if core else _through(rigid, 0 * g33, rigid)
     return Layer(_plane(g11, g12, g22, g33, g13, g23), through, t["RHO"][row], t["GE"][row])
+
+
+def _check_mat8(model: Model, row: Int) -> None:
+    """Rows of MAT8 that make no positive elasticity."""
+    E1, E2, nu = (model["MAT8"][c][row].real for c in ("E1", "E2", "NU12"))
+    if (bad := (E1 <= 0) | (E2 <= 0) | (nu**2 * E2 >= E1)).any():
+        why = "E1 and E2 must be over 0, and NU12 below the root of E1/E2"
+        raise error(model, model["MAT8"], int(row[bad][0]), why)
 
 
 def _mat8(t: Table, row: Int, core: bool) -> Layer:

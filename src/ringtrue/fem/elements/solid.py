@@ -18,6 +18,7 @@ from ringtrue.fem.place import node_dofs
 from ringtrue.model.model import Model
 
 _CACHED = 2**16  # numbers in the matrices of a slice: with its temporaries it stays in the cache of one core
+FLAT = 1e-12  # of the cube on the longest extent: less volume is none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +101,7 @@ class Shape:
         InputError
             If their midside nodes differ.
         DeckError
-            If an element is inside out.
+            If an element is inside out or has no volume.
         UnsupportedCard
             If a property is that of a fluid.
         """
@@ -111,6 +112,8 @@ class Shape:
         names = [f"G{k + 1}" for k in np.flatnonzero(present[0])]
         nodes = m.nodes(np.stack([t[name][at] for name in names], axis=1), t, at)
         x = m.xyz[nodes]
+        if (flat := self._flat(x.real)).any():
+            raise error(m.model, t, int(at[flat][0]), "it has no volume; check its nodes")
         row = lookup(m.model, "PSOLID", t["PID"][at], t, at)
         _refuse_fluid(m.model, row)
         material: Isotropic | Anisotropic
@@ -125,6 +128,11 @@ class Shape:
             raise error(m.model, t, first, why)
         M = mass(x, material.rho, rule, m.model.param("COUPMASS", -1) > 0)
         return Matrices(node_dofs(nodes, 3), K, M, material.loss, np.empty((0, K.shape[1], K.shape[1])))
+
+    def _flat(self, x: Float) -> Bool:
+        """Which elements (e,) with nodes x (e, n, 3) are collapsed to a plane, a line or a point."""
+        det = np.linalg.det(np.einsum("gnr,ena->egra", self.linear.stiffness.derivatives, x[:, : self.corners]))
+        return np.asarray((abs(det) <= FLAT * np.ptp(x, axis=1).max(axis=1)[:, None] ** 3).any(axis=1))
 
     def _stiffness(self, x: Any_, material: Isotropic | Anisotropic, present: Bool) -> tuple[Any_, Any_, Rule]:
         """Stiffness, determinants, and the rule for the mass; in slices that stay in the cache."""

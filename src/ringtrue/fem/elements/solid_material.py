@@ -8,7 +8,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.isotropy import solid
-from ringtrue.fem.mesh import Isotropic, Mesh, error, isotropic, lookup
+from ringtrue.fem.mesh import Isotropic, Mesh, check_ratio, error, isotropic, lookup
 from ringtrue.model.frames import axes
 from ringtrue.model.model import Model
 
@@ -87,7 +87,10 @@ def _positive(m: Mesh, C: Any_, row: Int) -> None:
 def moduli(m: Mesh, psolid: Int) -> Isotropic:
     """MAT1 of each row of PSOLID (e,)."""
     p = m.model["PSOLID"]
-    return isotropic(m.model, p["MID"][psolid], p, psolid)
+    mid = p["MID"][psolid]
+    iso = isotropic(m.model, mid, p, psolid)
+    check_ratio(m.model, mid, iso.nu, 0.5)
+    return iso
 
 
 def bulk(iso: Isotropic) -> tuple[Any_, Any_, Any_]:
