@@ -199,6 +199,13 @@ def test_a_rod_without_length_is_refused() -> None:
         assemble(model(grid(np.zeros((2, 3))), steel(), rod))
 
 
+@pytest.mark.parametrize("corner", [(0.5, 0.5, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
+def test_a_quad_that_is_a_triangle_is_refused(corner: tuple[float, float, float]) -> None:
+    xyz = np.array([[0, 0, 0], [1, 0, 0], corner, [0, 1, 0]])
+    with pytest.raises(DeckError, match=r"CQUAD4 1.*180 degrees"):
+        assemble(model(grid(xyz), cards("CQUAD4", EID=[1], PID=1, G1=1, G2=2, G3=3, G4=4), pshell(0.1), steel()))
+
+
 def test_inside_out_hexa_is_refused() -> None:
     with pytest.raises(DeckError, match=r"CHEXA 1.*node order"):
         assemble(model(*solid("CHEXA", CUBE, [4, 3, 2, 1, 8, 7, 6, 5]), steel()))

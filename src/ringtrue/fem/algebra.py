@@ -16,8 +16,9 @@ def skew(r: Any_) -> Any_:
 
 
 def unit(v: Any_) -> Any_:
-    """Vectors (..., 3) divided by their length, analytic."""
-    return np.asarray(v / np.sqrt((v * v).sum(axis=-1, keepdims=True)))
+    """Vectors (..., 3) divided by their length, analytic; one without length stays 0."""
+    length = np.sqrt((v * v).sum(axis=-1, keepdims=True))
+    return np.asarray(v / np.where(length == 0, 1.0, length))
 
 
 def arm(r: Any_) -> Any_:

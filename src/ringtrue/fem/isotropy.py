@@ -37,6 +37,11 @@ def solid(E: Any_, nu: Any_) -> tuple[Any_, Any_]:
     return (1 - nu) * c, nu * c
 
 
+def determinants(derivatives: Float, x: Float) -> Float:
+    """(e, gp), of the map from natural derivatives (gp, n, d) at nodes x (e, n, d); 0 where it is singular."""
+    return np.asarray(np.linalg.det(np.einsum("gnr,ena->egra", derivatives, x)))
+
+
 def jacobian(derivatives: Float, x: Float) -> tuple[Float, Float, Float]:
     """Of the map from natural derivatives (gp, n, d) at nodes x (e, n, d).
 

@@ -20,7 +20,7 @@ from ringtrue.fem.elements.shell_material import contract
 from ringtrue.fem.elements.shell_normals import node_normals
 from ringtrue.fem.elements.shell_rule import QUAD4
 from ringtrue.fem.elements.shell_section import Section, oriented, section
-from ringtrue.fem.isotropy import gram, incompatible, jacobian
+from ringtrue.fem.isotropy import determinants, gram, incompatible, jacobian
 from ringtrue.fem.mesh import Matrices, Mesh, error
 
 _SIGNS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -166,7 +166,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     t = m.model[card]
     nodes = m.nodes(t.stack("G1", "G2", "G3", "G4")[at], t, at)
     axes, xy, heights = flatten(m.xyz[nodes])
-    bent = ~(jacobian(_SLOPES, xy)[1].real > 0).all(axis=1)
+    bent = ~(determinants(_SLOPES, xy.real) > 0).all(axis=1)
     if bent.any():
         bad = int(at[np.flatnonzero(bent)[0]])
         raise error(m.model, t, bad, "a corner of 180 degrees or more, or sides that cross; check its node order")

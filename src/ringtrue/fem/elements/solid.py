@@ -12,7 +12,7 @@ from ringtrue.errors import InputError
 from ringtrue.fem.algebra import condense, scaled
 from ringtrue.fem.elements.solid_material import Anisotropic, anisotropic, bulk, is_anisotropic, moduli
 from ringtrue.fem.elements.solid_rule import Rule, kept
-from ringtrue.fem.isotropy import elastic, gram, incompatible, jacobian, solid
+from ringtrue.fem.isotropy import determinants, elastic, gram, incompatible, jacobian, solid
 from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, lookup, unsupported
 from ringtrue.fem.place import node_dofs
 from ringtrue.model.model import Model
@@ -131,7 +131,7 @@ class Shape:
 
     def _flat(self, x: Float) -> Bool:
         """Which elements (e,) with nodes x (e, n, 3) are collapsed to a plane, a line or a point."""
-        det = np.linalg.det(np.einsum("gnr,ena->egra", self.linear.stiffness.derivatives, x[:, : self.corners]))
+        det = determinants(self.linear.stiffness.derivatives, x[:, : self.corners])
         return np.asarray((abs(det) <= FLAT * np.ptp(x, axis=1).max(axis=1)[:, None] ** 3).any(axis=1))
 
     def _stiffness(self, x: Any_, material: Isotropic | Anisotropic, present: Bool) -> tuple[Any_, Any_, Rule]:
