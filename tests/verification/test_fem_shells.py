@@ -361,7 +361,9 @@ def test_what_is_wrong_is_told() -> None:
         assemble(model(grid(xyz), shell("CQUAD8", elements), *layup(lam="WOVEN")))
     with pytest.raises(DeckError, match=r"MAT1 1.*ratio 1 must be between -1 and 1"):
         assemble(model(grid(xyz), shell("CQUAD8", elements), pshell(0.1), steel(nu=1.0)))
-    with pytest.raises(DeckError, match=r"MAT8 1.*E1 and E2 must be over 0"):
+    with pytest.raises(DeckError, match=r"PSHELL 1.*CQUAD8 1 has no thickness"):
+        assemble(model(grid(xyz), shell("CQUAD8", elements), pshell(0.0), steel()))
+    with pytest.raises(DeckError, match=r"MAT8 1.*E1 and E2 must not be 0"):
         assemble(model(grid(xyz), shell("CQUAD8", elements), pshell(0.1), cards("MAT8", MID=[1], E1=1.0, G12=1.0)))
     with pytest.raises(DeckError, match="MAT1 8 is not in the deck"):
         assemble(model(grid(xyz), shell("CQUAD8", elements), *layup(mid=(2, 8, 2))))

@@ -100,10 +100,11 @@ def _mat2(t: Table, row: Int, core: bool) -> Layer:
 
 
 def _check_mat8(model: Model, row: Int) -> None:
-    """Rows of MAT8 that make no positive elasticity."""
-    E1, E2, nu = (model["MAT8"][c][row].real for c in ("E1", "E2", "NU12"))
-    if (bad := (E1 <= 0) | (E2 <= 0) | (nu**2 * E2 >= E1)).any():
-        why = "E1 and E2 must be over 0, and NU12 below the root of E1/E2"
+    """Rows of MAT8 that make no elasticity; moduli may be complex, or negative, where functions are sampled."""
+    E1, E2, nu = (model["MAT8"][c][row] for c in ("E1", "E2", "NU12"))
+    none = (E1 == 0) | (E2 == 0)
+    if (bad := none | ((nu * nu * E2 / np.where(none, 1.0, E1)).real >= 1)).any():
+        why = "E1 and E2 must not be 0, and NU12 below the root of E1/E2"
         raise error(model, model["MAT8"], int(row[bad][0]), why)
 
 
