@@ -16,7 +16,7 @@ from ringtrue.checks.geometry import check_geometry
 from ringtrue.checks.materials import check_materials
 from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
-from ringtrue.io.nastran.constraint_sets import KINDS
+from ringtrue.io.nastran.constraint_sets import KINDS, empty_choices
 from ringtrue.model.cards import TABLES
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged
@@ -162,6 +162,7 @@ def _unchosen(model: Model) -> Iterator[Finding]:
         yield Finding(
             "warning", f"SUBCASE {numbers}: not taken; the modes are those of the first subcase with a METHOD"
         )
+    yield from (Finding("warning", f"case control asks for {text}") for text in empty_choices(model))
     for name, (_, cards) in KINDS.items():
         chosen = getattr(model.case, name.lower())
         for card in cards:

@@ -45,9 +45,15 @@ def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
         there, asked = sets(model.tables, kind), int(getattr(model.case, kind.lower()))
         names = ", ".join(map(str, there))
         where = model.files[0] if model.files else None
-        if asked and asked not in there:
-            out.append(DeckError(f"case control asks for {kind} = {asked}; the deck has {names or 'none'}", path=where))
+        if asked and there and asked not in there:
+            out.append(DeckError(f"case control asks for {kind} = {asked}; the deck has {names}", path=where))
         elif not asked and not chosen and there:
             why = f"without case control, which of the {kind} sets {names} holds? Write {kind} = n above BEGIN BULK"
             out.append(DeckError(why, path=where))
     return out
+
+
+def empty_choices(model: Model) -> list[str]:
+    """What case control chooses of a kind that the deck has none of: the structure is free of it."""
+    chosen = {kind: int(getattr(model.case, kind.lower())) for kind in KINDS}
+    return [f"{kind} = {n}: the deck has no {kind}" for kind, n in chosen.items() if n and not sets(model.tables, kind)]

@@ -14,7 +14,7 @@ from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.io.nastran.beams import dimensions
 from ringtrue.io.nastran.case import STIFFENING, case_control, commands, params, value
-from ringtrue.io.nastran.constraint_sets import only_sets, unclear_sets
+from ringtrue.io.nastran.constraint_sets import empty_choices, only_sets, unclear_sets
 from ringtrue.io.nastran.deck import load
 from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written_out
 from ringtrue.io.nastran.gather import Cards, cards
@@ -74,6 +74,8 @@ def read_deck(path: str | Path) -> Model:
         raise UnsupportedCard(card, path=place[0], line=place[1], why=why)
     for wrong in unclear_sets(model, chosen=bool(deck.top)):
         raise wrong
+    for text in empty_choices(model):
+        log.warning("%s: case control asks for %s", path, text)
     if model.case.others:
         log.warning("%s: SUBCASE %s not taken, only the first with a METHOD is", path, list(model.case.others))
     idle = unused(model)
