@@ -19,10 +19,12 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_hybrid, expand_reduced
+from ringtrue.update.alike import errors_of_shapes
 from ringtrue.update.dense import DenseModel
-from ringtrue.update.effects import effects, force_residual
+from ringtrue.update.effects import SHARP, effects, force_residual, paired_residual
 from ringtrue.update.generate import generate
 from ringtrue.update.objective import Target as Aim
+from ringtrue.update.objective import Weights, residual
 from ringtrue.update.pool import conflicts, explaining, of_parameter
 from ringtrue.update.proposal import propose
 
@@ -94,6 +96,22 @@ def test_the_force_residual_of_exact_shapes_is_what_is_wrong() -> None:
     some = [names.index(f"MAT1 {r} E") for r in wrong]
     x = np.linalg.lstsq(slopes[:, some], misfit)[0]
     np.testing.assert_allclose(1 + x * start.reduced.parameters.std()[some], list(wrong.values()), atol=0.15)
+
+
+def test_the_paired_residual_is_that_of_the_model_itself() -> None:
+    """Sums over all 90 modes of the deck against the derivatives of its reduced model."""
+    start = twin.start()
+    every = EmbeddedSolver().open(start.model).eigen(ModesRequest(90))
+    there = start.observation.matrix @ (start.analysis.system.transform @ every.vectors)
+    aim = twin.measured({30: 1.1}, np.random.default_rng(0))
+    given = (start.model, start.analysis.system, start.candidates, every.values, every.vectors, there)
+    misfit, slopes = paired_residual(*given, aim)
+    now = start.reduced.linearise(np.zeros(len(start.candidates)))
+    w = Weights(SHARP * 0.01, SHARP**2 * 0.05, independent=errors_of_shapes(aim, now))
+    same = residual(replace(aim, weights=w), now)
+    np.testing.assert_allclose(misfit, same.value, atol=1e-3 * np.abs(same.value).max())
+    error = np.linalg.norm(slopes - same.slope * start.reduced.parameters.std()) / np.linalg.norm(slopes)
+    assert error < 0.05  # sixteen modes of ninety
 
 
 def test_no_candidate_leaves_a_misfit_and_no_slope() -> None:

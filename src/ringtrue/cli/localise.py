@@ -21,7 +21,7 @@ from ringtrue.study.config import LocaliseSection
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership
-from ringtrue.update.effects import Dropped, effective, force_residual, reduced_candidates
+from ringtrue.update.effects import Dropped, effective, misfits, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import reduced_errors
 from ringtrue.update.objective import Target, match
@@ -69,8 +69,8 @@ def localise(
         moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
         show(0.22, f"what {len(moved)} candidates explain")
         there = bridge.matrix @ (analysis.system.transform @ modes.vectors)
-        left = force_residual(model, analysis.system, moved, modes.values, modes.vectors, there, aim)
-        keep = tuple(moved[i] for i in close(model, analysis.system, moved, *left, pool).tolist())
+        left = misfits(model, analysis.system, moved, modes.values, modes.vectors, there, aim)
+        keep = tuple(moved[i] for i in close(model, analysis.system, moved, left, pool).tolist())
         reduced = reduced_candidates(
             model,
             analysis.system,

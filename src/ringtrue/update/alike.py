@@ -16,8 +16,10 @@ from ringtrue.core.arrays import Float
 from ringtrue.fem.assembly import System
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
+from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.subspace import basis
 from ringtrue.update.localise import strain_energies
+from ringtrue.update.objective import Target, match, shape_residual, spans
 
 
 def energy_shares(model: Model, system: System, vectors: Float) -> Float:
@@ -50,6 +52,15 @@ def effective_freedom(correlation: Float) -> float:
     """
     m = len(correlation)
     return float(m**2 / (correlation**2).sum()) if m else 1.0
+
+
+def errors_of_shapes(target: Target, now: Linearisation) -> float:
+    """`independent_errors` of the used shapes of a test against a model at a point; 1 without a pair."""
+    pairs, _, groups = match(target, now)
+    pairs = pairs[target.used[pairs[:, 0]]]
+    of = spans(target, pairs, groups)
+    rest = [shape_residual(target, now, t, g)[0] for t, g in zip(pairs[:, 0].tolist(), of, strict=True)]
+    return independent_errors(np.stack(rest, axis=1), np.array([g.size for g in of]), now.shapes) if rest else 1.0
 
 
 def independent_errors(rest: Float, own: Float, shapes: Float) -> float:

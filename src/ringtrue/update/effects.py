@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.observation import Observation
+from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
@@ -16,16 +17,19 @@ from ringtrue.fem.assembly import System
 from ringtrue.fem.dependence import affine_terms
 from ringtrue.fem.derivatives import bilinear
 from ringtrue.model.model import Model
+from ringtrue.model.ports import Linearisation
 from ringtrue.reduce.affine import observed_system
 from ringtrue.reduce.expand import expand_reduced
 from ringtrue.reduce.parametric import BasisOptions, ReducedModel, reduced_model
+from ringtrue.update.alike import errors_of_shapes
 from ringtrue.update.candidates import Candidate, parameters
-from ringtrue.update.objective import Target
+from ringtrue.update.objective import Target, residual
 
 NEAR = 16  # modes of the model along which the force residual of a test mode is taken
 EXPANDED = 0.02  # relative error of a measured shape that its expansion may leave as misfit
 SHARP = 0.3  # what candidates shall explain is small beside the discrepancy that an updating assumes
 AT_ONCE = 40_000_000  # numbers of the vectors that are worked on at a time
+CLOSE = 1e-6  # relative distance of eigenvalues below which modes only rotate into each other
 LEAST = 1e-5  # share of a mode's strain and kinetic energy below which a candidate does not change it
 
 
@@ -80,6 +84,20 @@ def effects(
     return dk[0] / lam[:, None], dm[0]
 
 
+def misfits(
+    model: Model,
+    system: System,
+    candidates: Sequence[Candidate],
+    values: Float,
+    vectors: Float,
+    seen: Float,
+    aim: Target,
+) -> tuple[tuple[Float, Float], ...]:
+    """`paired_residual` and `force_residual`: what the test finds wrong near the model, and far from it."""
+    given = (model, system, candidates, values, vectors, seen, aim)
+    return paired_residual(*given), force_residual(*given)
+
+
 def force_residual(
     model: Model,
     system: System,
@@ -120,14 +138,59 @@ def force_residual(
     gap, along = np.take_along_axis(gap, near, 0), np.take_along_axis(u, near, 0)
     of_frequency = 2 * np.hypot(SHARP * aim.weights.frequency, aim.std[aim.used]) * omega2
     sigma = np.hypot(SHARP * np.sqrt(aim.weights.mac) * gap, of_frequency)
-    slopes = np.empty((*gap.shape, len(chosen)))
-    step = max(1, AT_ONCE // (NEAR * vectors.shape[0]))
-    for first in range(0, f.size, step):
+    dk, dm = _along(model, system, chosen, vectors, near, u)
+    slopes = (omega2[:, None] * dm - dk) / sigma[:, :, None]
+    return (gap * along / sigma).ravel(), slopes.reshape(gap.size, len(chosen)) * chosen.std()
+
+
+def paired_residual(
+    model: Model,
+    system: System,
+    candidates: Sequence[Candidate],
+    values: Float,
+    vectors: Float,
+    seen: Float,
+    aim: Target,
+) -> tuple[Float, Float]:
+    """Deviations of the modes that are paired, and what each candidate does to them: `residual` of the deck.
+
+    Nothing is expanded, and noise of the shapes is told from errors that candidates could make, but modes far off have
+    no part in it. Derivatives of shapes along the modes nearest to each (Fox and Kapoor 1968). Arguments and results as
+    of `force_residual`.
+    """
+    chosen, far = parameters(candidates), np.abs(values - values[:, None])
+    np.fill_diagonal(far, -1.0)  # the first is the mode itself
+    near = np.argsort(far, axis=0, kind="stable")[:NEAR]
+    dk, dm = _along(model, system, chosen, vectors, near, np.eye(values.size))
+    slope = dk - values[:, None] * dm
+    gap = values - values[near]
+    apart = np.abs(gap) > CLOSE * np.abs(values)
+    share = np.where(apart[:, :, None], slope / np.where(apart, gap, 1.0)[:, :, None], 0.0)
+    share[0] = -dm[0] / 2
+    now = Linearisation(
+        np.zeros(len(chosen)),
+        np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi),
+        seen,
+        slope[0],
+        np.einsum("ckm,kmp->cmp", seen[:, near], share),
+    )
+    w = aim.weights
+    weights = replace(w, frequency=SHARP * w.frequency, mac=SHARP**2 * w.mac, independent=errors_of_shapes(aim, now))
+    r = residual(replace(aim, weights=weights), now)
+    return r.value, r.slope * chosen.std()
+
+
+def _along(
+    model: Model, system: System, chosen: ParameterSet, vectors: Float, near: Int, u: Float
+) -> tuple[Float, Float]:
+    """φ_kᵀ∂Kv and φ_kᵀ∂Mv of v = `vectors` u (f, n) along the modes k of `near` (k, n), (k, n, p) each."""
+    dk, dm = np.empty((2, *near.shape, len(chosen)))
+    step = max(1, AT_ONCE // (len(near) * vectors.shape[0]))
+    for first in range(0, near.shape[1], step):
         at = slice(first, first + step)
         left = np.stack([vectors[:, modes] for modes in near[:, at]])
-        dk, dm = bilinear(model, chosen.parameters, system, left, vectors @ u[:, at])
-        slopes[:, at] = (omega2[at, None] * dm - dk) / sigma[:, at, None]
-    return (gap * along / sigma).ravel(), slopes.reshape(gap.size, len(chosen)) * chosen.std()
+        dk[:, at], dm[:, at] = bilinear(model, chosen.parameters, system, left, vectors @ u[:, at])
+    return dk, dm
 
 
 def reduced_candidates(

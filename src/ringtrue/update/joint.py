@@ -9,7 +9,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.update.choose import Choice
-from ringtrue.update.objective import Residual
+from ringtrue.update.objective import Residual, Weights
 from ringtrue.update.residuals import OF_FREQUENCY, CrossOrthogonality, Mac, Shapes, Term, Weighted
 from ringtrue.update.several import APART, Evaluated, Problem, held_to
 from ringtrue.update.trust import solve
@@ -46,10 +46,16 @@ def _kind(term: Term) -> int:
     return 1 if isinstance(term, Shapes | Mac | CrossOrthogonality) else 2
 
 
-def sharper(problem: Problem, frequency: float, mac: float) -> Problem:
-    """With discrepancies of a relative frequency and of 1 − MAC as found; no pair costs more than a lost mode."""
-    weighed = [c.weighed(frequency, mac) for c in problem.configurations]
-    return replace(problem, configurations=tuple(replace(c, target=c.target.doubting()) for c in weighed))
+def weighed(problem: Problem, found: Weights) -> Problem:
+    """With discrepancies of frequencies and shapes as found."""
+    every = (c.weighed(found.frequency, found.mac, found.independent) for c in problem.configurations)
+    return replace(problem, configurations=tuple(every))
+
+
+def doubting(problem: Problem) -> Problem:
+    """The same with no pair that costs more than a lost mode."""
+    every = (replace(c, target=c.target.doubting()) for c in problem.configurations)
+    return replace(problem, configurations=tuple(every))
 
 
 def short_solve(problem: Problem, members: Sequence[int], x: Float, turns: int) -> Choice:

@@ -47,11 +47,25 @@ class Weights:
         The same for 1 − MAC.
     shape : float
         Factor on the whole shape part; 0 leaves the shapes out.
+    independent : float
+        Number of independent errors in a shape, each a datum: 1 for what the model lacks, which is smooth, the channels
+        for noise (`alike.independent_errors`).
     """
 
     frequency: float = 0.01
     mac: float = 0.05
     shape: float = 1.0
+    independent: float = 1.0
+
+    @property
+    def of_shape(self) -> float:
+        """On the square of a shape's residual, 1 − MAC; 0 without shapes."""
+        return self.shape * self.independent / self.mac if self.shape else 0.0
+
+    @property
+    def data(self) -> float:
+        """Number of data that a mode gives."""
+        return 1 + self.independent if self.shape > 0 else 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +123,7 @@ class Target:
         A test mode that the model does not have then pulls no more than one without a partner. Shapes say which modes
         belong together: in a dense band some mode always has the right frequency.
         """
-        return replace(self, rule="capped", lost=DOUBT)
+        return replace(self, rule="capped", lost=DOUBT * max(self.weights.data / 2, 1.0))
 
     def settled(self, now: Linearisation) -> Target:
         """The same with the pairs that `doubting` makes at a point, for good; modes without a partner are not used.
@@ -234,7 +248,7 @@ def _costs(target: Target, s: Scores) -> Float:
     """What each pair adds to J, (m, n)."""
     w = target.weights
     root = 0.5 / np.sqrt(w.frequency**2 + target.std**2)
-    shape = (w.shape / w.mac if w.shape else 0.0) * (1 - s.merged)
+    shape = w.of_shape * (1 - s.merged)
     return np.asarray((root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + shape)
 
 
@@ -262,8 +276,8 @@ def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Re
     if w.shape > 0:
         for (t, _), group in zip(pairs[used].tolist(), spans(target, pairs[used], groups), strict=True):
             r, g = shape_residual(target, now, t, group)  # each pair has its own subspace
-            value.append(np.sqrt(w.shape / w.mac) * r)
-            slope.append(np.sqrt(w.shape / w.mac) * g)
+            value.append(np.sqrt(w.of_shape) * r)
+            slope.append(np.sqrt(w.of_shape) * g)
     return Residual(np.concatenate(value), np.concatenate(slope), pairs, mac, error, used)
 
 
@@ -321,7 +335,7 @@ def comparable_criteria(
         x and the prior standard deviations of each set.
     """
     counted = np.unique(np.concatenate([r.pairs[r.used, 0] for r in residuals]))
-    n = (2 if target.weights.shape > 0 else 1) * max(counted.size, 1) + residuals[0].more
+    n = target.weights.data * max(counted.size, 1) + residuals[0].more
     out = []
     for r, x, prior in zip(residuals, points, priors, strict=True):
         missing = counted.size - int(r.used.sum())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import zip_longest
 
 import numpy as np
 
@@ -30,16 +31,22 @@ NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
 
 def close(
-    model: Model, system: System, candidates: Sequence[Candidate], misfit: Float, slopes: Float, most: int
+    model: Model,
+    system: System,
+    candidates: Sequence[Candidate],
+    misfits: Sequence[tuple[Float, Float]],
+    most: int,
 ) -> Int:
     """The candidates that are looked at closely, ascending: of those that can be taken apart the first that explain.
 
     Parameters
     ----------
-    misfit, slopes : (n,), (n, p) float64
-        As in `explaining`.
+    misfits : sequence of (misfit (n,), slopes (n, p))
+        As in `explaining`; the first of each in turn.
     """
-    first = explaining(misfit, slopes, 2 * most)
+    orders = [explaining(misfit, slopes, 2 * most).tolist() for misfit, slopes in misfits]
+    turns = dict.fromkeys(i for turn in zip_longest(*orders) for i in turn if i is not None)
+    first = np.array(list(turns)[: 2 * most], dtype=np.int64)
     return np.sort(first[tractable(model, system, [candidates[i] for i in first.tolist()], most)])
 
 

@@ -18,9 +18,10 @@ from ringtrue.update.choose import Candidates, Choice, largest, orthogonal
 from ringtrue.update.identifiable import ALIKE, identifiability
 from ringtrue.update.localise import Variation, variation
 from ringtrue.update.objective import Residual, Target
+from ringtrue.update.search import Search
 from ringtrue.update.several import Problem
 from ringtrue.update.sparse import lasso_path
-from ringtrue.update.subsets import Search, Subsets, aicc, subsets
+from ringtrue.update.subsets import Subsets, aicc, subsets
 
 RIVAL = 2.0  # difference of AICc below which a model is as good (Burnham and Anderson 2002, section 2.6)
 WORTH_A_LOOK, LOOKS = 1.3, 6  # predicted J of a rival, in units of the proposal's; most that are fitted
@@ -203,7 +204,7 @@ def _explained(found: Subsets, errors: Mapping[str, Float], words: Sequence[str]
         float(np.abs(zero.frequency_error[zero.used]).mean()),
         _mean(np.abs(end.frequency_error[end.used])),
         np.array([zero.mac[zero.used].mean(), _mean(end.mac[end.used])]),
-        found.discrepancy,
+        np.array([found.found.frequency, found.found.mac]),
         _orders(search, zero, alone),
     )
 

@@ -306,14 +306,17 @@ class CrossOrthogonality:
         return rows_block((same - terms)[keep] / self.std, d_terms[keep] / self.std, rows)
 
 
-def reweighed(terms: Sequence[Term], frequency: float, mac: float) -> tuple[Term, ...]:
-    """The kinds with other model discrepancies of a frequency (relative) and of 1 − MAC; the rest as it is."""
+def reweighed(terms: Sequence[Term], frequency: float, mac: float, independent: float = 1.0) -> tuple[Term, ...]:
+    """The kinds with other model discrepancies of a frequency (relative) and of 1 − MAC; the rest as it is.
+
+    `independent` is the number of independent errors in a shape.
+    """
     out: list[Term] = []
     for t in terms:
         if isinstance(t, OF_FREQUENCY):
             out.append(replace(t, std=frequency))
         elif isinstance(t, Shapes):
-            out.append(replace(t, mac=mac))
+            out.append(replace(t, mac=mac, factor=independent * t.factor))
         else:
             out.append(replace(t, std=mac) if isinstance(t, Mac) else t)
     return tuple(out)

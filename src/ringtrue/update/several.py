@@ -43,10 +43,13 @@ class Configuration:
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", tuple(self.terms) or default_terms(self.target))
 
-    def weighed(self, frequency: float, mac: float) -> Configuration:
-        """The same with other model discrepancies of a frequency (relative) and of 1 − MAC, in target and terms."""
-        weights = replace(self.target.weights, frequency=frequency, mac=mac)
-        terms = reweighed(self.terms, frequency, mac)
+    def weighed(self, frequency: float, mac: float, independent: float = 1.0) -> Configuration:
+        """The same with other model discrepancies of a frequency (relative) and of 1 − MAC, in target and terms.
+
+        `independent` is the number of independent errors in a shape.
+        """
+        weights = replace(self.target.weights, frequency=frequency, mac=mac, independent=independent)
+        terms = reweighed(self.terms, frequency, mac, independent)
         return replace(self, target=replace(self.target, weights=weights), terms=terms)
 
     def at(self, x: Float, held: Int | None = None, *, slopes: bool = True) -> Point:

@@ -1,11 +1,12 @@
 """Which subset of many candidates explains a test: elimination from all at once, growing sets, exchange.
 
 1. Candidates to which the residuals are not sensitive are left out; one member stands for a cluster.
-2. Sets of growing size: the best addition by the bounded minimum of the linearised J, confirmed by a short updating
-   with new linearisations, or by J itself far from there; then exchange of members while J falls.
+2. Sets of growing size: the best addition, or the best two, by the bounded minimum of the linearised J, confirmed by a
+   short updating with new linearisations, or by J itself far from there; then exchange of members while J falls.
 3. All candidates are updated at once, held back by their priors; then the least useful go, one by one.
-4. What the best set leaves as residual replaces the assumed model discrepancy, and no pair costs more than a lost
-   mode: a test mode that no candidate explains then pulls none. The sets of 2 and 3 compete, members exchanged again.
+4. What the best set leaves as residual replaces the assumed model discrepancy, and a shape is as many data as it has
+   independent errors. No pair costs more than a lost mode: a test mode that no candidate explains then pulls none. The
+   sets of 2 and 3 compete, members exchanged again.
 5. The size is that of the lowest AICc plus the price of the search. Members of the same cluster join, as long as that
    falls; those that it gives no support leave.
 """
@@ -13,187 +14,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
 
-from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.progress import Progress, part
-from ringtrue.errors import InputError, NumericalError
-from ringtrue.update.choose import GAIN, TURNS, Candidates, Choice, predicted, short_update
-from ringtrue.update.identifiable import clusters
-from ringtrue.update.joint import joint_residual, sharper, short_solve
-from ringtrue.update.objective import Residual, Target, comparable_criteria, objective, residual
+from ringtrue.errors import InputError
+from ringtrue.update.alike import errors_of_shapes
+from ringtrue.update.choose import GAIN, Candidates, Choice
+from ringtrue.update.objective import Residual, Target, Weights, comparable_criteria
+from ringtrue.update.pool import NOISE
+from ringtrue.update.search import Search
 from ringtrue.update.several import Problem
 
 TRIALS = 2  # promising sets that are fitted in one round
-SENSITIVE = 0.05  # least effect of one prior standard deviation, in standard deviations of the residual
 AT_ONCE = 20  # Gauss-Newton steps with all candidates free
-POOL = 12  # candidates for an addition or exchange whose bounded prediction is computed
-STEPS = (-3.0, -1.5, 1.5, 3.0)  # prior standard deviations: how far a candidate is moved by itself
 TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
 TWICE = 2  # searches with the discrepancy that was found
 NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
-PRICE = 0.5  # γ: 0 follows the noise, 1 finds little that is small
+PRICE = 1.0  # γ: 0 follows the noise, 1 finds little that is small
 LATER = 2  # sizes beyond the best one that are looked at
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Search:
-    """The candidates, what they aim at, and which of them may enter.
-
-    With a `problem` over the same candidates all of its tests and data are aimed at; `target` is its first. So many as
-    were `passed_over` were compared with the same test before, and are paid for.
-    """
-
-    model: Candidates
-    target: Target
-    pool: Int
-    groups: Int
-    apart: Bool
-    size: Float
-    low: Float
-    high: Float
-    prior: Float
-    problem: Problem | None = None
-    passed_over: int = 0
-    seen: dict[bytes, Residual] = field(default_factory=dict)
-    done: dict[tuple[tuple[int, ...], bytes, int], Choice] = field(default_factory=dict)
-
-    @classmethod
-    def of(
-        cls,
-        model: Candidates,
-        target: Target,
-        alike: float,
-        apart: Bool | None,
-        problem: Problem | None = None,
-        passed_over: int = 0,
-    ) -> Search:
-        p = model.parameters
-        low, high = p.bounds()
-        start = _residual(model, target, problem, np.zeros(len(p)))
-        sensitive = start.slope * p.std()
-        size = np.linalg.norm(sensitive, axis=0)
-        groups = clusters(sensitive, alike)
-        none = np.zeros((len(p), len(p)), dtype=np.bool_)
-        return cls(
-            model,
-            target,
-            np.flatnonzero(size >= SENSITIVE),
-            groups,
-            none if apart is None else apart,
-            size,
-            low,
-            high,
-            p.std(),
-            problem,
-            passed_over,
-        )
-
-    @property
-    def modes(self) -> int:
-        """Number of used modes of all tests."""
-        aims = [self.target] if self.problem is None else [c.target for c in self.problem.configurations]
-        return sum(int(t.used.sum()) for t in aims)
-
-    @property
-    def data(self) -> float:
-        """Number of data: two a used mode, and what else was measured."""
-        return 2 * self.modes + self.point(np.zeros(self.prior.size)).more
-
-    def sharper(self, discrepancy: Float) -> Search:
-        """The same with the discrepancy (relative frequency, 1 − MAC) that was found, capped: see `Target.doubting`."""
-        w = replace(self.target.weights, frequency=float(discrepancy[0]), mac=float(discrepancy[1]))
-        aim = replace(self.target, weights=w).doubting()
-        more = None if self.problem is None else sharper(self.problem, w.frequency, w.mac)
-        return replace(self, target=aim, problem=more, seen={}, done={})
-
-    def point(self, x: Float) -> Residual:
-        """Residuals and sensitivities to all candidates at x, computed once."""
-        key = x.tobytes()
-        if key not in self.seen:
-            self.seen[key] = _residual(self.model, self.target, self.problem, x)
-        return self.seen[key]
-
-    def fit(self, members: Sequence[int], x: Float, turns: int = TURNS) -> Choice:
-        """A short updating from x, or from the nominal model where x cannot be solved; done once."""
-        x = np.clip(x, self.low, self.high)
-        key = (tuple(members), x.tobytes(), turns)
-        if key not in self.done:
-            try:
-                self.done[key] = self._updated(members, x, turns)
-            except NumericalError:
-                self.done[key] = self._updated(members, np.zeros(x.size), turns)
-        return self.done[key]
-
-    def _updated(self, members: Sequence[int], x: Float, turns: int) -> Choice:
-        if self.problem is not None:
-            return short_solve(self.problem, members, x, turns)
-        return short_update(self.model, self.target, members, x, turns)
-
-    def cost(self, x: Float) -> float:
-        """J at x, modes only; infinite where it cannot be solved."""
-        try:
-            if self.problem is not None:
-                return self.problem.cost(x)
-            return objective(self.target, residual(self.target, self.model.modes(x)), x, self.prior)
-        except NumericalError:
-            return np.inf
-
-    def far(self, now: Choice, free: Int) -> list[tuple[float, list[int], Float]]:
-        """Sets with one of `free` more, too far off for a linearisation: J, members and x (p,), the lowest first."""
-        out = []
-        for c, step in product(free.tolist(), STEPS):
-            x = np.where(np.arange(now.x.size) == c, np.clip(step * self.prior, self.low, self.high), now.x)
-            out.append((self.cost(x), [*now.members.tolist(), c], x))
-        return sorted(out, key=lambda o: o[0])
-
-    def refitted(self, c: Choice) -> Choice:
-        """A set of another search, updated in this one."""
-        return self.fit(c.members.tolist(), c.x) if c.members.size else c
-
-    def free(self, members: Sequence[int]) -> Int:
-        """Candidates that may stand beside the members: of other clusters, and not kept apart from any."""
-        at = np.array(members, dtype=np.int64)
-        beside = ~np.isin(self.groups[self.pool], self.groups[at]) & ~self.apart[np.ix_(self.pool, at)].any(axis=1)
-        return self.pool[beside]
-
-    def together(self) -> list[int]:
-        """As many candidates as may stand side by side, those of the largest effect first."""
-        out: list[int] = []
-        while (free := self.free(out)).size:
-            out.append(int(free[np.argmax(self.size[free])]))
-        return sorted(out)
-
-    def ahead(self, r: Residual, x: Float, at: Sequence[int], base: Float) -> float:
-        """J at the bounded minimum over `at`, linearised at x; `base` is the residual at x with others put to 0."""
-        i = list(at)
-        g, w = r.slope[:, i], self.prior[i] ** -2
-        load = base + g @ x[i]
-        y = np.linalg.solve(g.T @ g + np.diag(w), g.T @ load)
-        if (y >= self.low[i]).all() and (y <= self.high[i]).all():
-            return float(np.sum((load - g @ y) ** 2) + w @ y**2)
-        return predicted(g, base, x[i], w, self.low[i], self.high[i])
-
-    def best(
-        self, r: Residual, x: Float, stay: Sequence[int], free: Int, value: Float
-    ) -> list[tuple[float, list[int]]]:
-        """Sets `stay` + one of `free`, by predicted J; a cheap bound chooses the `POOL` that are looked at."""
-        i = list(stay)
-        g = r.slope * self.prior
-        rest = value + r.slope[:, i] @ x[i]
-        q = np.linalg.qr(np.concatenate([g[:, i], np.eye(len(i))]))[0] if i else np.zeros((g.shape[0], 0))
-        pad = np.zeros((len(i), free.size))
-        column = np.concatenate([g[:, free], pad]) if i else g[:, free]
-        column = column - q @ (q.T @ column)
-        left = np.concatenate([rest, np.zeros(len(i))])
-        left = left - q @ (q.T @ left)
-        gain = (column.T @ left) ** 2 / (np.sum(column**2, axis=0) + 1)
-        few = free[np.argsort(-gain, kind="stable")[:POOL]]
-        return sorted((self.ahead(r, x, [*i, c], value), [*i, c]) for c in few.tolist())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,19 +52,15 @@ class Subsets:
         The best set of each size from 0 on; the last is the one chosen.
     criteria : (k,) float64
         AICc and the price of the search.
-    discrepancy : (2,) float64
-        Relative frequency and 1 − MAC.
+    found : Weights
+        With the discrepancy that the best set leaves.
     """
 
     search: Search
     start: Residual
     path: list[Choice]
     criteria: Float
-    discrepancy: Float
-
-
-def _residual(model: Candidates, target: Target, problem: Problem | None, x: Float) -> Residual:
-    return residual(target, model.linearise(x)) if problem is None else joint_residual(problem, x)
+    found: Weights
 
 
 def subsets(
@@ -257,23 +95,23 @@ def subsets(
     if not start.used.any():
         raise InputError("no mode of the model is paired with one of the test: nothing can be localised from them")
     if not plain.pool.size:
-        return Subsets(plain, start, [none, none], _criteria(plain, [none, none]), _discrepancy(plain, none))
+        return Subsets(plain, start, [none, none], _criteria(plain, [none, none]), _found(plain, none))
     path = _path(plain, most, none, [], part(told, 0.0, 0.4))
-    sets, best = path[1:], _best(plain, path)
+    sets, first = path[1:], _best(plain, path)
     told(0.4, "all candidates together")
     whole = plain.fit(plain.together(), none.x, AT_ONCE)
-    search = plain.sharper(_discrepancy(plain, whole))
+    search = plain.sharper(_found(plain, whole))
     whole = search.fit(search.together(), whole.x, AT_ONCE)
     few = [c for c in _eliminated(search, whole, most, part(told, 0.4, 0.6)) if c.members.size <= most]
-    best = _best(plain, [best, plain.refitted(_best(search, few))])
-    found = _discrepancy(plain, best)
+    best = _best(search, [search.refitted(first), *few])
+    found = _found(search, best)
     sets, count = [*sets, *few], plain.point(best.x).used.sum()
     for _ in range(TWICE):
         search = plain.sharper(found)
         path = _path(search, most, none, [search.refitted(c) for c in sets], part(told, 0.6, 1.0))
         best = _best(search, path)
-        better = _discrepancy(search, best)
-        if search.point(best.x).used.sum() < count or np.abs(np.log(better / found)).max() < NEAR:
+        better = _found(search, best)
+        if search.point(best.x).used.sum() < count or _apart(better, found) < NEAR:
             break
         found, sets = better, path[1:]
     path.append(_pruned(search, _parted(search, best, most)))
@@ -308,6 +146,8 @@ def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: 
         free = search.free(stay)
         if not tried and free.size and r.used.any():
             tried += [search.fit(at, now.x) for _, at in search.best(r, now.x, stay, free, r.value)[:TRIALS]]
+        if k > 1:
+            tried += _in_pairs(search, path[-2])
         if search.target.rule == "gates" and r.used.sum() < search.modes:  # no slope sees a mode without partner
             here = search.cost(now.x)
             tried += [search.fit(at, x) for value, at, x in search.far(now, free)[:TRIALS] if value < here]
@@ -319,6 +159,15 @@ def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: 
             break
         told(k / most, f"{k} parameters: {', '.join(names[i] for i in path[-1].members.tolist())}")
     return path
+
+
+def _in_pairs(search: Search, now: Choice) -> list[Choice]:
+    """Sets with two members more."""
+    r, stay = search.point(now.x), now.members.tolist()
+    free = search.free(stay)
+    if free.size < 2 or not r.used.any():
+        return []
+    return [search.fit(at, now.x) for _, at in search.best_pairs(r, now.x, stay, free, r.value)[:TRIALS]]
 
 
 def _exchanged(search: Search, now: Choice) -> Choice:
@@ -346,7 +195,7 @@ def _parted(search: Search, now: Choice, most: int) -> Choice:
         alike = np.isin(search.groups[search.pool], search.groups[at]) & ~np.isin(search.pool, at)
         twins = search.pool[alike & ~search.apart[np.ix_(search.pool, at)].any(axis=1)]
         options = search.best(r, now.x, at, twins, r.value)[:TRIALS] if twins.size else []
-        tried = [search.fit(more, now.x) for value, more in options if value < (1 - GAIN) * now.value]
+        tried = [search.fit(more, now.x) for value, more in options if value < now.value - NOISE]
         rise = _criteria(search, [now, *tried])
         if rise.argmin() == 0:
             return now
@@ -396,17 +245,24 @@ def _best(search: Search, sets: Sequence[Choice]) -> Choice:
     return sets[int(np.argmin(_criteria(search, sets)))]
 
 
-def _discrepancy(search: Search, c: Choice) -> Float:
-    """Relative frequency and 1 − MAC that a set leaves, (2,), over the data that its parameters have left over."""
-    w, r = search.target.weights, search.point(c.x)
+def _apart(a: Weights, b: Weights) -> float:
+    """The largest change of the logarithm of a weight."""
+    return max(abs(float(np.log(p / q))) for p, q in zip(astuple(a), astuple(b), strict=True) if q)
+
+
+def _found(search: Search, c: Choice) -> Weights:
+    """With the relative frequency and 1 − MAC that a set leaves, over the data that its parameters have left over."""
+    w, r = search.assumed, search.point(c.x)
     n = int(r.used.sum())
     if not n:
-        return LOOSE * np.array([w.frequency, w.mac])
+        return replace(w, frequency=LOOSE * w.frequency, mac=LOOSE * w.mac)
     g = r.slope[:, c.members] * search.prior[c.members]
     normal = g.T @ g
     spent = float(np.trace(np.linalg.solve(normal + np.eye(len(normal)), normal)))
-    swell = 2 * n / max(2 * n - spent, 1.0)
+    data = search.target.weights.data * n
+    swell = data / max(data - spent, 1.0)
     f = float(np.sqrt(np.mean(r.frequency_error[r.used] ** 2) * swell))
     m = float(np.mean(1 - r.mac[r.used]) * swell)
     low, high = np.array([TIGHT * w.frequency, TIGHT**2 * w.mac]), LOOSE * np.array([w.frequency, w.mac])
-    return np.clip([f, m], low, high)
+    f, m = np.clip([f, m], low, high).tolist()
+    return replace(w, frequency=f, mac=m, independent=errors_of_shapes(search.target, search.model.modes(c.x)))

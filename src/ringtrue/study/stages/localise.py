@@ -22,7 +22,7 @@ from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import effective, force_residual
+from ringtrue.update.effects import effective, misfits
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import identifiability
 from ringtrue.update.joint import joint_residual
@@ -102,9 +102,7 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     lam, vectors = (2 * np.pi * modes.frequencies) ** 2, np.asarray(system.local @ modes.shapes)
     some, lost = effective(model, system, every, lam, vectors)
     seen = desk.bridge(desk.remodelled)(modes.shapes)[desk.rows(found.reference.channels)]
-    near = close(
-        model, system, some, *force_residual(model, system, some, lam, vectors, seen, target(desk)), asked.pool
-    )
+    near = close(model, system, some, misfits(model, system, some, lam, vectors, seen, target(desk)), asked.pool)
     return _Pool(
         tuple(some[i] for i in near.tolist()),
         len(every),
