@@ -62,20 +62,20 @@ def test_twins_are_named_with_the_one_that_is_chosen() -> None:
 
 
 def test_two_errors_that_cancel_are_found_in_the_shapes() -> None:
-    """A chain held at both ends, a spring 30 % too stiff and its mirror 25 % too soft, 3 % noise on the shapes: the
-    frequencies shift by less than half a percent, and neither spring pays alone."""
+    """A chain held at both ends, a spring 15 % too stiff and its mirror 13 % too soft, 3 % noise on the shapes: neither
+    spring pays alone, and a shape that counts as one datum shows too little."""
     n = 20
     ends = np.eye(n + 1, n) - np.eye(n + 1, n, k=-1)
     springs = 1e6 * np.einsum("si,sj->sij", ends, ends)
     model = DenseModel.springs(springs.sum(axis=0), np.eye(n), springs, parameters(n + 1, std=0.3))
     x = np.zeros(n + 1)
-    x[[4, n - 4]] = np.log([1.3, 0.75])
+    x[[7, n - 7]] = np.log([1.15, 0.87])
     aim, rng = aim_at(model, x, 10), np.random.default_rng(3)
     noise = 0.03 * np.abs(aim.shapes).max(axis=0) * rng.standard_normal(aim.shapes.shape)
-    aim = replace(aim, frequencies=aim.frequencies * (1 + 0.001 * rng.standard_normal(10)), shapes=aim.shapes + noise)
+    aim = replace(aim, frequencies=aim.frequencies * (1 + 0.002 * rng.standard_normal(10)), shapes=aim.shapes + noise)
     found = propose(model, aim, most=5)
-    assert {m.name for m in found.members} == {"p4", f"p{n - 4}"}
-    np.testing.assert_allclose(found.x, x, atol=0.06)
+    assert {m.name for m in found.members[:2]} == {"p7", f"p{n - 7}"}
+    np.testing.assert_allclose(found.x, x, atol=0.04)
 
 
 def test_a_right_model_is_changed_no_more_than_its_noise() -> None:
