@@ -19,10 +19,10 @@ from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, Upda
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import as_delivered, others_at
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.alike import effective_freedom, energy_shares, independent_errors, likeness
+from ringtrue.update.alike import effective_freedom, energy_shares, errors_of_shapes, likeness
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
-from ringtrue.update.objective import Target, Weights, match, shape_residual, spans
+from ringtrue.update.objective import Target, Weights, match
 from ringtrue.update.plausible import form_flags, kept, plausibility
 from ringtrue.update.pool import conflicts, of_parameter
 from ringtrue.update.posterior import Posterior, around, as_likelihood
@@ -72,7 +72,8 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
         Configuration(every, paired, terms_of(desk, OWN, every, desk.config.update)),
         *_whole(desk, best, whole, early),
     )
-    freedom, many = _freedom(desk, every, at, final, held, likely.target), _independent(paired, model, x)
+    freedom = _freedom(desk, every, at, final, held, likely.target)
+    many = errors_of_shapes(replace(paired, used=np.ones_like(paired.used)), model.modes(x))
     among, slope = _posterior(desk, full, likely.target.weights, whole, best.parameters, freedom, many)
     posterior = among.take([every.parameters.names.index(n) for n in best.parameters])
     told = _result(posterior, among, aim, likely.target, slope, final, held, asked.level)
@@ -161,15 +162,6 @@ def _freedom(desk: Workbench, every: AtChannels, x: Float, final: FinalStage, he
     share = of_form / (of_form + float(np.mean(likely.std**2)))
     opened = desk.remodelled
     return effective_freedom(likeness(energy_shares(opened.model, opened.analysis.system, vectors))) / share**2
-
-
-def _independent(paired: Target, model: AtChannels, x: Float) -> float:
-    """Number of independent errors in a shape, by the pairs of the delivered deck."""
-    assert paired.fixed is not None
-    now, (pairs, groups) = model.modes(x), paired.fixed
-    of = spans(paired, pairs, groups)
-    rest = [shape_residual(paired, now, t, g)[0] for t, g in zip(pairs[:, 0].tolist(), of, strict=True)]
-    return independent_errors(np.stack(rest, axis=1), np.array([g.size for g in of]), now.shapes)
 
 
 def _likelihood(found: Configuration, independent: float) -> Configuration:
