@@ -82,7 +82,7 @@ class Proposal:
     sizes : (k,) int64
         Numbers of parameters that were tried.
     criteria : (k,) float64
-        AICc of the best set of each size, plus the logarithm of the number of sets of that size.
+        AICc of the best set of each size, plus twice the logarithm of the number of sets of that size.
     insensitive : tuple of str
         Candidates that the residuals do not depend on.
     clusters : (p,) int64
