@@ -71,12 +71,23 @@ def edited(main: Path, *changes: FieldChange) -> tuple[bytes, bytes]:
         (FieldChange("MAT1", 2, "G", 8e10), b"2.1+11          .3", b"2.1+11     8.+10.3"),
         (FieldChange("PBUSH", 5, "K2", 8.0), b"1.234567      3.", b"     8.0      3."),
         (FieldChange("PBUSH", 6, "B2", 8.0), b"     .12", b"     .12     8.0"),
+        (FieldChange("PBUSH", 6, "K1", 8.0), b"     .12", b"     .12\n+                      K     8.0\n"),
+        (FieldChange("PBUSH", 5, "GE", 0.5), b"      3.\n", b"      3.\n+                     GE     0.5\n"),
     ],
     ids=lambda v: f"{v.card}{v.id}.{v.field}" if isinstance(v, FieldChange) else "",
 )
 def test_one_field_changes_and_nothing_else(main: Path, change: FieldChange, old: bytes, new: bytes) -> None:
     assert PROPS.count(old) == 1
     assert edited(main, change) == (MAIN, PROPS.replace(old, new))
+
+
+@pytest.mark.parametrize("card", ["PBUSH,7,K,5.", "PBUSH*                 7               K              5."])
+def test_damping_gets_lines_of_its_own_on_a_spring(tmp_path: Path, card: str) -> None:
+    path = tmp_path / "deck.bdf"
+    path.write_text(f"BEGIN BULK\n{card}\n")
+    changes = [FieldChange("PBUSH", 7, "GE", 0.1), FieldChange("PBUSH", 7, "B3", 2.0)]
+    bush = read_deck(edit_fields(read_deck(path), changes, tmp_path / "new")[0])["PBUSH"]
+    assert [bush[f][0] for f in ("K1", "GE", "B1", "B3")] == [5.0, 0.1, 0.0, 2.0]
 
 
 def test_no_change_is_a_copy(main: Path) -> None:
@@ -94,7 +105,6 @@ def test_several_changes_of_a_card_and_its_new_line(main: Path) -> None:
     [
         (FieldChange("MAT1", 9, "E", 1.0), InputError, "MAT1 9 is not in the model; the nearest ids are"),
         (FieldChange("MAT1", 1, "RO", 1.0), InputError, "did you mean 'RHO'"),
-        (FieldChange("PBUSH", 6, "K1", 1.0), DeckError, r"p\.bdf:10: PBUSH 6 field K1: the card has no place"),
         (FieldChange("PBAR", 1, "A", float("nan")), InputError, "nan cannot stand"),
         (FieldChange("PBAR", 1, "MID", 1.5), InputError, "must be an integer"),
         (FieldChange("GRID", 1, "CP", 123456789), InputError, "does not fit"),

@@ -178,13 +178,20 @@ def _read_h5(path: Path) -> ModeSet:
 
 
 def read_std(path: str | Path) -> tuple[Float, Float]:
-    """Standard deviations in a file that `read_modes` reads: of frequencies (m,) Hz, of damping (m,); NaN: none."""
+    """Standard deviations in a file that `read_modes` reads; NaN where it has none.
+
+    Returns
+    -------
+    frequency : (m,) float64, Hz
+    damping : (m,) float64, of the ratio
+    """
     path = Path(path)
     modes = read_modes(path)
     if path.suffix.lower() == ".json":
         rows = json.loads(path.read_text(encoding="utf-8"))["modes"]
-        f, z = ([_float(row.get(key)) for row in rows] for key in ("std_frequency_hz", "std_damping"))
-        return np.array(f, dtype=np.float64), np.array(z, dtype=np.float64)
+        keys = ("std_frequency_hz", "std_damping")
+        frequency, damping = (np.array([_float(row.get(k)) for row in rows], dtype=np.float64) for k in keys)
+        return frequency, damping
     if path.suffix.lower() in _HDF5:
         with h5py.File(path, "r") as file:
             found = codec.load(file["uncertainty"]) if "uncertainty" in file else None

@@ -16,7 +16,7 @@ from ringtrue.io.atomic import atomic_write
 from ringtrue.io.nastran.deck import load
 from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.lexer import LineFields, real, split_line
-from ringtrue.io.nastran.places import field_place, inherited
+from ringtrue.io.nastran.places import bush_flag, field_place, inherited
 from ringtrue.io.nastran.writer import format_field
 from ringtrue.model.cards import columns
 from ringtrue.model.edit import BOTH_ENDS, FieldChange, ply_field, resolve_target
@@ -180,6 +180,8 @@ def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:
         place = field_place(name, _texts(lines), change.id, change.field)
         if _inherits(change, place, lines, given):
             continue
+        if place is None and name == "PBUSH":
+            place = _bush_place(lines, change.id, change.field)
         if place is None:
             why = "the card has no place for it"
             raise DeckError(why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field)
@@ -192,6 +194,12 @@ def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:
         contents[f].lines[n - 1] = lines[i].whole
     f, n = at[-1]
     contents[f].lines[n - 1] += b"".join(x.whole for x in lines[len(at) :])
+
+
+def _bush_place(lines: list[_Line], id: int, field: str) -> int | None:
+    """The place of a field on a new line of a PBUSH, which gets the line's flag."""
+    _set(lines, -(-_starts(lines)[-1] // 8) * 8 + 1, bush_flag(field))
+    return field_place("PBUSH", _texts(lines), id, field)
 
 
 def _inherits(

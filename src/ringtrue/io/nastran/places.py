@@ -102,10 +102,15 @@ def inherited(name: str, fields: Sequence[str], field: str) -> tuple[int, str] |
     return places[number], next((fields[i] for i in reversed(places[:number]) if fields[i]), "")
 
 
+def bush_flag(field: str) -> str:
+    """K, B, GE, ...: what the line of a PBUSH begins with that holds the field."""
+    return next(flag for flag, names in BUSH.items() if field in names)
+
+
 def _of_bush(fields: Sequence[str], field: str) -> int | None:
-    flag = next((f for f, names in BUSH.items() if field in names), None)
+    flag = bush_flag(field)
     at = next((i for i in range(1, len(fields), 8) if fields[i] == flag), None)
-    return None if at is None or flag is None else at + 1 + BUSH[flag].index(field)
+    return None if at is None else at + 1 + BUSH[flag].index(field)
 
 
 def _of_beam(fields: Sequence[str], field: str) -> int | None:

@@ -66,7 +66,7 @@ def measured(reference: Reference, table: CorrelationTable, rigid: CorrelationTa
     high = _partners("test", reference.elastic, reference.elastic_std, table)
     fe, f, ratio, std, used = (np.concatenate(p) for p in zip(low[1:], high[1:], strict=True))
     names = low[0] + high[0]
-    good = np.flatnonzero((ratio > 0) & (hertz[fe] > 0))
+    good = np.flatnonzero((ratio > 0) & ~np.isinf(std) & (hertz[fe] > 0))
     return _Measured(
         fe[good],
         tuple(names[i] for i in good.tolist()),
@@ -83,7 +83,7 @@ def _partners(
 ) -> tuple[list[str], Int, Float, Float, Float, Bool]:
     a, b = table.pairing.a, table.pairing.b
     names = [f"{what} mode {i + 1}" for i in a.tolist()]
-    return names, b, modes.frequencies[a], modes.damping[a], np.nan_to_num(std.damping[a]), table.used
+    return names, b, modes.frequencies[a], modes.damping[a], std.damping[a], table.used
 
 
 def nothing(why: str) -> DampingStage:
@@ -158,7 +158,7 @@ def run(desk: Workbench, progress: Progress) -> DampingStage:
     values = np.concatenate([p.values for p in parts])
     at = np.concatenate([p.at + k for p, k in zip(parts, first, strict=False)])
     ratio, std, use = (np.concatenate([getattr(p.test, n) for p in parts]) for n in ("ratio", "std", "used"))
-    std = np.hypot(std, desk.config.damping.error * ratio)
+    std = np.hypot(np.nan_to_num(std), desk.config.damping.error * ratio)  # of modes of a file it may not be known
     fit = fit_poles(values, whole.mechanisms, ratio[use], std[use], at[use], base=whole.base)
     after = mode_damping(values, whole.mechanisms, fit, at)
     ends = np.cumsum([0, *(p.at.size for p in parts)]).tolist()

@@ -14,7 +14,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
 from ringtrue.io.nastran.edit import edit_fields
-from ringtrue.model.edit import FieldChange, field_changes
+from ringtrue.model.edit import FieldChange, field_changes, field_value
 from ringtrue.model.model import Model
 from ringtrue.study.evidence import followed, frf_evidence, on_sheet, synthesised
 from ringtrue.study.opened import Opened
@@ -53,7 +53,7 @@ def said(model: Model, change: FieldChange) -> str:
     table = model[change.card]
     row = int(table.find(np.array([change.id]))[0])
     place = f"{Path(model.files[int(table.file[row])]).name}:{int(table.line[row])}"
-    old = float(table[change.field][row])
+    old = float(field_value(model, change))
     return f"{place} {change.card} {change.id} {change.field} {old:.6g} -> {float(change.value):.6g}"
 
 

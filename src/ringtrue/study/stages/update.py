@@ -8,6 +8,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress, part
+from ringtrue.model.edit import field_value
 from ringtrue.study.iterates import Iterates
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
 from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
@@ -85,9 +86,7 @@ def _values(desk: Workbench, best: SetResult, factor: Float) -> list[float]:
     candidates = {p.name: p for p in desk.parameters.parameters}
     out = []
     for name, a in zip(best.parameters, factor.tolist(), strict=True):
-        t = candidates[name].targets[0]
-        table = desk.remodelled.model[t.card]
-        out.append(float(table[t.field][table.find(np.array([t.id]))[0]]) * a)
+        out.append(float(field_value(desk.remodelled.model, candidates[name].targets[0])) * a)
     return out
 
 
