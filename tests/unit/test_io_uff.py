@@ -9,7 +9,8 @@ import pytest
 
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.io.frfs import read_frfs
+from ringtrue.identify.lsfd import driving_pairs
+from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.records import read_record
 from ringtrue.io.uff.function58 import write_function
@@ -224,12 +225,22 @@ def test_a_motion_over_that_of_the_base_is_read_as_an_acceleration(tmp_path: Pat
     f, h = np.arange(1, 9) * 0.5, np.arange(1, 9) * (1 + 1j)
     (tmp_path / "f.uff").write_bytes(write_function(kind, f, h, (1, 3), (2, 3), codes=(18, 12, 12)))
     frfs = read_frfs(tmp_path / "f.uff")
-    assert (frfs.kind, frfs.inputs[0].id) == ("accelerance", "2+Z")
+    assert (frfs.kind, frfs.inputs[0].id, frfs.inputs[0].quantity) == ("accelerance", "base 2+Z", "acceleration")
+    assert holds_frfs(tmp_path / "f.uff")
     np.testing.assert_allclose(frfs.data[:, 0, 0], h, rtol=1e-6)
     table = tmp_path / "f.csv"
     rows = [f"{a},{b.real},{b.imag}" for a, b in zip(f, h, strict=True)]
     table.write_text("\n".join(["Frequency [Hz],1+Z/2+Z real [m/s^2/g],1+Z/2+Z imag [m/s^2/g]", *rows]))
     np.testing.assert_allclose(read_frfs(table).data[:, 0, 0], h / 9.80665, rtol=1e-9)
+
+
+def test_the_control_channel_on_the_base_is_no_driving_point(tmp_path: Path) -> None:
+    rows = [f"{f},{3 * f},1,1,0" for f in range(1, 9)]
+    head = "Frequency [Hz],1+Z/2+Z real [g/g],1+Z/2+Z imag [g/g],2+Z/2+Z real [g/g],2+Z/2+Z imag [g/g]"
+    (tmp_path / "f.csv").write_text("\n".join([head, *rows]))
+    frfs = read_frfs(tmp_path / "f.csv")
+    assert [c.id for c in frfs.outputs] == ["1+Z", "2+Z"]
+    assert driving_pairs(frfs) == []
 
 
 def test_a_force_over_a_motion_is_no_frf(tmp_path: Path) -> None:

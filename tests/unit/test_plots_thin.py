@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from ringtrue.plots.thin import thinned
+from ringtrue.plots.updating import factor_ticks
 from ringtrue.study.results import Scene
 
 
@@ -43,3 +45,12 @@ def test_a_thinned_plate_keeps_its_area_and_groups() -> None:
 def test_what_is_small_enough_stays() -> None:
     whole = plate(10)
     assert thinned(whole, 100) is whole
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.93, 1.21), (0.999, 1.002), (0.4, 2.5), (0.05, 20.0), (3.0, 5.5), (1.0, 1.0)]
+)
+def test_factors_have_ticks_to_read_them_by(low: float, high: float) -> None:
+    ticks = np.array(factor_ticks(low, high))
+    inside = ticks[(ticks >= low * (1 - 1e-9)) & (ticks <= high * (1 + 1e-9))]
+    assert min(2, 1 + (high > low)) <= inside.size <= 15

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import FRF_KIND, SI_UNIT
+from ringtrue.core.motions import FRF_KIND, SI_UNIT, base_motion
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError
 from ringtrue.io.delimited import read_columns
@@ -77,8 +77,9 @@ def read_frf_table(path: Path) -> FrfSet:
     shape = (freqs.size, len(outputs), len(inputs))
     h, coherence = np.full(shape, np.nan, dtype=np.complex128), np.full(shape, np.nan)
     kinds = {k: _kind(units.get(k, ""), path) for k in parts}
-    if len({kind for kind, _ in kinds.values()}) > 1:
-        raise DataError(f"{path}: responses of several kinds: {', '.join(sorted({k for k, _ in kinds.values()}))}")
+    if len({k[0] for k in kinds.values()}) > 1:
+        raise DataError(f"{path}: responses of several kinds: {', '.join(sorted({k[0] for k in kinds.values()}))}")
+    based = {key[1] for key, k in kinds.items() if k[2]}
     for key, columns in parts.items():
         o, i = outputs.index(key[0]), inputs.index(key[1])
         title = {p: names[at] for p, at in columns.items()}
@@ -93,7 +94,7 @@ def read_frf_table(path: Path) -> FrfSet:
         h,
         freqs,
         tuple(Channel(n, kind, SI_UNIT[kind]) for n in outputs),
-        tuple(Channel(n, "force", "N") for n in inputs),
+        tuple(base_motion(n) if n in based else Channel(n, "force", "N") for n in inputs),
         coherence,
         np.full(len(inputs), np.nan),
         FRF_KIND[kind],
@@ -136,13 +137,13 @@ def _complex(columns: Mapping[str, Float], title: Mapping[str, str], key: Sequen
     )
 
 
-def _kind(unit: str, path: Path) -> tuple[Quantity, float]:
-    """Quantity of the response and the factor to SI of a unit such as `m/s^2/N`, `(mm/s)/lbf`, `dB re 1 g/N`."""
+def _kind(unit: str, path: Path) -> tuple[Quantity, float, bool]:
+    """Quantity of the response, the factor to SI of a unit such as `dB re 1 g/N`, and whether it is over a base."""
     level = _LEVEL.search(unit)
     one = float(level["one"] or 1) if level else 1.0
     text = _LEVEL.sub("", unit).strip(" ,()")
     if not text or text.lower() in ("deg", "rad", "°", "-"):
-        return "acceleration", one
+        return "acceleration", one, False
     over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
     quantity, factor, _ = to_si(over) if known(over) else ("unknown", 1.0, "")
     if quantity not in FRF_KIND or not known(under) or to_si(under)[0] not in ("force", quantity):
@@ -150,6 +151,7 @@ def _kind(unit: str, path: Path) -> tuple[Quantity, float]:
             f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, mm/N, or over the same "
             "motion of the base, g/g"
         )
-    if to_si(under)[0] == quantity:  # like the accelerations of a held base for a force of inertia, constants apart
+    based = to_si(under)[0] == quantity
+    if based:  # like the accelerations of a held base for a force of inertia, constants apart
         quantity = "acceleration"
-    return quantity, one * factor / to_si(under)[1]
+    return quantity, one * factor / to_si(under)[1], based

@@ -21,7 +21,7 @@ from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing
 from ringtrue.io.frf_arrays import holds_frf_arrays, read_frf_arrays
 from ringtrue.io.frf_tables import is_frf_table, read_frf_table
-from ringtrue.io.uff.function58 import FRF
+from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY
 from ringtrue.io.uff.functions import read_frf_sets, read_functions, write_frf_sets
 
 GROUP = "frfs"
@@ -86,7 +86,7 @@ def holds_frfs(path: str | Path) -> bool:
     path = existing(path)
     ext = path.suffix.lower()
     if ext in _UFF:
-        return any(f.kind == FRF for f in read_functions(path))
+        return any(f.kind in (FRF, TRANSMISSIBILITY) for f in read_functions(path))
     if ext in _TEXT:
         return is_frf_table(path)
     if ext in _HDF5:

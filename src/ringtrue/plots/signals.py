@@ -23,7 +23,12 @@ from ringtrue.plots.style import (
 from ringtrue.study.results import FinalStage, RecordSummary
 
 PHASE = {"(m/s²)/N": 90, "(m/s)/N": 0, "m/N": -90}  # of a driving point at resonance, degrees
-FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
+_FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
+
+
+def frf_unit(data: FrfSet) -> str:
+    """Of its values; of transmissibilities 1."""
+    return _FRF_UNITS[data.kind] if all(c.quantity == "force" for c in data.inputs) else "1"
 
 
 def record(summary: RecordSummary, unit: str) -> go.Figure:
@@ -73,14 +78,21 @@ def frfs(data: FrfSet, cmif: Float, marks: Float, top: float = np.inf) -> go.Fig
     fig = figure(
         560,
         xaxis=axis(domain=[0, 1], anchor="y", matches="x2", showticklabels=False),
-        yaxis=axis(f"Im H, {FRF_UNITS[data.kind]}", domain=[0.5, 1], exponentformat="power"),
+        yaxis=axis(f"Im H, {frf_unit(data)}", domain=[0.5, 1], exponentformat="power"),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
-        yaxis2=log_axis(f"CMIF, {FRF_UNITS[data.kind]}", domain=[0, 0.44], anchor="x2", dtick=1),
+        yaxis2=log_axis(f"CMIF, {frf_unit(data)}", domain=[0, 0.44], anchor="x2", dtick=1),
     )
     for j, c in enumerate(data.inputs):
         x, y = joined(*_imaginary(data, j, shown))
         line = {"width": 0.6, "color": QUALITATIVE[j % 8]}
-        fig.add_scatter(x=x, y=y, line=line, opacity=0.65, name=f"force at {c.id}", hoverinfo="skip")
+        fig.add_scatter(
+            x=x,
+            y=y,
+            line=line,
+            opacity=0.65,
+            name=f"force at {c.id}" if c.quantity == "force" else c.id,
+            hoverinfo="skip",
+        )
         fig.data[-1].meta = {"overlay": data.data.shape[1]}
     for j in range(cmif.shape[1]):
         at, y = thinned(cmif[shown, j][None], 1500)

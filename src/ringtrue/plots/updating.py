@@ -65,14 +65,25 @@ def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     return fig
 
 
+def factor_ticks(low: float, high: float) -> list[float]:
+    """Round factors from `low` to `high`: equal steps within a factor of two, else 1, 2, 3, 5, 7 of each decade."""
+    if high > 2 * low:
+        return [m * 10.0**k for k in range(-3, 4) for m in (1, 2, 3, 5, 7)]
+    step = next(s for s in (m * 10.0**k for k in range(-4, 4) for m in (1, 2, 5)) if high - low <= 8 * s)
+    return [k * step for k in range(int(np.ceil(low / step)), int(high / step) + 1)]
+
+
 def path(result: SetResult) -> go.Figure:
     """Factors of the parameters by iteration, with one standard deviation at the end."""
+    end, spread = result.path[-1], np.nan_to_num(result.path[-1] * result.std)
+    shown = np.concatenate([result.path.ravel(), end - spread, end + spread])
+    ticks = factor_ticks(max(float(shown.min(initial=1.0)), 1e-3), float(shown.max(initial=1.0)))
     fig = figure(
         320,
         xaxis=axis("Iteration", **_whole(result.path.shape[0], 18)),
-        yaxis=axis("Updated / initial", type="log", minor={"ticks": "outside"}),
+        yaxis=axis("Updated / initial", type="log"),
     )
-    fig.layout.yaxis.update(tickvals=[0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 20, 50], ticktext=None)
+    fig.layout.yaxis.update(tickvals=ticks, ticktext=[f"{t:.6g}" for t in ticks])
     one = {
         "type": "line",
         "xref": "paper",

@@ -10,7 +10,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import NAMES, DofSet
-from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT
+from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT, base_motion
 from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.atomic import atomic_write
@@ -183,13 +183,14 @@ def read_frf_sets(path: str | Path) -> FrfSet:
     coherences = [f for f in functions if f.kind == COHERENCE and _same_lines(f.x, freqs)]
     coherence = _place(coherences, _ends(coherences), freqs, outputs, inputs).real
     kind = _one_kind(outputs, path)
+    based = {ref for (_, ref), f in zip(ends, frfs, strict=True) if _on_base(f)}
     if freqs[0] == 0 and not np.isfinite(data[0]).all():  # 0/0 at 0 Hz
         freqs, data, coherence = freqs[1:], data[1:], coherence[1:]
     return FrfSet(
         _as_kind(data, freqs, outputs, kind),
         freqs,
         tuple(replace(c, quantity=kind, unit=_SI.get(kind, "")) for c in outputs),
-        inputs,
+        tuple(base_motion(c.id) if c.id in based else c for c in inputs),
         np.ascontiguousarray(coherence),
         np.full(len(inputs), np.nan),
         FRF_KIND.get(kind, "accelerance"),
@@ -222,13 +223,18 @@ def _si(f: Function, units: Units | None) -> tuple[Quantity, float]:
     over, under = f.axes[1], f.axes[2]
     text, tail = over.unit.strip(), under.unit.strip()
     base = _QUANTITY.get(under.data_type, "unknown")
-    if f.kind == TRANSMISSIBILITY or base in FRF_KIND:
+    if _on_base(f):
         (what, size), (_, moved) = _motion(text, over.data_type, units), _motion(tail, under.data_type, units)
         return "acceleration" if what in ("unknown", base) or base == "unknown" else what, size / moved
     if not _measures(tail, "force") and _measures(text.rpartition("/")[2], "force"):
         text, _, tail = text.rpartition("/")
     quantity, motion = _motion(text, over.data_type, units)
     return quantity, motion / (to_si(tail)[1] if _measures(tail, "force") else _factor("force", units))
+
+
+def _on_base(f: Function) -> bool:
+    """Whether it is a motion over the motion of a base."""
+    return f.kind == TRANSMISSIBILITY or _QUANTITY.get(f.axes[2].data_type, "unknown") in FRF_KIND
 
 
 def _motion(unit: str, data_type: int, units: Units | None) -> tuple[Quantity, float]:

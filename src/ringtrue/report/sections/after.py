@@ -22,9 +22,8 @@ def section(data: Stages) -> Section | None:
     if f.evidence is not None and f.evidence.frfs is not None:
         blocks += [Heading("Measured against computed responses"), *_agreement(f.evidence.frfs)]
     if len(f.frf_channels):
-        unit = signals.FRF_UNITS["accelerance"]
-        if data.identify is not None and data.identify.frfs is not None:
-            unit = signals.FRF_UNITS[data.identify.frfs.kind]
+        measured = data.identify.frfs if data.identify is not None else None
+        unit = signals.frf_unit(measured) if measured is not None else "(m/s²)/N"
         blocks.append(Heading("FRFs at the driving points"))
         caption = "FRF (response / force) measured, of the initial and of the final model."
         blocks += [Plot(signals.frf_pair(f, k, unit), caption) for k in range(len(f.frf_channels))]
