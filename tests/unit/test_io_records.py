@@ -100,6 +100,18 @@ def test_refuses_bad_arrays(tmp_path: Path, array: np.ndarray, rate: float | Non
         read_record(tmp_path / "r.npy", rate)
 
 
+def test_missing_rows_and_samples_are_told_with_what_to_do(tmp_path: Path) -> None:
+    rows = [f"{i / 100:.2f},{np.sin(i):.5f},{np.cos(i):.5f}" for i in range(2000)]
+    head = "Time [s],a,b"
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join([head, *rows[:400], *rows[650:900], *rows[903:]]))
+    with pytest.raises(DataError, match=r"samples are missing: 2.51 s behind row 400, 0.04 s behind row 650, where"):
+        read_record(path)
+    path.write_text("\n".join([head, *rows[:7], "0.07,,1.0", *rows[8:]]))
+    with pytest.raises(DataError, match=r"in a \(1\) of 2000 samples each; leave"):
+        read_record(path)
+
+
 def test_refuses_rates_that_disagree(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="time column"):
         read_record(as_csv(tmp_path / "r"), 128.0)
@@ -110,7 +122,7 @@ def test_refuses_rates_that_disagree(tmp_path: Path) -> None:
         file["record"].attrs["rate"] = 0.0
     with pytest.raises(DataError, match="attribute rate"):
         read_record(tmp_path / "r.h5")
-    (tmp_path / "u.csv").write_text("time,a\n0,1\n1,2\n5,0\n6,3\n")
+    (tmp_path / "u.csv").write_text("time,a\n0,1\n1,2\n2.3,0\n5,0\n6,3\n")
     with pytest.raises(DataError, match="uneven"):
         read_record(tmp_path / "u.csv")
 

@@ -228,12 +228,25 @@ def even_rate(t: Float, named: bool, path: Path) -> float | None:
     mean = float(step.mean())
     if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max() and not _rounded(t):
         if named:
-            at = int(np.abs(step - mean).argmax())
-            raise DataError(
-                f"{path}: the time column has uneven steps: {step[at]:g} s at row {at + 1}, mean {mean:g} s"
-            )
+            raise DataError(f"{path}: {_uneven(step)}")
         return None
     return 1 / mean
+
+
+def _uneven(step: Float) -> str:
+    """What is wrong with steps of time: gaps between stretches of even ones, or no even ones at all."""
+    usual = float(np.median(step))
+    odd = np.abs(step - usual) > 0.05 * usual
+    gaps = np.flatnonzero(odd & (step > 1.5 * usual))
+    if 0 < gaps.size == odd.sum():
+        rows = ", ".join(f"{step[g]:g} s behind row {g + 1}" for g in gaps[:3].tolist())
+        more = f" and {gaps.size - 3} more" if gaps.size > 3 else ""
+        return (
+            f"samples are missing: {rows}{more}, where a step is {usual:g} s. Cut the file there, each part with its "
+            "header: the parts are records of their own, of an ambient test in the log as well"
+        )
+    at = int(np.abs(step - step.mean()).argmax())
+    return f"the time column has uneven steps: {step[at]:g} s at row {at + 1}, mean {step.mean():g} s"
 
 
 def _rounded(t: Float) -> bool:

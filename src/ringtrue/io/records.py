@@ -315,8 +315,13 @@ def refuse_bad_samples(history: TimeHistory, path: Path, check: bool = True) -> 
     low, high = history.data.min(axis=1), history.data.max(axis=1)
     bad = ~(np.isfinite(low) & np.isfinite(high))
     if bad.any():
-        names = [c.id for c, b in zip(history.channels, bad, strict=True) if b]
-        raise DataError(f"{path}: NaN or infinite samples in {' '.join(names[:8])}; leave these channels out")
+        at = np.flatnonzero(bad)[:8]
+        lost = (~np.isfinite(history.data[at])).sum(axis=1).tolist()
+        told = ", ".join(f"{history.channels[i].id} ({n})" for i, n in zip(at.tolist(), lost, strict=True))
+        raise DataError(
+            f"{path}: NaN or infinite samples in {told} of {history.data.shape[1]} samples each; leave "
+            "these channels out, or fill single samples in the file by interpolation"
+        )
     if (low == high).any():
         names = [c.id for c, b in zip(history.channels, low == high, strict=True) if b]
         raise DataError(f"{path}: channel {' '.join(names[:8])} is constant: a dead sensor; leave it out")
