@@ -112,6 +112,16 @@ def test_missing_rows_and_samples_are_told_with_what_to_do(tmp_path: Path) -> No
         read_record(path)
 
 
+@pytest.mark.parametrize("samples", [500, 4321, 8192])
+def test_times_with_few_decimals_have_the_rate_of_the_recorder(tmp_path: Path, samples: int) -> None:
+    rows = [f"{i / 1024:.6f},{np.sin(i):.5f}" for i in range(samples)]
+    (tmp_path / "r.csv").write_text("\n".join(["Time [s],a", *rows]))
+    assert read_record(tmp_path / "r.csv").rate == 1024.0
+    rows = [f"{i / 1023.9:.9f},{np.sin(i):.5f}" for i in range(samples)]
+    (tmp_path / "r.csv").write_text("\n".join(["Time [s],a", *rows]))
+    assert read_record(tmp_path / "r.csv").rate == pytest.approx(1023.9, rel=1e-9)
+
+
 def test_refuses_rates_that_disagree(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="time column"):
         read_record(as_csv(tmp_path / "r"), 128.0)

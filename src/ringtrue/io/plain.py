@@ -230,7 +230,15 @@ def even_rate(t: Float, named: bool, path: Path) -> float | None:
         if named:
             raise DataError(f"{path}: {_uneven(step)}")
         return None
-    return 1 / mean
+    return _shortest_rate(t, mean)
+
+
+def _shortest_rate(t: Float, step: float) -> float:
+    """The rate with the fewest digits that the times, written with so many decimals, allow: 1024, not 1023.99997."""
+    k = np.arange(t.size)
+    off = 2 * float(np.abs(t - t[0] - k * step).max())
+    rates = (float(f"{1 / step:.{digits}g}") for digits in range(1, 16))
+    return next((r for r in rates if abs(k[-1] / r - (t[-1] - t[0])) <= off), 1 / step)
 
 
 def _uneven(step: Float) -> str:
