@@ -13,6 +13,7 @@ from ringtrue.correlate.assign import Followed, PairingSettings
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import mac
+from ringtrue.study.stages.together import spared
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.gauss_newton import update
 from ringtrue.update.objective import LOST, Target, Weights, match, objective, residual, shared_cost
@@ -250,3 +251,12 @@ def test_near_the_end_a_pair_that_is_forbidden_stays_so() -> None:
     aim = Target(np.array([10.0]), np.eye(3)[:, :1], np.zeros(1), np.ones(1, dtype=bool))
     assert len(match(aim.doubting(), now)[0]) == 1
     assert not len(match(replace(aim, followed=known).doubting(), now)[0])
+
+
+def test_a_mode_left_out_that_is_far_off_is_counted() -> None:
+    """The settled pairs of an updating drop it; the figure that judges the set must not."""
+    now = Linearisation(np.zeros(1), np.array([10.0, 21.5, 30.0]), np.eye(3), np.zeros((3, 1)), np.zeros((3, 3, 1)))
+    aim = Target(np.array([10.0, 20.0, 30.0]), np.eye(3), np.zeros(3), np.array([True, False, True]))
+    assert not (~residual(aim.settled(now), now).used).any()
+    assert spared([aim], [now]) == pytest.approx(7.5)
+    assert np.isnan(spared([replace(aim, used=np.ones(3, dtype=bool))], [now]))

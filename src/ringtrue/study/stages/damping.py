@@ -20,6 +20,7 @@ from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.fem.response import coupled
 from ringtrue.io.nastran.edit import edit_fields
+from ringtrue.model.edit import field_value
 from ringtrue.study.evidence import MASS, on_sheet
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import STILL
@@ -290,6 +291,7 @@ def _written(
     """The changed fields, and the files of a copy of the delivered deck with them; none unless asked for."""
     if not desk.config.damping.write:
         return (), ()
-    changes = [c for r, v in zip(found.regions, fit.coefficients.tolist(), strict=True) for c in r.changes(v)]
+    every = [c for r, v in zip(found.regions, fit.coefficients.tolist(), strict=True) for c in r.changes(v)]
+    changes = [c for c in every if c.value != np.nan_to_num(field_value(opened.model, c))]  # a blank is 0
     files = edit_fields(opened.model, changes, desk.out / "damped")
     return tuple(said(opened.model, c) for c in changes), tuple(str(f) for f in files)

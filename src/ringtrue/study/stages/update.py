@@ -15,7 +15,7 @@ from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, 
 from ringtrue.study.stages.by_runs import by_runs
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
-from ringtrue.study.stages.together import percent, together, told_data
+from ringtrue.study.stages.together import percent, spared, together, told_data
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.candidates import elements_of
 from ringtrue.update.choose import criterion
@@ -126,8 +126,10 @@ def _one(
     desk.keep(model)
     if error >= CLOSE:
         raise not_verified(error)
-    final, path = _settled(desk, model.with_parameters(at, np.zeros(len(every))), aim, start)
-    return _summary(desk, aim, name, members, final, [*states, *path[1:]])
+    active = model.with_parameters(at, np.zeros(len(every)))
+    final, path = _settled(desk, active, aim, start)
+    blind = spared((aim,), (active.linearise(final.x),))
+    return _summary(desk, aim, name, members, final, [*states, *path[1:]], blind)
 
 
 def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | None) -> tuple[UpdateResult, list[State]]:
@@ -150,7 +152,13 @@ def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | No
 
 
 def _summary(
-    desk: Workbench, aim: Target, name: str, members: tuple[str, ...], final: UpdateResult, states: list[State]
+    desk: Workbench,
+    aim: Target,
+    name: str,
+    members: tuple[str, ...],
+    final: UpdateResult,
+    states: list[State],
+    blind: float,
 ) -> SetResult:
     candidates = desk.parameters
     parameters = candidates.take([candidates.names.index(m) for m in members])
@@ -167,7 +175,7 @@ def _summary(
         percent(np.mean, r.frequency_error, r.used),
         percent(np.max, r.frequency_error, r.used),
         percent(np.mean, r.mac, r.used),
-        percent(np.mean, r.frequency_error, ~r.used),
+        blind,
         final.condition,
         criterion(r, final.x, parameters.std(), aim.doubting()),
         final.outcome.value,
