@@ -19,6 +19,7 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
+from ringtrue.io.modes_json import read_modes
 from ringtrue.io.records import read_record, read_runs, write_history
 from ringtrue.io.uff.function58 import TIME, write_function
 from ringtrue.signal.frf import estimate_frf
@@ -310,3 +311,21 @@ def test_titles_of_tables(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("f,a real,b imag\n1,1,1\n2,2,2\n3,3,3\n")
     with pytest.raises(DataError, match="needed: real and imag"):
         read_frfs(tmp_path / "t.csv")
+
+
+def test_time_records_of_a_shaken_base_tell_the_modes_of_the_held_structure(tmp_path: Path) -> None:
+    """One mass of 8 Hz and 2 % on a base that moves at random: absolute motion over that of the base, by name."""
+    rate, f0, zeta = 128.0, 8.0, 0.02
+    rng = np.random.default_rng(2)
+    base = rng.standard_normal(int(120 * rate))
+    f = np.fft.rfftfreq(2 * base.size, 1 / rate)
+    h = (f0**2 + 2j * zeta * f0 * f) / (f0**2 - f**2 + 2j * zeta * f0 * f)
+    y = np.fft.irfft(np.fft.rfft(base, 2 * base.size) * h)[: base.size]
+    rows = [f"{i / rate:.7f},{b:.6f},{z:.6f},{0.5 * (z + b):.6f}" for i, (b, z) in enumerate(zip(base, y, strict=True))]
+    path = tmp_path / "base.csv"
+    path.write_text("\n".join(["Time [s],9+Z [g],1+Z [g],2+Z [g]", *rows]))
+    assert run(["ema", str(path)]) == 2
+    assert run(["ema", str(path), "--force", "9+Z", "--fmin", "2", "--json", str(tmp_path / "m.json")]) == 0
+    modes = read_modes(tmp_path / "m.json")
+    np.testing.assert_allclose(modes.frequencies, [f0], rtol=1e-3)
+    np.testing.assert_allclose(modes.damping, [zeta], rtol=0.03)

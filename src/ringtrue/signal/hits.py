@@ -121,7 +121,8 @@ def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
     if len(at) != 1:
         raise DataError(
             f"{record.source}: {len(at)} force channels ({' '.join(ids[i] for i in at) or 'none'}) of "
-            f"{' '.join(ids[:20])}; there must be one, or name it: HammerSettings.force, --force"
+            f"{' '.join(ids[:20])}; there must be one, or name it: HammerSettings.force, --force (of a shaken "
+            "base the accelerometer on it)"
         )
     return at[0]
 
