@@ -40,7 +40,7 @@ def pole_span(diagram: StableDiagram) -> tuple[float, float]:
     low, high = float(f.min(initial=np.inf)), float(f.max(initial=0.0))
     if low > high:
         return 0.0, 1.0
-    margin = 0.06 * (high - low) or 0.1 * high or 1.0
+    margin = max(0.06 * (high - low), 0.03 * high) or 1.0  # poles of one mode lie within a hair
     return max(low - margin, 0.0), high + margin
 
 
