@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import identify_ambient
 from ringtrue.shapes.mac import mac
+from ringtrue.signal.align import at_positions
 from ringtrue.signal.phases import channel_phases, in_step
 
 RATE, SECONDS = 100.0, 600
@@ -40,6 +41,7 @@ def test_channels_of_one_clock_have_no_delay():
     found = channel_phases(record(motion()), [2] * 7)
     assert found.known.all()
     assert not found.delay.any()
+    assert not found.drift.any()
     assert not found.odd.any()
 
 
@@ -51,6 +53,19 @@ def test_the_later_recorder_is_found_to_a_twentieth_of_a_sample():
     late = np.array([0, -3, 0, 0, 0, 20, 20]) / RATE
     assert found.known.sum() >= 6
     assert found.delay[found.known] == pytest.approx(late[found.known], abs=0.05 / RATE)
+    assert not found.odd.any()
+
+
+@pytest.mark.parametrize("ppm", [20.0, -150.0])
+def test_a_clock_that_runs_apart_is_found_to_a_tenth_of_a_sample_at_the_ends(ppm):
+    y = motion().copy()
+    n = y.shape[1]
+    middle = (n - 1) / 2
+    y[5:] = at_positions(y[5:], np.arange(n) + 20 + 1e-6 * ppm * (np.arange(n) - middle))
+    found = channel_phases(record(y), [2] * 7)
+    moved = found.delay * RATE + found.drift * middle
+    assert found.drift[:5] == pytest.approx(0)
+    assert moved[5:] == pytest.approx(-20 - 1e-6 * ppm * middle, abs=0.1)
     assert not found.odd.any()
 
 
@@ -79,6 +94,18 @@ def test_channels_are_moved_between_their_samples():
 
     y = in_step(record(np.array([wave(t), wave(t - 0.2137), wave(t + 0.0531)])), np.array([0, 0.2137, -0.0531])).data
     assert y[1:] == pytest.approx(y[[0, 0]], abs=2e-4)
+
+
+def test_modes_of_two_clocks_that_run_apart_are_those_of_one():
+    y = motion().copy()
+    n = y.shape[1]
+    y[4:] = at_positions(y[4:], np.arange(n) + 1e-4 * np.arange(n)[::-1])  # over half a turn of the highest mode
+    one, two = identify_ambient(record(motion())), identify_ambient(record(y))
+    assert len(two.modes) == 5, two.notes
+    assert two.modes.frequencies == pytest.approx(one.modes.frequencies, rel=5e-4)
+    assert two.modes.damping == pytest.approx(one.modes.damping, rel=0.05)
+    assert np.diag(mac(two.modes.shapes, one.modes.shapes)).min() > 0.999
+    assert any("channel 5+Z 6+Z 7+Z: a clock +1" in n and "ppm" in n for n in two.notes), two.notes
 
 
 def test_modes_of_two_recorders_are_those_of_one():

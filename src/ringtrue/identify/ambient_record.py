@@ -109,7 +109,7 @@ def one_motion(channels: Sequence[Channel]) -> Motion | None:
 
 
 def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[str, ...]]:
-    """The record with channels that lag the others moved back, and notes on them and on channels of odd phase."""
+    """The record with channels that lag or drift from the others moved back; notes on them and on odd phases."""
     kind = np.array([ORDER.get(c.quantity, -1) for c in history.channels])
     kind[kind < 0] = np.bincount(kind[kind >= 0], minlength=1).argmax()
     found = channel_phases(history, kind.tolist())
@@ -119,12 +119,17 @@ def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[st
         lag, done = found.delay[place == k].mean(), "moved back" if mend else "they must be aligned first"
         late = f"{' '.join(ids[place == k].tolist())}: {abs(lag):.3g} s {'after' if lag > 0 else 'before'} the others"
         notes.append(f"channel {late} by the phases of the cross spectra; {done}")
+    for rate in np.unique(found.drift[found.drift != 0]):
+        names = " ".join(ids[found.drift == rate].tolist())
+        done = "taken out" if mend else "the records must be aligned first"
+        notes.append(f"channel {names}: a clock {1e6 * rate:+.3g} ppm against that of the others; {done}")
     notes += [
         f"channel {x}: its phase to the others is neither 0 nor 180 degrees, and no delay explains it: another "
         "quantity, sensor or filter? Shapes are wrong there"
         for x in ids[found.odd].tolist()
     ]
-    return (in_step(history, found.delay) if mend and found.delay.any() else history), tuple(notes)
+    moved = mend and bool(found.delay.any() or found.drift.any())
+    return (in_step(history, found.delay, found.drift) if moved else history), tuple(notes)
 
 
 def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> tuple[bool, ...]:

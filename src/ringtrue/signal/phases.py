@@ -19,6 +19,8 @@ from scipy.fft import irfft, rfft
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
+from ringtrue.signal.align import at_positions
+from ringtrue.signal.drifts import gained, shared, turned_back
 from ringtrue.signal.windows import window
 
 SEGMENTS, ROOTS = 64, 8  # of the record that are looked at, and channels that the others are held against
@@ -32,6 +34,7 @@ EXPLAINED = 0.25  # of what is missing to 1 without a delay may be missing with 
 APART = 0.15  # that no other delay comes near
 LEAST, FARTHEST = 0.1, 0.25  # samples, and of a segment
 TAPS, BETA = 24, 9.0  # to each side of the interpolation, and of its Kaiser window
+NEAR = 0.3  # samples: gains of channels of one recorder
 ODD = 0.5  # J of a channel whose phase is neither
 
 
@@ -44,18 +47,21 @@ class Phases:
     known : (ch,) bool
         Coherent enough with the others to say anything.
     delay : (ch,) float64, s
-        After most of the channels; 0 where none is told.
+        After most of the channels, in the middle of the record; 0 where none is told.
+    drift : (ch,) float64
+        What the delay gains, s/s: the clock of a recorder that runs fast against that of most channels.
     odd : (ch,) bool
         Of a phase that no delay explains, among channels that agree.
     """
 
     known: Bool
     delay: Float
+    drift: Float
     odd: Bool
 
 
 def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
-    """Delays of channels against most of the others, and channels out of phase with the rest.
+    """Delays and drifts of channels against most of the others, and channels out of phase with the rest.
 
     Parameters
     ----------
@@ -64,11 +70,17 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
         Of the displacement that each channel measures: 2 of an acceleration.
     """
     m, samples = len(history.channels), history.data.shape[1]
-    nothing = Phases(np.zeros(m, np.bool_), np.zeros(m), np.zeros(m, np.bool_))
+    nothing = Phases(np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m, np.bool_))
     length = int(2 ** np.floor(np.log2(np.clip(2 * samples // SEGMENTS, SHORTEST, LONGEST))))
     if m < 2 or samples < 16 * length:
         return nothing
-    root, turned, coherence = _against_one(_lines(history.data, length), np.asarray(derivatives))
+    order, starts = np.asarray(derivatives), np.linspace(0, samples - length, SEGMENTS).astype(np.int64)
+    lines = _lines(history.data, length, starts)
+    root, turned, coherence = _against_one(lines, order)
+    gain = gained(lines, root, order, starts)
+    if gain.any():  # twice, as a large one smears the parts
+        gain = shared(gain + gained(turned_back(lines, gain, starts), root, order, starts), NEAR)
+        root, turned, coherence = _against_one(turned_back(lines, gain, starts), order)
     weight = np.where(coherence > COHERENT, coherence**2, 0.0)
     total = weight.sum(axis=1)
     known = (total > LINES) & (np.arange(m) != root)
@@ -83,12 +95,12 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     delay[seen] -= _usual(delay[seen], 0.25 / history.rate)
     delay[np.abs(delay) < LEAST / history.rate] = 0.0
     sound = np.median(agree[known]) > AGREED
-    return Phases(seen, delay, np.asarray(seen & (agree < ODD) & sound))
+    gain[seen] -= _usual(gain[seen], NEAR)
+    return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & (agree < ODD) & sound))
 
 
-def _lines(data: Any_, length: int) -> Any_:
-    """(freq, segment, ch) transforms of segments over the record, by a Hann window."""
-    starts = np.linspace(0, data.shape[1] - length, SEGMENTS).astype(np.int64)
+def _lines(data: Any_, length: int, starts: Int) -> Any_:
+    """(freq, segment, ch) transforms of segments of the record, by a Hann window."""
     win = window("hann", length).astype(np.float32)
     out = np.empty((length // 2 + 1, starts.size, len(data)), dtype=np.complex64)
     for k, start in enumerate(starts.tolist()):  # a segment of all channels is in the cache
@@ -143,13 +155,21 @@ def _usual(delay: Float, near: float) -> float:
     return float(np.median(delay[same[same.sum(axis=1).argmax()]]))
 
 
-def in_step(history: TimeHistory, delay: Float) -> TimeHistory:
-    """The record with its channels moved back by `delay` (ch,) s, without the ends that not all of them have."""
+def in_step(history: TimeHistory, delay: Float, drift: Float | None = None) -> TimeHistory:
+    """The record with its channels moved back by `delay` (ch,) s, without the ends that not all of them have.
+
+    With `drift` (ch,), by as much more or less as it adds from the middle of the record.
+    """
+    drift = np.zeros(delay.size) if drift is None else drift
     data, lag = np.array(history.data), delay * history.rate
-    for i in np.flatnonzero(delay):
+    middle = np.arange(data.shape[1]) - 0.5 * (data.shape[1] - 1)
+    for i in np.flatnonzero((delay != 0) | (drift != 0)):
+        if drift[i]:
+            data[i] = at_positions(data[i : i + 1], np.arange(middle.size) + lag[i] + drift[i] * middle)[0]
+            continue
         whole = int(np.floor(lag[i]))
         data[i] = np.convolve(np.roll(history.data[i], -whole), delayed_by(lag[i] - whole), mode="same")
-    most = int(np.ceil(np.abs(lag).max())) + TAPS
+    most = int(np.ceil((np.abs(lag) + np.abs(drift) * middle[-1]).max())) + TAPS
     return replace(history, data=data[:, most:-most])
 
 
