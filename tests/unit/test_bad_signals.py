@@ -181,7 +181,7 @@ def test_drop_outs_and_spikes_are_listed(tmp_path: Path, capsys: Capture) -> Non
     np.save(tmp_path / "d.npy", y.T)
     status, out, _ = call(capsys, "oma", tmp_path / "d.npy", "--rate", RATE)
     assert status == 0
-    assert "channel ch2: 1 drop-out, the first at 125 s: 1000 samples held" in out
+    assert "channel ch2: lost 1 time (a value is held), the first at 125 s, 15.6 s in all" in out
     assert "channel ch3: 1 spike, the first at 78.12 s" in out
 
 

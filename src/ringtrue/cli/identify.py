@@ -145,13 +145,13 @@ def kept_channels(path: Path, channels: Sequence[Channel], lost: Sequence[str]) 
 
 
 def fault_notes(history: TimeHistory) -> tuple[str, ...]:
-    """Drop-outs and spikes, a line for each channel and kind."""
-    found = [f for f in find_faults(history) if f.kind in ("drop-out", "spike")]
-    count = Counter((f.id, f.kind) for f in found)
-    first = {(f.id, f.kind): f for f in reversed(found)}
+    """Spikes, a line for each channel."""
+    found = [f for f in find_faults(history) if f.kind == "spike"]
+    count = Counter(f.id for f in found)
+    first = {f.id: f for f in reversed(found)}
     return tuple(
-        f"channel {c}: {n} {kind}{'s' if n > 1 else ''}, the first at {first[c, kind].time:.4g} s: {first[c, kind].why}"
-        for (c, kind), n in count.items()
+        f"channel {c}: {n} spike{'s' if n > 1 else ''}, the first at {first[c].time:.4g} s: {first[c].why}"
+        for c, n in count.items()
     )
 
 

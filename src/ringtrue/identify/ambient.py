@@ -66,6 +66,7 @@ from ringtrue.identify.stabilise import Candidates, candidates, half_agreement, 
 from ringtrue.identify.stretches import gathered, steady_sines, without_strokes_and_sweeps
 from ringtrue.identify.struck import by_references, even_halves, event_weights
 from ringtrue.identify.wander import wander, widened
+from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.lines import with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic, block_weights, harmonics, uncut, usable
@@ -312,7 +313,8 @@ def identify_stretches(
     if (first := next(coming, None)) is None:
         raise DataError("no stretch of a record to identify")
     second = next(coming, None)
-    good, states = usable(first)
+    part, gaps = bridged(first)
+    good, states = usable(part)
     good, late = in_phase(good, mend=second is None)
     refs = references(good, settings.references)
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
@@ -326,7 +328,7 @@ def identify_stretches(
     lines = tuple(h for h in harmonics(whole, low=bands[-1].low) if h.frequency < bands[0].high) if whole else ()
     ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH)
     more_to_come = chain(() if second is None else (second,), coming)
-    sums, heard = gathered(good, more_to_come, bands, ssi, refs, places, tell)
+    sums, heard = gathered(good, gaps, more_to_come, bands, ssi, refs, places, tell)
     found, motion = [], one_motion(good.channels)
     known = Heard(response_slope(good), choice, any(e.driven for e in heard), motion)
     for k, modes_of in enumerate(abreast(lambda x: _band(x, settings, known), sums)):
@@ -346,7 +348,7 @@ def identify_stretches(
         return identify_stretches((first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady))
     result = replace(result, harmonics=(*sines, *result.harmonics))
     tell(1.0, f"{len(result.modes)} modes")
-    notes = tuple(s.note for s in states) + late + swept
+    notes = gaps.notes + tuple(s.note for s in states) + late + swept
     if whole is None:
         notes += ("every channel is clipped: machines are not told from modes",)
     if motion:

@@ -32,6 +32,7 @@ from ringtrue.identify.ssi import SsiCov, choose_references, prepared
 from ringtrue.identify.ssi_data import ssi_data
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
+from ringtrue.signal.gaps import bridged
 from ringtrue.signal.preprocess import Band, band_signals, usable
 from ringtrue.signal.psd import correlations
 
@@ -96,8 +97,9 @@ def identify_ambient_by(
     if method not in METHODS:
         raise ConfigError(f"method {method!r}{did_you_mean(method, METHODS)}")
     s, tell = settings or AmbientSettings(), progress or quiet
-    good, states = usable(history)
-    notes = tuple(c.note for c in states)
+    whole, gaps = bridged(history)
+    good, states = usable(whole)
+    notes = gaps.notes + tuple(c.note for c in states)
     tell(0.0, NAMES[method])
     if method == "bayes":
         modes, std = _bayes(good, s, near)

@@ -191,6 +191,7 @@ def _pass(x: BandSums, y: Signals, events: Events, last: bool) -> tuple[BandSums
     scale = x.scale.astype(np.float32)
     r /= scale[:, None] * scale[x.references]
     spectra = _binned(y, x.eyes, x.band, 1 / scale[x.eyes])
+    spectra = replace(spectra, count=spectra.count * events.kept)
     return replace(x, parts=(r,), shares=(share,), spectra=spectra, stretches=1), pyramid.detrended(lower)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ringtrue.errors import DataError
 from ringtrue.identify.bands import BandSums, begin, joined, of_stretch
 from ringtrue.identify.ssi import SsiCov
 from ringtrue.signal.events import NONE, Events, find_events
+from ringtrue.signal.gaps import Gaps, bridged
 from ringtrue.signal.lines import steady_lines, with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic
 from ringtrue.signal.strokes import without_strokes
@@ -57,6 +59,7 @@ def steady_sines(
 
 def gathered(
     good: TimeHistory,
+    gaps: Gaps,
     coming: Iterable[TimeHistory],
     bands: tuple[Band, ...],
     ssi: SsiCov,
@@ -65,7 +68,7 @@ def gathered(
     tell: Progress,
 ) -> tuple[list[BandSums], list[Events]]:
     """Sums of each band over all stretches, and the events of each stretch."""
-    heard = [find_events(good.data, good.rate)]
+    heard = [_events(good, gaps)]
     sums = begin(good.data, good.rate, bands, ssi, refs, heard[0])
     duration = good.duration
 
@@ -82,6 +85,10 @@ def gathered(
     return sums, heard
 
 
+def _events(part: TimeHistory, gaps: Gaps) -> Events:
+    return replace(find_events(part.data, part.rate), gone=gaps.cut(part.data.shape[1]), rate=part.rate)
+
+
 def _one(
     sums: list[BandSums], coming: TimeHistory, first: TimeHistory, places: list[float]
 ) -> tuple[list[BandSums] | None, Events]:
@@ -92,8 +99,11 @@ def _one(
     share = part.duration / first.duration
     if share < 0.5:  # edges of the filters would weigh too much
         return None, NONE
-    part = without_lines(without_strokes_and_sweeps(part, None)[0], places)
-    events = find_events(part.data, part.rate)
+    whole, gaps = bridged(part)
+    if len(whole.channels) < len(part.channels):
+        raise DataError(f"{coming.source}: {gaps.notes[0]}: leave it out of all stretches")
+    part = without_lines(without_strokes_and_sweeps(whole, None)[0], places)
+    events = _events(part, gaps)
     out = of_stretch(sums, part.data, part.rate, events)
     lost = np.asarray(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))
     if lost.any():

@@ -7,7 +7,7 @@ events are too few to average it away: the earlier sample is not used.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -21,6 +21,7 @@ MEMORY = 64  # windows in which that one is sought
 CHANNELS = 4  # that are listened to
 DRIVEN = 0.5  # share of the power
 LEAST = 0.3  # share of the record that must stay
+DEARER, DEAR = 3.0, 0.1  # times the lost share, and share of the record, that lost stretches may take with them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +39,10 @@ class Events:
         Median of their loudest windows over the median of all.
     share : float
         Of the power of the differentiated responses.
+    gone : (sample,) bool
+        Lost by the recorder; () where nothing is.
+    rate : float, Hz
+        Of these samples.
     """
 
     struck: Bool
@@ -45,28 +50,41 @@ class Events:
     count: int
     level: float
     share: float
+    gone: Bool = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    rate: float = 1.0
 
     @property
     def driven(self) -> bool:
         """Whether most of the motion comes from events: no stationary noise."""
         return self.share > DRIVEN
 
-    def before(self, samples: int, rate: float, lags: int) -> Bool:
-        """(sample,) of a signal at `rate` Hz: an event follows within so many lags, or acts."""
-        a = np.floor(np.flatnonzero(self.struck) * self.window * rate).astype(np.int64) - lags - 1
-        b = np.ceil((np.flatnonzero(self.struck) + 1) * self.window * rate).astype(np.int64) + 1
-        steps = np.zeros(samples + 1, dtype=np.int64)
-        np.add.at(steps, a.clip(0, samples), 1)
-        np.add.at(steps, b.clip(0, samples), -1)
-        return np.asarray(np.cumsum(steps[:-1]) > 0)
+    @property
+    def kept(self) -> float:
+        """Share of the record that is not lost."""
+        return 1.0 - float(self.gone.mean()) if self.gone.size else 1.0
 
     def free(self, samples: int, rate: float, lags: int) -> Any_ | None:
         """(sample,) float32: 1 where a sample may be the earlier one of a pair, 0 elsewhere; None: all of them.
 
-        All of them, too, where the events come so often that little would be left.
+        All of them, too, where the events come so often that little would be left. Lost stretches so short and many
+        that far more than they would have to go stay, as straight lines.
         """
-        ahead = self.before(samples, rate, lags) if self.count else np.zeros(samples, dtype=bool)
+        ahead = _before(self.struck, 1 / self.window, samples, rate, lags)
+        lost = _before(self.gone, self.rate, samples, rate, lags)
+        if lost.mean() < DEARER * (1 - self.kept) + DEAR:
+            ahead = ahead | lost
         return np.asarray(~ahead, dtype=np.float32) if 0 < ahead.mean() < 1 - LEAST else None
+
+
+def _before(flags: Bool, flag_rate: float, samples: int, rate: float, lags: int) -> Bool:
+    """(sample,) of a signal at `rate` Hz: one of the flags at their own rate follows within so many lags, or stands."""
+    at = np.flatnonzero(flags)
+    a = np.floor(at / flag_rate * rate).astype(np.int64) - lags - 1
+    b = np.ceil((at + 1) / flag_rate * rate).astype(np.int64) + 1
+    steps = np.zeros(samples + 1, dtype=np.int64)
+    np.add.at(steps, a.clip(0, samples), 1)
+    np.add.at(steps, b.clip(0, samples), -1)
+    return np.asarray(np.cumsum(steps[:-1]) > 0)
 
 
 NONE = Events(np.zeros(0, dtype=bool), 1.0, 0, 0.0, 0.0)

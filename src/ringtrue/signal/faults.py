@@ -97,7 +97,7 @@ def runs(flag: Bool) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(edge[::2], edge[1::2], strict=True)]
 
 
-def _equal_runs(x: Any_) -> tuple[Int, Int]:
+def equal_runs(x: Any_) -> tuple[Int, Int]:
     """First sample and length of each run of equal samples."""
     first = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0) + 1]).astype(np.int64)
     return first, np.diff(np.append(first, x.size))
@@ -105,14 +105,14 @@ def _equal_runs(x: Any_) -> tuple[Int, Int]:
 
 def _held(x: Any_) -> Bool:
     """Runs of equal samples far longer than the resolution of the recorder makes them."""
-    length = _equal_runs(x)[1]
+    length = equal_runs(x)[1]
     limit = _HELD + 20 * float(np.median(length[length > 0]))
     return np.repeat(length > limit, length)
 
 
 def _flat(x: Any_, level: float) -> Bool:
     """Runs of at least three samples at an extreme, more than once or long: a peak of a coarse recorder is no clip."""
-    first, length = _equal_runs(x)
+    first, length = equal_runs(x)
     at = (x[first] == level) & (length >= _FLAT)
     if int(length[at].sum()) <= max(4, x.size // 50000):
         at[:] = False

@@ -1,0 +1,97 @@
+"""Stretches that a recorder lost: a value held far longer than the resolution explains, as logged over a broken link.
+
+Their steps would ring in every band, and a channel without its part of the motion has wrong shapes: the whole record is
+left out there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Bool
+from ringtrue.core.signals import TimeHistory
+from ringtrue.signal.faults import equal_runs, runs
+
+HELD, TYPICAL = 16, 20.0  # samples, and more than these times the runs of the record but for 1 %, and those beside
+BESIDE = 8  # runs, to each side: in the rest between events all are long in a coarse record
+LEAP = 8.0  # median differences, by which a lost stretch leaves an extreme of the record; a clipped one does not
+MOST = 0.3  # of the record: a channel that others do not follow is left out beyond
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaps:
+    """What is lost of a record.
+
+    Attributes
+    ----------
+    lost : (sample,) bool
+        Some channel has nothing to say.
+    notes : tuple of str
+    """
+
+    lost: Bool
+    notes: tuple[str, ...]
+
+    def cut(self, samples: int) -> Bool:
+        """(samples,) what is lost of the record after as much was cut from its two ends."""
+        end = (self.lost.size - samples) // 2
+        return self.lost[end : end + samples]
+
+
+def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
+    """The record with straight lines over what is lost, the same in all channels, without those that lost too much."""
+    size = history.data.shape[1]
+    lost, held = np.zeros(size, dtype=bool), {}
+    for c, x in zip(history.channels, history.data, strict=True):
+        if (h := _held(np.asarray(x))) is not None and h.any():
+            held[c.id] = h
+    if not held:
+        return history, Gaps(lost, ())
+    share = {c.id: np.count_nonzero(held[c.id]) / size if c.id in held else 0.0 for c in history.channels}
+    typical = float(np.median(list(share.values())))
+    keep = [i for i, part in share.items() if part <= typical + MOST]
+    notes = tuple(
+        f"channel {i}: {100 * share[i]:.0f} % of its samples are lost; left out" for i in share if i not in keep
+    )
+    if len(keep) < len(share):
+        history = history.pick(keep)
+    for i in held.keys() & set(keep):
+        lost |= held[i]
+    if not lost.any():
+        return history, Gaps(lost, notes)
+    names = " ".join(i for i in keep if i in held)
+    parts, first = len(runs(lost)), int(np.flatnonzero(lost)[0]) / history.rate
+    told = (
+        f"channel {names}: lost {parts} time{'s' if parts > 1 else ''} (a value is held), the first at {first:.4g} s, "
+        f"{np.count_nonzero(lost) / history.rate:.3g} s in all; left out in all channels"
+    )
+    return replace(history, data=_over(history.data, lost)), Gaps(lost, (*notes, told))
+
+
+def _held(x: Any_) -> Bool | None:
+    """(sample,) samples that are held; None where few equal their neighbours."""
+    if np.count_nonzero(x[1:] == x[:-1]) < HELD:
+        return None
+    first, length = equal_runs(x)
+    if length.size < 2:
+        return None
+    long = length > HELD + TYPICAL * float(np.percentile(length, 99))
+    at = np.flatnonzero(long)
+    near = length[(at[:, None] + np.arange(-BESIDE, BESIDE + 1)).clip(0, length.size - 1)]
+    long[at] = length[at] > HELD + TYPICAL * np.median(near, axis=1)
+    steps = np.abs(np.diff(x[first].astype(np.float64)))
+    leap = LEAP * float(np.median(steps))
+    into, out = np.insert(steps, 0, np.inf) > leap, np.append(steps, np.inf) > leap
+    extreme = (x[first] == x.max()) | (x[first] == x.min())
+    return np.asarray(np.repeat(long & (~extreme | (into & out)), length))
+
+
+def _over(data: Any_, lost: Bool) -> Any_:
+    """`data` (ch, sample) with straight lines over the lost samples."""
+    out = np.array(data)
+    at, known = np.flatnonzero(lost), np.flatnonzero(~lost)
+    for x in out:
+        x[at] = np.interp(at, known, x[known])
+    return out

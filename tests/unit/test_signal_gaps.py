@@ -1,0 +1,98 @@
+"""Lost stretches of a record: five modes of 1 to 2 % between 2 and 10 Hz, seven sensors, noise 30 dB below."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.identify.ambient import identify_ambient, identify_stretches
+from ringtrue.identify.ambient_methods import identify_ambient_by
+from ringtrue.shapes.mac import mac
+from ringtrue.signal.gaps import bridged
+
+RATE, SECONDS = 100.0, 600
+F, Z = np.array([2.2, 3.7, 4.1, 6.9, 9.4]), np.array([0.012, 0.008, 0.015, 0.01, 0.02])
+PHI = np.linalg.qr(np.random.default_rng(14).standard_normal((7, 5)))[0]
+
+
+@cache
+def motion() -> np.ndarray:
+    rng = np.random.default_rng(3)
+    y = np.zeros((7, int(RATE * SECONDS)))
+    for phi, f, z in zip(PHI.T, F, Z, strict=True):
+        s = 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2))
+        q = lfilter([1.0], [1.0, -np.exp(s / RATE)], rng.standard_normal(y.shape[1]).astype(complex))
+        y += np.outer(phi, (s * q).imag)
+    return y + 0.03 * y.std() * rng.standard_normal(y.shape)
+
+
+def record(y: np.ndarray) -> TimeHistory:
+    return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made")
+
+
+def lossy() -> np.ndarray:
+    """Sensors with an offset that all fall to zero for 40 s; one of them stands still for 100 s."""
+    y = motion() + 30 * motion().std()
+    y[:, 20000:24000] = 0.0
+    y[4, 35000:45000] = y[4, 35000]
+    return y
+
+
+def test_a_sound_record_stays_as_it_is():
+    h = record(motion())
+    whole, gaps = bridged(h)
+    assert whole is h
+    assert not gaps.lost.any()
+    assert not gaps.notes
+
+
+def test_lost_stretches_are_found_to_the_sample_and_bridged():
+    whole, gaps = bridged(record(lossy()))
+    expected = np.zeros(60000, dtype=bool)
+    expected[20000:24000] = expected[35000:45000] = True
+    assert np.array_equal(gaps.lost, expected)
+    assert np.abs(np.diff(whole.data)).max() < np.ptp(motion())  # no step is left
+    assert np.array_equal(whole.data[:, ~expected], lossy()[:, ~expected])
+
+
+def test_modes_are_those_of_what_is_left():
+    r = identify_ambient(record(lossy()))
+    assert len(r.modes) == 5, r.notes
+    assert (np.abs(r.modes.frequencies - F) < 4 * r.uncertainty.frequency).all()
+    assert (np.abs(r.modes.damping - Z) < 4 * r.uncertainty.damping).all()
+    assert np.diag(mac(r.modes.shapes, PHI.astype(complex))).min() > 0.99
+    assert sum("lost 2 times (a value is held), the first at 200 s, 140 s in all" in n for n in r.notes) == 1
+    assert not any("clipped" in n or "event" in n for n in r.notes)
+
+
+def test_other_methods_and_later_stretches_leave_them_out_too():
+    assert any("140 s in all" in n for n in identify_ambient_by("fsdd", record(lossy())).notes)
+    whole = record(motion())
+    both = identify_stretches((whole, record(lossy())))
+    assert len(both.modes) == 5, both.notes
+    assert np.diag(mac(both.modes.shapes, PHI.astype(complex))).min() > 0.99
+
+
+def test_a_channel_lost_for_most_of_the_record_is_left_out():
+    y = motion().copy()
+    y[2, 10000:40000] = y[2, 10000]
+    whole, gaps = bridged(record(y))
+    assert [c.id for c in whole.channels] == ["1+Z", "2+Z", "4+Z", "5+Z", "6+Z", "7+Z"]
+    assert gaps.notes == ("channel 3+Z: 50 % of its samples are lost; left out",)
+    assert not gaps.lost.any()
+
+
+@pytest.mark.parametrize("slow", [1, 20])
+def test_clipping_coarse_recorders_and_rest_between_events_are_no_loss(slow):
+    y = np.repeat(motion()[:, : 60000 // slow], slow, axis=1)
+    level = 0.7 * y.std()
+    _, clipped = bridged(record(np.clip(np.cumsum(y, axis=1) / 30, -level, level)))
+    _, coarse = bridged(record(np.round(y / level)))
+    _, rest = bridged(record(np.round(y / level * (0.3 + 3 * (np.arange(y.shape[1]) % 20000 < 4000)))))
+    assert not clipped.lost.any()
+    assert not coarse.lost.any()
+    assert not rest.lost.any()
