@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -265,6 +266,33 @@ def test_repeated_functions_are_averaged_and_the_line_at_0_may_be_missing(tmp_pa
     (tmp_path / "f.uff").write_bytes(write_function(9, freqs, freqs, (1, 3), (2, 3), codes=(18, 12, 13)))
     with pytest.raises(DataError, match="its types are 9"):
         read_record(tmp_path / "f.uff")
+
+
+def _grid(path: Path, absent: Iterable[tuple[int, int]], *, outputs: int = 6, inputs: int = 2) -> None:
+    """Functions of value 10 o + i from reference 100 + i to response o, without some."""
+    freqs, gone = np.arange(1, 9) * 0.5, set(absent)
+    pairs = [(o, i) for o in range(1, outputs + 1) for i in range(1, inputs + 1) if (o, i) not in gone]
+    path.write_bytes(
+        b"".join(
+            write_function(4, freqs, np.full(8, 10 * o + i + 0j), (o, 3), (100 + i, 3), codes=(18, 12, 13))
+            for o, i in pairs
+        )
+    )
+
+
+def test_what_lacks_a_pair_is_left_out_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    _grid(tmp_path / "f.uff", [(4, 2)])  # one response was not measured from the second shaker
+    got = read_frfs(tmp_path / "f.uff")
+    assert [c.id for c in got.outputs] == ["1+Z", "2+Z", "3+Z", "5+Z", "6+Z"]
+    np.testing.assert_allclose(got.data[0].real, 10 * np.array([1, 2, 3, 5, 6])[:, None] + [1, 2])
+    assert "no function from 102+Z to 4+Z (1 pairs are absent); left out: response 4+Z" in caplog.text
+    _grid(tmp_path / "g.uff", [(o, 3) for o in range(2, 7)], inputs=3)  # a single function from a third reference
+    got = read_frfs(tmp_path / "g.uff")
+    assert ([c.id for c in got.inputs], len(got.outputs)) == (["101+Z", "102+Z"], 6)
+    assert "left out: reference 103+Z" in caplog.text
+    _grid(tmp_path / "h.uff", [(o, 1 + o % 2) for o in range(1, 7)])
+    with pytest.raises(DataError, match=r"6 pairs are absent\); without gaps"):
+        read_frfs(tmp_path / "h.uff")
 
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0, 44100.0, 1000.0, 16384.0, 300.0])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.dofs import NAMES, DofSet
 from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT, base_motion
 from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
@@ -20,6 +21,7 @@ from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TRANSMISSIBILITY, F
 from ringtrue.io.uff.scan import scan
 from ringtrue.io.uff.tables import Units, read_units
 
+log = logging.getLogger(__name__)
 _QUANTITY: dict[int, Quantity] = {
     3: "strain",
     8: "displacement",
@@ -29,6 +31,7 @@ _QUANTITY: dict[int, Quantity] = {
     13: "force",
 }
 _SI = {**SI_UNIT, "force": "N"}
+_REST = 0.6  # of the functions, that must be left where some pairs are absent
 _DIGITS = 5  # after the first, of a step
 _CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 _GENERAL, _TIME_AXIS, _FREQUENCY_AXIS = 0, 17, 18
@@ -159,8 +162,8 @@ def read_frf_sets(path: str | Path) -> FrfSet:
     Raises
     ------
     DataError
-        If there are none, several references have no name, the lines differ, or a pair of response and reference is
-        absent.
+        If there are none, several references have no name, the lines differ, or so many pairs of response and reference
+        are absent that most functions are of no use; where few are, their response or reference is left out, and said.
     """
     functions, units = _functions(path)
     frfs = [f for f in functions if f.kind in (FRF, TRANSMISSIBILITY)]
@@ -176,10 +179,12 @@ def read_frf_sets(path: str | Path) -> FrfSet:
         raise DataError(f"{path}: function {'/'.join(other[0])} has other frequency lines")
     outputs, inputs = _channels(frfs, ends)
     data = _place([replace(f, y=f.y * _si(f, units)[1]) for f in frfs], ends, freqs, outputs, inputs)
-    lost = np.argwhere(np.isnan(data[-1]))
-    if lost.size:
-        o, i = lost[0]
-        raise DataError(f"{path}: no function from {inputs[i].id} to {outputs[o].id} ({len(lost)} pairs are absent)")
+    absent = np.isnan(data[-1])
+    if absent.any():
+        rows, columns = _whole(absent)
+        _tell_left_out(absent, rows, columns, outputs, inputs, path)
+        data = data[:, rows][:, :, columns]
+        outputs, inputs = tuple(outputs[k] for k in rows), tuple(inputs[k] for k in columns)
     coherences = [f for f in functions if f.kind == COHERENCE and _same_lines(f.x, freqs)]
     coherence = _place(coherences, _ends(coherences), freqs, outputs, inputs).real
     kind = _one_kind(outputs, path)
@@ -196,6 +201,31 @@ def read_frf_sets(path: str | Path) -> FrfSet:
         FRF_KIND.get(kind, "accelerance"),
         source=str(path),
     )
+
+
+def _whole(absent: Bool) -> tuple[Int, Int]:
+    """Responses and references that are left when the one that lacks most of its pairs goes, until none is absent."""
+    rows, columns = np.arange(absent.shape[0]), np.arange(absent.shape[1])
+    while (part := absent[np.ix_(rows, columns)]).any():
+        a, b = part.mean(axis=1), part.mean(axis=0)
+        if a.max() >= b.max():
+            rows = np.delete(rows, int(a.argmax()))
+        else:
+            columns = np.delete(columns, int(b.argmax()))
+    return rows, columns
+
+
+def _tell_left_out(
+    absent: Bool, rows: Int, columns: Int, outputs: Sequence[Channel], inputs: Sequence[Channel], path: str | Path
+) -> None:
+    o, i = (int(k) for k in np.argwhere(absent)[0])
+    why = f"{path}: no function from {inputs[i].id} to {outputs[o].id} ({int(absent.sum())} pairs are absent)"
+    left = [c.id for k, c in enumerate(outputs) if k not in rows]
+    without = [c.id for k, c in enumerate(inputs) if k not in columns]
+    if rows.size * columns.size < _REST * int((~absent).sum()):
+        raise DataError(f"{why}; without gaps {rows.size} responses and {columns.size} references are left")
+    told = [f"{what} {' '.join(ids)}" for what, ids in (("response", left), ("reference", without)) if ids]
+    log.warning("%s; left out: %s", why, ", ".join(told))
 
 
 def _one_kind(outputs: Sequence[Channel], path: str | Path) -> Quantity:
