@@ -86,6 +86,21 @@ def test_a_velocity_that_is_called_an_acceleration_is_odd():
     assert not right.delay.any()
 
 
+@pytest.mark.parametrize("few", [2, 3])
+def test_geophones_near_their_own_frequency_are_odd_among_accelerometers(few):
+    y = motion().copy()
+    n = y.shape[1]
+    s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / RATE)
+    own = 2 * np.pi * 4.5
+    h = s / (s**2 + 1.2 * own * s + own**2)  # velocity in, acceleration here
+    y[-few:] = np.fft.irfft(np.fft.rfft(y[-few:], 2 * n) * h * own, 2 * n)[:, :n]
+    found = channel_phases(record(y), [2] * (7 - few) + [1] * few)
+    odd = np.flatnonzero(found.odd).tolist()
+    assert odd == list(range(7 - few, 7))
+    assert not found.delay.any()
+    assert not found.drift.any()
+
+
 def test_channels_are_moved_between_their_samples():
     t = np.arange(3000) / RATE
 

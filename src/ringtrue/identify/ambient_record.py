@@ -123,11 +123,11 @@ def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[st
         names = " ".join(ids[found.drift == rate].tolist())
         done = "taken out" if mend else "the records must be aligned first"
         notes.append(f"channel {names}: a clock {1e6 * rate:+.3g} ppm against that of the others; {done}")
-    notes += [
-        f"channel {x}: its phase to the others is neither 0 nor 180 degrees, and no delay explains it: another "
-        "quantity, sensor or filter? Shapes are wrong there"
-        for x in ids[found.odd].tolist()
-    ]
+    if found.odd.any():
+        notes.append(
+            f"channel {' '.join(ids[found.odd].tolist())}: phase to the others neither 0 nor 180 degrees, and no delay "
+            "explains it: another quantity, sensor or filter? Shapes are wrong there, and modes may be lost"
+        )
     moved = mend and bool(found.delay.any() or found.drift.any())
     return (in_step(history, found.delay, found.drift) if moved else history), tuple(notes)
 

@@ -36,6 +36,7 @@ LEAST, FARTHEST = 0.1, 0.25  # samples, and of a segment
 TAPS, BETA = 24, 9.0  # to each side of the interpolation, and of its Kaiser window
 NEAR = 0.3  # samples: gains of channels of one recorder
 ODD = 0.5  # J of a channel whose phase is neither
+OFF, TOGETHER = 0.9, 0.97  # J of several such against the others, and among themselves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,11 +77,11 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
         return nothing
     order, starts = np.asarray(derivatives), np.linspace(0, samples - length, SEGMENTS).astype(np.int64)
     lines = _lines(history.data, length, starts)
-    root, turned, coherence = _against_one(lines, order)
+    root, turned, coherence, apart = _against_one(lines, order)
     gain = gained(lines, root, order, starts)
     if gain.any():  # twice, as a large one smears the parts
         gain = shared(gain + gained(turned_back(lines, gain, starts), root, order, starts), NEAR)
-        root, turned, coherence = _against_one(turned_back(lines, gain, starts), order)
+        root, turned, coherence, apart = _against_one(turned_back(lines, gain, starts), order)
     weight = np.where(coherence > COHERENT, coherence**2, 0.0)
     total = weight.sum(axis=1)
     known = (total > LINES) & (np.arange(m) != root)
@@ -96,7 +97,10 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     delay[np.abs(delay) < LEAST / history.rate] = 0.0
     sound = np.median(agree[known]) > AGREED
     gain[seen] -= _usual(gain[seen], NEAR)
-    return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & (agree < ODD) & sound))
+    moved = np.zeros(m, np.bool_)
+    moved[known] = told
+    odd = (agree < ODD) & sound | (apart & ~moved)
+    return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & odd))
 
 
 def _lines(data: Any_, length: int, starts: Int) -> Any_:
@@ -109,9 +113,10 @@ def _lines(data: Any_, length: int, starts: Int) -> Any_:
     return out
 
 
-def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float]:
+def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, Bool]:
     """The channel, of eight, that most others are coherent and in phase with; squared phase factors of all against it,
-    as of one motion, and squared coherences less the bias of few segments, both (ch, freq).
+    as of one motion, and squared coherences less the bias of few segments, both (ch, freq); channels (ch,) in phase
+    with another one but not with this one.
     """
     tried = np.unique(np.linspace(0, lines.shape[2] - 1, ROOTS).astype(np.int64))
     cross = lines.transpose(0, 2, 1) @ lines[:, :, tried].conj()
@@ -123,7 +128,21 @@ def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float]:
     quarters = ((-1.0) ** (order[:, None] - order[tried])).astype(np.float32)
     turned = cross * cross * (quarters / np.maximum(square, np.finfo(np.float32).tiny))
     k = int((coherence * turned.real).sum(axis=(0, 1)).argmax())
-    return int(tried[k]), turned[:, :, k].T, np.asarray(coherence[:, :, k].T, dtype=np.float64)
+    apart = _apart(turned.real, coherence, tried, k)
+    return int(tried[k]), turned[:, :, k].T, np.asarray(coherence[:, :, k].T, dtype=np.float64), apart
+
+
+def _apart(agreed: Any_, coherence: Any_, tried: Int, root: int) -> Bool:
+    """Channels (ch,) in phase with another one that is, as they are, not in phase with the root."""
+    weight = np.where(coherence > COHERENT, coherence**2, 0.0)
+    total = weight.sum(axis=0)
+    j = np.where(total > LINES, (weight * agreed).sum(axis=0) / np.maximum(total, LINES), np.nan)
+    off = j[:, root] < OFF
+    both = (j > TOGETHER) & off[:, None] & off[tried]
+    both[tried, np.arange(tried.size)] = False
+    out: Bool = np.asarray(both.any(axis=1))
+    out[tried] |= np.asarray(both.any(axis=0))
+    return np.asarray(out | (j[:, out[tried]] > TOGETHER).any(axis=1))
 
 
 def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
