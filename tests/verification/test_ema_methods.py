@@ -175,9 +175,10 @@ def test_simple_rotation_and_niedbal() -> None:
 
 
 def results(f: np.ndarray, z: np.ndarray, order: np.ndarray) -> tuple[ModeSet, Uncertainty]:
-    labels = tuple(f"{i + 1}+X" for i in range(4))
-    modes = ModeSet(f[order], z[order], np.eye(4)[:, order], labels)
-    return modes, Uncertainty.independent(1e-4 * modes.frequencies, 1e-2 * modes.damping, np.zeros((4, f.size)))
+    n = f.size + 1
+    labels = tuple(f"{i + 1}+X" for i in range(n))
+    modes = ModeSet(f[order], z[order], np.eye(n)[:, order], labels)
+    return modes, Uncertainty.independent(1e-4 * modes.frequencies, 1e-2 * modes.damping, np.zeros((n, f.size)))
 
 
 def test_level_dependence_tells_a_softening_mode_from_linear_ones() -> None:
@@ -199,6 +200,17 @@ def test_level_dependence_tells_a_softening_mode_from_linear_ones() -> None:
     assert np.isfinite(table.frequency).all()
     with pytest.raises(InputError, match="two or more"):
         level_dependence([1.0], found[:1])
+
+
+def test_a_linear_structure_is_rarely_called_nonlinear_however_many_modes_it_has() -> None:
+    """One in a hundred structures, not modes: of 200 with ten modes each, less than six."""
+    rng, f, z = np.random.default_rng(6), np.arange(5.0, 15.0), np.full(10, 0.01)
+    called = 0
+    for _ in range(200):
+        noise = rng.standard_normal((3, 2, 10))
+        found = [results(f * (1 + 1e-4 * x[0]), z * (1 + 1e-2 * x[1]), np.arange(10)) for x in noise]
+        called += not level_dependence([1.0, 2.0, 4.0], found).linear.all()
+    assert called < 6
 
 
 def test_batches_loaded_by_moved_sensors() -> None:

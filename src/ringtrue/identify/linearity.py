@@ -23,7 +23,7 @@ class LevelCheck:
     Attributes
     ----------
     significance : float
-        Chance at which a linear structure is called nonlinear.
+        Chance at which a linear structure is called nonlinear, in one of its modes.
     mac_min : float
         A mode of another level must be this much alike.
     shift_max : float
@@ -52,7 +52,7 @@ class LevelDependence:
     chance_frequency, chance_damping : (m,) float64
         Chance of so much scatter over the levels in a linear structure (χ² test of equal values).
     linear : (m,) bool
-        No significant change in either.
+        No significant change in either, among so many modes.
     """
 
     levels: Float
@@ -111,7 +111,8 @@ def level_dependence(
     x = np.log(force[order])
     slope_f, dev_f, chance_f = _trend(x, values[0], values[2])
     slope_z, dev_z, chance_z = _trend(x, values[1], values[3])
-    linear = ~((chance_f < settings.significance) | (chance_z < settings.significance))
+    each = settings.significance / max(2 * np.isfinite(chance_f).sum(), 1)  # Bonferroni: all tests together
+    linear = ~((chance_f < each) | (chance_z < each))
     f, z, std_f, std_z = values
     return LevelDependence(force[order], f, z, std_f, std_z, slope_f, slope_z, dev_f, dev_z, chance_f, chance_z, linear)
 
