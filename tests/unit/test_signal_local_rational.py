@@ -67,10 +67,12 @@ def test_no_leakage(kind: str) -> None:
     h = exact(frfs.freqs[use], frfs.data.shape[2])
     assert use.sum() > 130
     assert np.linalg.norm(frfs.data[use] - h) < 5e-3 * np.linalg.norm(h)
+    assert not any("short" in n for n in identify_hammer(frfs, HammerModes(4.0, 40.0)).notes)
     if kind == "random":
         welch = shaker_frfs(r, Welch(0.25)).frfs
         at = np.isin(np.round(welch.freqs, 3), np.round(frfs.freqs[use], 3))
         assert np.linalg.norm(welch.data[at] - h) > 0.2 * np.linalg.norm(h)
+        assert any("the blocks are short" in n for n in identify_hammer(welch, HammerModes(4.0, 40.0)).notes)
 
 
 def test_the_coherence_holds_the_variance() -> None:

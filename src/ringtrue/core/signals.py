@@ -100,6 +100,8 @@ class FrfSet:
     source : str
     kept : float, s
         How long after the blow the response was cut off by the end of the block; inf where it was not, or is unknown.
+    sharp : bool
+        Known to be free of leakage, however few lines a mode has: of a periodic force, or with transients estimated.
     """
 
     data: Complex
@@ -112,6 +114,7 @@ class FrfSet:
     window_decay: float = 0.0
     source: str = ""
     kept: float = float("inf")
+    sharp: bool = False
 
     def __post_init__(self) -> None:
         put = object.__setattr__

@@ -130,7 +130,7 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
     step = np.interp(modes.frequencies, frfs.freqs[1:], np.diff(frfs.freqs))
     width = (2 * modes.damping * modes.frequencies + frfs.window_decay / np.pi) / step
     cut = [f"{f:.4g}" for f in modes.frequencies[width < _CUT]]
-    if cut and np.isinf(frfs.kept):
+    if cut and np.isinf(frfs.kept) and not frfs.sharp:
         more = f" and {len(cut) - 6} more" if len(cut) > 6 else ""
         out.append(
             f"less than {_CUT:g} lines in the half-power bandwidth at {' '.join(cut[:6])} Hz{more}: the blocks are "
@@ -143,9 +143,10 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
         noise = np.sqrt((power * (1 - g) / (n * g)).sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300))
         typical, due = float(np.median(error)), float(np.median(noise))
         if typical > max(_POOR, 3 * due):
+            blocks = " or" if frfs.sharp else ", short blocks or"
             out.append(
                 f"the modes leave {100 * typical:.2g} % of the typical FRF, its coherence explains {100 * due:.2g} %: "
-                "FRFs that disagree (mass of moved sensors, temperature), short blocks or modes outside the band"
+                f"FRFs that disagree (mass of moved sensors, temperature){blocks} modes outside the band"
             )
     return tuple(out)
 

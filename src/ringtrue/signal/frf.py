@@ -356,5 +356,6 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
         coherence=coherence / weight,
         averages=np.median(weight, axis=0),
         kept=float(kept.mean()) if same else np.inf,
+        sharp=all(p.sharp for p in parts),
         source=", ".join(dict.fromkeys(p.source for p in parts if p.source)),
     )

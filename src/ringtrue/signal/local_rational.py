@@ -104,7 +104,7 @@ def _frfs(history: TimeHistory, resolution: float, inputs: Sequence[str]) -> tup
     kind = FRF_KIND[ordered.channels[q].quantity]
     forces = tuple(as_input(c) for c in ordered.channels[:q])
     responses, averages = ordered.channels[q:], np.full(q, freedom)
-    return FrfSet(h, freqs, responses, forces, coherence, averages, kind, 0.0, history.source), seen
+    return FrfSet(h, freqs, responses, forces, coherence, averages, kind, 0.0, history.source, sharp=True), seen
 
 
 def spectra(data: Any_) -> Complex:

@@ -99,7 +99,9 @@ def _frfs(history: TimeHistory, samples: int) -> tuple[FrfSet, Bool]:
     freqs, inputs = place * (history.rate / (times * samples)), (as_input(ordered.channels[0]),)
     h, coherence = h[:, :, None], coherence[:, :, None]
     averages = np.array([freedom])
-    return FrfSet(h, freqs, ordered.channels[1:], inputs, coherence, averages, kind, 0.0, history.source), seen
+    return FrfSet(
+        h, freqs, ordered.channels[1:], inputs, coherence, averages, kind, 0.0, history.source, sharp=True
+    ), seen
 
 
 def _transients(lines: Complex, place: Int, times: int) -> tuple[Complex, Float, float]:
