@@ -21,6 +21,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify import variance as var
 from ringtrue.identify.ambient_record import (
+    AT_EDGE,
     Heard,
     Motion,
     filter_edges,
@@ -380,7 +381,7 @@ def _assemble(
         elif unsteady:
             left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}{BESIDE}")
         elif edge:
-            left_out.append(f"pole at {f:.4g} Hz left out: the spectrum ends there: the filter of the recorder")
+            left_out.append(f"pole at {f:.4g} Hz {AT_EDGE}")
         else:
             at.append((b, i))
     if not heard.driven:

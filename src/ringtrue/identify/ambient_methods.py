@@ -19,7 +19,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, bands_for
-from ringtrue.identify.ambient_record import long_enough
+from ringtrue.identify.ambient_record import AT_EDGE, filter_edges, long_enough
 from ringtrue.identify.bayes import bayes_fft
 from ringtrue.identify.era import next_era
 from ringtrue.identify.fdd import FddSettings, fdd
@@ -109,6 +109,9 @@ def identify_ambient_by(
     else:
         (modes, std), short = _in_bands(method, good, s, tell)
         notes += short
+    edge = np.array(filter_edges(good, modes.frequencies, modes.damping), dtype=bool)
+    notes += tuple(f"pole at {f:.4g} Hz {AT_EDGE}" for f in modes.frequencies[edge])
+    modes, std = modes.take(np.flatnonzero(~edge)), std.take(np.flatnonzero(~edge))
     modes = replace(modes, source=f"{history.source or 'record'}: {NAMES[method]}")
     reasons = tuple(_reason(method, c) for c in modes.confidence)
     more = (
@@ -155,8 +158,10 @@ def _in_bands(
         part = TimeHistory(np.asarray(data, dtype=np.float64), rate, history.channels, history.source)
         poles = _poles(method, part, band, s)
         modes, std = _clustered(poles, ids, rate / LAGS) if method == "plscf" else modes_of(poles, ids)
-        inside = np.flatnonzero((modes.frequencies >= band.low) & (modes.frequencies <= band.high))
-        found.append((modes.take(inside), std.take(inside)))
+        inside = (modes.frequencies >= band.low) & (modes.frequencies <= band.high)
+        inside &= modes.confidence >= s.confidence_min
+        at = np.flatnonzero(inside)
+        found.append((modes.take(at), std.take(at)))
     low = min(b.low for b in bands)
     short = f"below {low:.3g} Hz the record is too short for {NAMES[method]}"
     return _joined(found), (short,) if len(bands) < len(every) else ()

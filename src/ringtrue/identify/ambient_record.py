@@ -20,6 +20,7 @@ from ringtrue.signal.psd import Welch, csd
 
 FEW = 8  # events
 EDGE, LAST = 0.35, 0.49  # of the rate: where filters of recorders begin to end the spectrum, and where it is looked at
+AT_EDGE = "left out: the spectrum ends there: the filter of the recorder"
 BROAD = 0.02  # damping that the edge of a filter may have
 FALL = 0.4  # of the fall of a mode
 ORDER = {**DERIVATIVE, "strain": 0}
