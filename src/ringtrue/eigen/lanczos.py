@@ -21,6 +21,7 @@ BLOCK = 8  # a solve of eight right-hand sides takes MKL 1.3 times that of four 
 TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
 WELL = 1e-8  # condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
 MAX_STEPS = 1000
+GROWN = 1e40  # of a basis vector, in motions that the mass does not see: left out before they overflow
 ROWS = 8192  # of the basis that are turned at once
 
 
@@ -65,6 +66,7 @@ class Krylov:
         self.ahead = 0  # columns of Q
         self.loaded = np.zeros((rows, 0))  # M Q
         self.coupling = np.zeros((0, 0))  # R: (ahead, last block)
+        self.massless = np.flatnonzero(mass.diagonal() == 0)
 
     def start(self, locked: Float, theta: Float) -> None:
         """Begin with a random block orthogonal to the converged vectors `locked` (f, k)."""
@@ -96,6 +98,8 @@ class Krylov:
         """Put an M-orthonormal basis of w behind V; returns R with w = Q·R. Directions below `floor` are
         roundoff: random ones, decoupled (zero rows of R), take their place until the space is exhausted."""
         q, mq, r = self._orthonormal(w, floor)
+        if np.abs(q).max(initial=0.0) > GROWN:
+            q[self.massless] = 0.0
         missing = BLOCK - q.shape[1]
         self._put(q, self.held)
         self.ahead = q.shape[1]

@@ -25,6 +25,8 @@ ELASTIC = 4  # of them at least, however many bodies are free
 STILL = 1e-6  # share of the shift under which a mode is a rigid motion: rounding leaves it 1e-9 of the first guess
 TRIES = 6  # shifts that are judged
 BLURRED = 1e-2  # relative error of the first pair after them: seen from the shift, the modes lie close together
+SHARP = 1e-5  # relative residual of all pairs together, beyond which they are refined once
+SAME = 1e-2  # share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was counted
 ROUNDING = 2e-6  # share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
 ROUNDS = 6  # searches for missing modes before the result is given as incomplete
 
@@ -166,8 +168,7 @@ def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress 
 
     pairs = lanczos.solve(factor, pencil.mass, enough, expected=count + EXTRA, progress=progress, begun=begun)
     del begun
-    if -shift < FINE * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0)) and not pairs.exhausted:
-        pairs = _refined(pencil, pairs, shift)
+    pairs = _sharp(pencil, pairs, shift)
     complete, proof = False, ""
     for _ in range(ROUNDS):
         values = np.sort(shift + 1 / pairs.theta)
@@ -193,20 +194,36 @@ def _say(progress: Progress | None, pencil: Pencil) -> None:
         progress(0.0, f"factorising {pencil.size} DOFs")
 
 
-def _refined(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.RitzPairs:
-    """One step of subspace iteration with the factor at the shift."""
+def _sharp(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.RitzPairs:
+    """The pairs, after a step of subspace iteration where they need one.
+
+    They do where the shift is too near to zero, and after a long recurrence with a singular mass: it does not see
+    some motions, of which the rounding grows from step to step.
+    """
+    near = 0 < -shift < FINE * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0)) and not pairs.exhausted
+    if not near and _residual(pencil, pairs, shift) < SHARP:
+        return pairs
     x = pencil.at(shift).solve(pencil.mass @ pairs.vectors) / pairs.theta
     values, vectors = _rayleigh_ritz(pencil, x)
     return lanczos.RitzPairs(1 / (values - shift), vectors, pairs.exhausted)
+
+
+def _residual(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> float:
+    """‖(K − σM)Xθ − MX‖ / ‖MX‖ of one combination of all pairs."""
+    x = pairs.vectors @ np.column_stack([np.ones(pairs.theta.size), pairs.theta])
+    load = pencil.mass @ x
+    rest = pencil.stiffness @ x[:, 1] - shift * load[:, 1] - load[:, 0]
+    return float(np.linalg.norm(rest) / max(np.linalg.norm(load[:, 0]), np.finfo(float).tiny))
 
 
 def _again(pencil: Pencil, shift: float, pairs: lanczos.RitzPairs, missing: int) -> lanczos.RitzPairs:
     """Continue with random directions orthogonal to what is known until `missing` more have come."""
     want = pairs.theta.size + missing
     locked = (pairs.theta, pairs.vectors)
-    return lanczos.solve(
+    more = lanczos.solve(
         pencil.at(shift), pencil.mass, lambda theta: theta.size >= want, expected=missing + EXTRA, locked=locked
     )
+    return _sharp(pencil, more, shift)
 
 
 def _gap_after(values: Float, count: int, shift: float) -> int | None:
@@ -277,6 +294,7 @@ def _band(
             locked=locked,
             progress=progress,
         )
+        pairs = _sharp(pencil, pairs, sigma)
         if inside(pairs.theta) >= expected:
             break
     found = inside(pairs.theta)
@@ -308,9 +326,12 @@ def _counted(pencil: Pencil, value: float, side: int) -> _Count:
 def _finish(
     pencil: Pencil, pairs: lanczos.RitzPairs, shift: float, take: slice, complete: bool, proof: str
 ) -> EigenModes:
+    roots = np.sort(shift + 1 / pairs.theta)
     values, vectors, residuals, orthogonality = polish(
         pencil.stiffness, pencil.mass, shift + 1 / pairs.theta, pairs.vectors
     )
+    if (np.abs(values - roots) > SAME * np.abs(roots - shift)).any():
+        complete, proof = False, f"{proof}; their shapes have other eigenvalues: NOT complete"
     if pairs.theta.size > 1 and orthogonality > 1e-10:
         values, vectors = _rayleigh_ritz(pencil, vectors)
         values, vectors, residuals, orthogonality = polish(pencil.stiffness, pencil.mass, values, vectors)
