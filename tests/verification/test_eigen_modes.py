@@ -68,7 +68,7 @@ def block() -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
 
 
 @pytest.mark.parametrize("count", [2, 6, 8, 20])
-@pytest.mark.parametrize("bodies", [1, 2, 3])
+@pytest.mark.parametrize("bodies", [1, 2, 3, 9])
 def test_free_bodies(block, bodies, count):
     """As many or fewer modes than there are rigid ones, and more; the bodies differ in stiffness by 3 %."""
     k, m, one = block
@@ -122,6 +122,17 @@ def test_massless_dofs(mesh):
     assert np.allclose(got.values[3:], want[3:], rtol=1e-7)
     assert got.residuals.max() < RESIDUAL
     assert got.complete
+
+
+@pytest.mark.parametrize("count", [1, 40, 320])
+def test_a_mechanism_of_many_motions(count):
+    """300 masses in a plane, joined along their line only: λ = 4 sin²(jπ/600), and 300 motions across it."""
+    along = sparse.diags_array([-np.ones(299), np.r_[1.0, np.full(298, 2.0), 1.0], -np.ones(299)], offsets=(-1, 0, 1))
+    k = sparse.csr_array(sparse.block_diag([along, sparse.csr_array((300, 300))]))
+    got = solve_modes(Pencil(k, sparse.csr_array(sparse.eye_array(600))), count)
+    want = np.r_[np.zeros(300), 4 * np.sin(np.arange(300) * np.pi / 600) ** 2][:count]
+    assert got.complete
+    assert np.allclose(got.values, want, rtol=1e-8, atol=1e-12)
 
 
 @pytest.mark.parametrize("sharp", [True, False])

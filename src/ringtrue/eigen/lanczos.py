@@ -104,7 +104,8 @@ class Krylov:
         self._put(q, self.held)
         self.ahead = q.shape[1]
         if missing:
-            x = self.factor.solve(self.mass @ self.rng.standard_normal((self.basis.shape[0], missing)))
+            x = self.rng.standard_normal((self.basis.shape[0], missing))
+            x = self.factor.solve(self.mass @ self._orthogonalise(x, self.held + self.ahead)[0])
             x = x / np.maximum(self._norms(x), np.finfo(float).tiny)
             x = self._orthogonalise(x, self.held + self.ahead)[0]
             q = self._orthonormal(x, 1e-10)[0]

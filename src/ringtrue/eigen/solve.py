@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
@@ -13,6 +13,7 @@ from ringtrue.eigen import lanczos
 from ringtrue.eigen.dense import DENSE_SIZE, spectrum
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes, eigenvalue, frequencies, polish
+from ringtrue.eigen.still import rayleigh_ritz, still_modes
 from ringtrue.errors import InputError, NumericalError, SingularModel
 
 EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
@@ -21,8 +22,8 @@ NEAR = 1e-5  # share of λ: no shift nearer to zero
 FINE = 1e-6  # share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined once
 PROBE = 4  # Lanczos blocks that judge a shift
 JUDGED = 10  # modes that they judge it by
-ELASTIC = 4  # of them at least, however many bodies are free
-STILL = 1e-6  # share of the shift under which a mode is a rigid motion: rounding leaves it 1e-9 of the first guess
+STILL = 1e-4  # share of the shift under which a block of modes is thought to be of rigid bodies or mechanisms
+NOISE = 1e3  # of their λ, which is rounding: a shift nearer to zero drowns in it
 TRIES = 6  # shifts that are judged
 BLURRED = 1e-2  # relative error of the first pair after them: seen from the shift, the modes lie close together
 SHARP = 1e-5  # relative residual of all pairs together, beyond which they are refined once
@@ -124,49 +125,56 @@ def suitable_shift(values: Float) -> float:
     return max(0.3 * first, 1e-3 * top) or 1.0
 
 
-def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov]:
+def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]:
     """Probe with a few Lanczos blocks and move the shift until it suits the modes that are asked for.
 
-    The probe of the last shift is the beginning of the solution.
+    The probe of the last shift is the beginning of the solution, in which so many modes near zero are known.
     """
-    shift, columns = start_shift(pencil.stiffness, pencil.mass), lanczos.capacity(pencil.size, count + EXTRA)
-    nearest = ROUNDING * shift
+    shift = start_shift(pencil.stiffness, pencil.mass)
+    nearest, known, searched = ROUNDING * shift, (np.zeros((pencil.size, 0)), np.zeros(0)), False
     for last in (*(False,) * TRIES, True):
+        still = known[1].size
+        columns = lanczos.capacity(pencil.size, max(count - still, 0) + EXTRA, still)
         krylov = lanczos.Krylov(pencil.at(shift), pencil.mass, columns, np.random.default_rng(0))
-        krylov.start(np.zeros((pencil.size, 0)), np.zeros(0))
+        krylov.start(known[0], 1 / (known[1] - shift))
         if last:
             break
         for _ in range(PROBE):
             if krylov.ahead:
                 krylov.step()
         theta, _, error = krylov.ritz()
+        if not searched and (np.abs(shift + 1 / theta[: lanczos.BLOCK]) < STILL * -shift).all():
+            values, vectors, shift = still_modes(pencil, shift)
+            known, searched = (vectors, values), True
+            nearest = min(nearest, -NOISE * float(np.abs(values).max(initial=0.0)))
+            continue
+        theta, error = theta[still:], error[still:]
         first = shift + 1 / float(theta[0])
         if error[0] > BLURRED * theta[0] and first < -shift:
             shift = min(-0.3 * abs(first), 1e-4 * shift, nearest)
             continue
-        values = shift + 1 / theta[theta > 1e-12 * theta.max()]
-        values = values[: max(JUDGED, int((np.abs(values) < STILL * -shift).sum()) + ELASTIC)]
+        values = (shift + 1 / theta[theta > 1e-12 * theta.max()])[:JUDGED]
         better = -suitable_shift(values)
         top = float(np.abs(values).max())
         far = 2 * top * max(count / JUDGED, 1.0)  # of the order of the highest mode asked for
         if -NEAR * top > shift > -far or (better > shift and shift == nearest):
             break
         shift = min(better, nearest)
-    return shift, krylov
+    return shift, krylov, still
 
 
 def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress | None) -> EigenModes:
     pencil.reserve(lanczos.capacity(pencil.size, count + EXTRA) + 3 * count)
     _say(progress, pencil)
-    shift, begun = (shift, None) if shift is not None else _find_shift(pencil, count)
+    shift, begun, still = (shift, None, 0) if shift is not None else _find_shift(pencil, count)
     factor = pencil.at(shift)
-    start = _Count(factor.negatives, shift)
+    start, most = _Count(factor.negatives, shift), max(count, still)
 
     def enough(theta: Float) -> bool:
         values = np.sort(shift + 1 / theta)
-        return (values.size > count and _gap_after(values, count, shift) is not None) or values.size >= count + 40
+        return (values.size > count and _gap_after(values, count, shift) is not None) or values.size >= most + 40
 
-    pairs = lanczos.solve(factor, pencil.mass, enough, expected=count + EXTRA, progress=progress, begun=begun)
+    pairs = lanczos.solve(factor, pencil.mass, enough, expected=most + EXTRA, progress=progress, begun=begun)
     del begun
     pairs = _sharp(pencil, pairs, shift)
     complete, proof = False, ""
@@ -204,7 +212,7 @@ def _sharp(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.Ri
     if not near and _residual(pencil, pairs, shift) < SHARP:
         return pairs
     x = pencil.at(shift).solve(pencil.mass @ pairs.vectors) / pairs.theta
-    values, vectors = _rayleigh_ritz(pencil, x)
+    values, vectors = rayleigh_ritz(pencil, x)
     return lanczos.RitzPairs(1 / (values - shift), vectors, pairs.exhausted)
 
 
@@ -333,12 +341,6 @@ def _finish(
     if (np.abs(values - roots) > SAME * np.abs(roots - shift)).any():
         complete, proof = False, f"{proof}; their shapes have other eigenvalues: NOT complete"
     if pairs.theta.size > 1 and orthogonality > 1e-10:
-        values, vectors = _rayleigh_ritz(pencil, vectors)
+        values, vectors = rayleigh_ritz(pencil, vectors)
         values, vectors, residuals, orthogonality = polish(pencil.stiffness, pencil.mass, values, vectors)
     return EigenModes(values[take], vectors[:, take], residuals[take], orthogonality, complete, proof, shift)
-
-
-def _rayleigh_ritz(pencil: Pencil, vectors: Float) -> tuple[Float, Float]:
-    k, m = vectors.T @ (pencil.stiffness @ vectors), vectors.T @ (pencil.mass @ vectors)
-    values, y = linalg.eigh(k, m)
-    return values, vectors @ y
