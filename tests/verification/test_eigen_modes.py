@@ -135,6 +135,29 @@ def test_a_mechanism_of_many_motions(count):
     assert np.allclose(got.values, want, rtol=1e-8, atol=1e-12)
 
 
+def test_a_band_with_more_equal_bodies_than_rounding_brings():
+    """15 free plates: 45 modes at zero and 15 at each elastic root."""
+    k, m = plate(5, 5)
+    many = [sparse.csr_array(sparse.block_diag([a] * 15)) for a in (k, m)]
+    one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)[:20]
+    f = np.sqrt(one.clip(min=0)) / (2 * np.pi)
+    top = int(np.argmax(np.diff(f[12:]))) + 13
+    got = solve_modes(Pencil(*many), band=(0.0, (f[top - 1] + f[top]) / 2))
+    assert got.complete
+    assert got.values.size == 15 * top
+    assert np.allclose(got.values, np.repeat(one[:top], 15), rtol=1e-7, atol=1e-7 * one[3])
+
+
+@pytest.mark.parametrize(("spread", "proved"), [(0.0, True), (2e-2, False)])
+def test_a_root_without_end(spread, proved):
+    """600 oscillators: what stands below one root is counted, below a crowd without gaps nothing is claimed."""
+    k = sparse.csr_array(sparse.diags_array(1e4 * np.linspace(1.0, 1.0 + spread, 600)))
+    got = solve_modes(Pencil(k, sparse.csr_array(sparse.eye_array(600))), 20)
+    assert got.complete is proved
+    assert np.allclose(got.values, 1e4, rtol=2 * spread + 1e-9)
+    assert ("one root" if proved else "not counted") in got.proof
+
+
 @pytest.mark.parametrize("sharp", [True, False])
 def test_a_band_of_many_modes_over_a_singular_mass(monkeypatch, sharp):
     """What the mass does not see grows from step to step; shapes that are left so are not proved."""

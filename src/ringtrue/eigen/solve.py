@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.progress import Progress
 from ringtrue.eigen import lanczos
 from ringtrue.eigen.dense import DENSE_SIZE, spectrum
@@ -29,7 +29,6 @@ BLURRED = 1e-2  # relative error of the first pair after them: seen from the shi
 SHARP = 1e-5  # relative residual of all pairs together, beyond which they are refined once
 SAME = 1e-2  # share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was counted
 ROUNDING = 2e-6  # share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
-ROUNDS = 6  # searches for missing modes before the result is given as incomplete
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,23 +176,24 @@ def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress 
     pairs = lanczos.solve(factor, pencil.mass, enough, expected=most + EXTRA, progress=progress, begun=begun)
     del begun
     pairs = _sharp(pencil, pairs, shift)
-    complete, proof = False, ""
-    for _ in range(ROUNDS):
+    while True:
         values = np.sort(shift + 1 / pairs.theta)
         at = _gap_after(values, count, shift)
         if pairs.exhausted:
             complete, proof = True, f"the mass has rank {values.size}: all modes were found"
             break
         if at is None:
-            proof = "no gap above the highest mode: not counted"
+            complete, proof = _proved_below(pencil, values[:count], values[-1], start)
             break
         mark = float((values[at - 1] + values[at]) / 2) if at < values.size else float(1.01 * values[-1])
         counted = pencil.at(mark).negatives
         complete, proof = _judge(counted, at, start, mark)
         if complete or counted < at or start.below < 0:
             break
-        missing = counted - at
-        pairs = _again(pencil, shift, pairs, missing)
+        more = _again(pencil, shift, pairs, counted - at)
+        if more.theta.size <= pairs.theta.size:
+            break
+        pairs = more
     return _finish(pencil, pairs, shift, slice(0, count), complete, proof)
 
 
@@ -239,11 +239,24 @@ def _gap_after(values: Float, count: int, shift: float) -> int | None:
 
     Rigid-body modes are apart by rounding only, however many of them are known: the shift tells their scale.
     """
-    if values.size <= count:
-        return None
-    least = max(1e-6 * abs(float(values[-1])), 1e-3 * abs(shift))
-    wide = np.diff(values[count - 1 :]) > GAP * np.maximum(np.abs(values[count:]), least)
+    wide = _gaps(values, shift)[max(count - 1, 0) :]
     return count + int(np.argmax(wide)) if wide.any() else None
+
+
+def _gaps(values: Float, shift: float) -> Any_:
+    """Between which values (k,) the gap (k - 1,) is wide enough for a count."""
+    least = max(1e-6 * abs(float(values[-1])), 1e-3 * abs(shift))
+    return np.diff(values) > GAP * np.maximum(np.abs(values[1:]), least)
+
+
+def _proved_below(pencil: Pencil, values: Float, top: float, start: _Count) -> tuple[bool, str]:
+    """Where repeated roots have no end in sight, up to `top`: a count below the last group of them."""
+    at = int(np.flatnonzero(_gaps(values, start.shift)).max(initial=-1)) + 1
+    mark = float((values[at - 1] if at else start.shift) + values[at]) / 2
+    complete, proof = _judge(pencil.at(mark).negatives, at, start, mark)
+    if top - values[at] > GAP * max(abs(top), abs(start.shift)):
+        return False, f"{proof}; no gap above the highest mode: not counted there"
+    return complete, f"{proof}; above stands one root, {values.size - at} times or more"
 
 
 def _judge(counted: int, found: int, start: _Count, mark: float) -> tuple[bool, str]:
@@ -292,8 +305,9 @@ def _band(
     pencil.reserve(lanczos.capacity(pencil.size, expected + EXTRA) + 3 * expected)
     factor = pencil.at(sigma)
     pairs = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
-    for _ in range(ROUNDS):
-        locked = (pairs.theta, pairs.vectors)
+    found, before = 0, -1
+    while before < found < expected:
+        locked, before = (pairs.theta, pairs.vectors), found
         pairs = lanczos.solve(
             factor,
             pencil.mass,
@@ -303,9 +317,7 @@ def _band(
             progress=progress,
         )
         pairs = _sharp(pencil, pairs, sigma)
-        if inside(pairs.theta) >= expected:
-            break
-    found = inside(pairs.theta)
+        found = inside(pairs.theta)
     proof = f"{wanted} eigenvalues between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm) at both ends"
     values = sigma + 1 / pairs.theta
     at = np.flatnonzero((values >= low) & (values <= high))
