@@ -67,6 +67,8 @@ def test_each_fault_is_found(tmp_path: Path, extra: str, severity: str, line: in
     hits = [f for f in found if f.text.startswith(text)]
     assert len(hits) == 1, found
     assert (hits[0].severity, hits[0].line, hits[0].file) == (severity, line, str(tmp_path / "a.bdf") if line else "")
+    place = f"{tmp_path / 'a.bdf'}:{line}: " if line else ""
+    assert str(hits[0]).startswith(f"{severity}: {place}{text}")
 
 
 def test_coincident_nodes_that_are_joined_are_meant(tmp_path: Path) -> None:

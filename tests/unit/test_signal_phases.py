@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import hilbert, lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import identify_ambient
@@ -99,6 +99,16 @@ def test_geophones_near_their_own_frequency_are_odd_among_accelerometers(few):
     assert odd == list(range(7 - few, 7))
     assert not found.delay.any()
     assert not found.drift.any()
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_two_sensors_at_one_place_are_not_odd_where_no_phases_are_clear(seed):
+    """Waves that run through the structure turn the phases of all channels, those of two near each other alike."""
+    y, rng = motion().copy(), np.random.default_rng(seed)
+    quarter = np.imag(hilbert(y - y.mean(axis=1, keepdims=True), axis=1))
+    y += 0.2 * rng.standard_normal((7, 7)) @ quarter / np.sqrt(7)
+    y[6] = y[5] + 0.05 * y[5].std() * rng.standard_normal(y.shape[1])
+    assert not channel_phases(record(y), [2] * 7).odd.any()
 
 
 def test_channels_are_moved_between_their_samples():

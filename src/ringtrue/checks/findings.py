@@ -20,6 +20,10 @@ class Finding:
     file: str = ""
     line: int = 0
 
+    def __str__(self) -> str:
+        place = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
+        return f"{self.severity}: {place}{self.text}"
+
 
 def at_rows(model: Model, card: str, rows: Int, severity: Severity, what: str) -> Finding:
     """One finding for rows (k,), k >= 1, of a table, at the place of the first: `CQUAD4 7 and 3 more: what`."""

@@ -151,8 +151,6 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
     for card, place in summary["unsupported"].items():
         out.print(f"unsupported {card}: {place}")
     for f in summary["findings"]:
-        line = f":{f['line']}" if f["line"] else ""
-        place = f"{f['file']}{line}: " if f["file"] else ""
-        out.print(f"{f['severity']}: {place}{f['text']}")
+        out.print(str(Finding(**f)))
     if not summary["findings"] and not summary["unsupported"]:
         out.print("no findings")

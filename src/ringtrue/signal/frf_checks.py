@@ -7,18 +7,17 @@ from typing import Literal
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Complex
 from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 
 _SURE, _FLIPPED = 0.8, -0.3
 _BANDS = 24
-_DELAYS = np.linspace(-1, 1, 33) * np.pi  # phases at the highest line
 
 
 @dataclass(frozen=True, slots=True)
 class DrivingPoint:
-    """A driving point: `passive` is the sum of the real part of its mobility over that of its size, 1 if all is well.
+    """A driving point: `passive` is the share of the real part in its mobility at resonances, 1 if all is well.
 
     Attributes
     ----------
@@ -73,21 +72,25 @@ def check_driving_points(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
 
 
 def passive(frfs: FrfSet, output: int, reference: int, *, low: float = 0.0, high: float = np.inf) -> float:
-    """Sum of the real part of a driving point's mobility over that of its size, -1 to 1, from `low` to `high` Hz.
+    """Share of the real part of a driving point's mobility in its size at resonances, -1 to 1, `low` to `high` Hz.
 
-    Taken in bands of as many lines, each of which counts as far as it has a sign: a drift at the lowest lines, which no
-    weight by size would survive, is one of many. A delay between force and response of a sample or less turns the
-    real part of the mass line above the modes; so the largest of the sums over such delays is taken.
+    Taken in bands of as many lines, each of which counts as far as it has a peak and a sign. A drift at the lowest
+    lines, which no weight by size would survive, is one band of many; and of lines between resonances, where mobility
+    is all but imaginary, a delay of a sample or less makes what sign it likes.
     """
     use = (frfs.freqs > max(low, 0.0)) & (frfs.freqs <= high)
-    h, f = mobility(frfs)[use, output, reference], frfs.freqs[use]
-    sums = [_signed((h * np.exp(1j * x * f / f[-1])).real) for x in _DELAYS] if f.size else [0.0]
-    return max(sums, key=abs)
+    bands = np.array_split(mobility(frfs)[use, output, reference], min(_BANDS, int(use.sum()) or 1))
+    share, peak = np.transpose([_sign_and_peak(h) for h in bands])
+    weight = np.abs(share) * peak
+    return float((share * weight).sum() / max(weight.sum(), 1e-300))
 
 
-def _signed(real: Float) -> float:
-    share = np.array([x.sum() / max(np.abs(x).sum(), 1e-300) for x in np.array_split(real, min(_BANDS, real.size))])
-    return float((share * np.abs(share)).sum() / max(np.abs(share).sum(), 1e-300))
+def _sign_and_peak(h: Complex) -> tuple[float, float]:
+    """Share of the real part of lines in its size, and how far the largest lines stand out, 0 to 1."""
+    size = np.abs(h)
+    power = max(float((size**2).sum()), 1e-300)
+    share = (h.real * size).sum() / max((np.abs(h.real) * size).sum(), 1e-300)
+    return float(share), float(1 - size.sum() ** 2 / max(size.size, 1) / power)
 
 
 def check_reciprocity(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -> tuple[Reciprocity, ...]:

@@ -142,7 +142,10 @@ def _apart(agreed: Any_, coherence: Any_, tried: Int, root: int) -> Bool:
     both[tried, np.arange(tried.size)] = False
     out: Bool = np.asarray(both.any(axis=1))
     out[tried] |= np.asarray(both.any(axis=0))
-    return np.asarray(out | (j[:, out[tried]] > TOGETHER).any(axis=1))
+    out |= (j[:, out[tried]] > TOGETHER).any(axis=1)
+    rest = j[~out, root]
+    clear = np.isfinite(rest).any() and float(np.nanmedian(rest)) > TOGETHER
+    return out if clear else np.zeros_like(out)
 
 
 def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
