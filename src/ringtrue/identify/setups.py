@@ -42,17 +42,20 @@ class GlobalPoles:
         Rows of the shapes are `channels`.
     shape_std : (ch, k) float64
         Standard deviations of the moduli, the largest component held.
+    deviation : (k, block) complex128, rad/s
+        Of each pole by each block of all setups; the squares sum up to the variance.
     channels : tuple of str
         References first, then the other channels of each setup.
     """
 
     poles: PoleSet
     shape_std: Float
+    deviation: Complex
     channels: tuple[str, ...]
 
     def modes(self, source: str = "PreGER") -> tuple[ModeSet, Uncertainty]:
         """Modes that most orders show (`identify.pick.modes_of`) with their standard deviations."""
-        return modes_of(self.poles, self.channels, source=source, shape_std=self.shape_std)
+        return modes_of(self.poles, self.channels, source=source, shape_std=self.shape_std, deviation=self.deviation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +156,9 @@ def preger(setups: Sequence[TimeHistory], references: Sequence[str], settings: S
         np.concatenate([x[3] for x in found]),
     )
     shape_std = np.concatenate([x[4] for x in found], axis=1)
-    return GlobalPoles(poles, shape_std, refs + tuple(c for m in moved for c in m))
+    return GlobalPoles(
+        poles, shape_std, np.concatenate([x[5] for x in found]), refs + tuple(c for m in moved for c in m)
+    )
 
 
 def _realised(
@@ -175,8 +180,9 @@ def _realised(
 
 def _order(
     base: tuple[Float, Float], changed: Sequence[tuple[Float, Float]], s: SsiCov, rate: float, scale: Float
-) -> tuple[Complex, Complex, Float, Float, Float]:
-    """Damped poles (k,), shapes (ch, k) and the standard deviations of frequency, damping and moduli of one order."""
+) -> tuple[Complex, Complex, Float, Float, Float, Complex]:
+    """Damped poles (k,), shapes (ch, k), standard deviations of frequency, damping and moduli, and what each block does
+    to the poles (k, block), of one order."""
     a, c = base
     mu, right = np.linalg.eig(a)
     right = right.astype(np.complex128)
@@ -186,7 +192,8 @@ def _order(
     pole = every[keep]
     psi = np.asarray(scale[:, None] * (c @ right[:, keep]), dtype=np.complex128)
     if not changed or not keep.size:
-        return pole, psi, np.full(keep.size, np.nan), np.full(keep.size, np.nan), np.full(psi.shape, np.nan)
+        unknown, none = np.full(keep.size, np.nan), np.empty((keep.size, len(changed)), np.complex128)
+        return pole, psi, unknown, unknown, np.full(psi.shape, np.nan), none
     d_a, d_c = (np.stack([x[i] - base[i] for x in changed]) for i in (0, 1))
     load = np.linalg.solve(right, d_a @ right[:, keep])  # (block, n, k)
     at = np.arange(keep.size)
@@ -196,4 +203,4 @@ def _order(
     d_psi = scale[:, None] * (d_c @ right[:, keep] + c @ (right @ (load / gain)))
     d_pole = np.asarray(d_mu / mu[keep, None] * rate, dtype=np.complex128)
     df, dz = var.frequency_damping(pole, d_pole)
-    return pole, psi, var.std(df), var.std(dz), var.modulus_std(psi, d_psi.transpose(2, 1, 0))
+    return pole, psi, var.std(df), var.std(dz), var.modulus_std(psi, d_psi.transpose(2, 1, 0)), d_pole
