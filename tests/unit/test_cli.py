@@ -271,7 +271,7 @@ def _spoilt(x: Any, value: float, where: object) -> Any:
     ("change", "options", "told"),
     [
         (lambda x: x[:0], ["--rate", 64], "empty"),
-        (lambda x: _spoilt(x, np.nan, (3, 2)), ["--rate", 64], "NaN or infinite samples in"),
+        (lambda x: _spoilt(x, np.nan, (slice(None), 2)), ["--rate", 64], "NaN or infinite samples in"),
         (lambda x: _spoilt(x, 1.0, (slice(None), 2)), ["--rate", 64], "is constant"),
         (lambda x: x, [], "no sampling rate"),
         (lambda x: x, ["--rate", -3], "rate -3.0 Hz must be positive"),

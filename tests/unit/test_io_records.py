@@ -107,9 +107,42 @@ def test_missing_rows_and_samples_are_told_with_what_to_do(tmp_path: Path) -> No
     path.write_text("\n".join([head, *rows[:400], *rows[650:900], *rows[903:]]))
     with pytest.raises(DataError, match=r"samples are missing: 2.51 s behind row 400, 0.04 s behind row 650, where"):
         read_record(path)
+    whole = read_record(path, gaps=True)
+    there = np.r_[0:400, 650:900, 903:2000]
+    assert (whole.rate, whole.data.shape) == (100.0, (2, 2000))
+    assert np.array_equal(np.flatnonzero(np.isfinite(whole.data).all(axis=0)), there)
+    assert whole.data[0, there] == pytest.approx(np.sin(there), abs=1e-5)
     path.write_text("\n".join([head, *rows[:7], "0.07,,1.0", *rows[8:]]))
     with pytest.raises(DataError, match=r"in a \(1\) of 2000 samples each; leave"):
         read_record(path)
+    assert np.isnan(read_record(path, gaps=True).data).sum() == 1
+
+
+@pytest.mark.parametrize("form", ["clock", "array"])
+def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path, form: str) -> None:
+    k = np.r_[0:3000, 6400:9000, 9001:10000]
+    if form == "clock":
+        start = np.datetime64("2026-03-01T23:59:00.000")
+        stamps = [str(start + np.timedelta64(int(i * 8), "ms")).replace("T", " ") for i in k]
+        rows = [f"{s};{np.sin(i):.5f};{np.cos(i):.5f}" for s, i in zip(stamps, k, strict=True)]
+        path = tmp_path / "r.csv"
+        path.write_text("\n".join(["Timestamp;a;b", *rows]))
+    else:
+        path = tmp_path / "r.npy"
+        np.save(path, np.stack([k / 125.0, np.sin(k), np.cos(k)], axis=1))
+    h = read_record(path, gaps=True)
+    assert h.rate == pytest.approx(125.0)
+    assert np.array_equal(np.flatnonzero(np.isfinite(h.data).all(axis=0)), k)
+    with pytest.raises(DataError, match=r"samples are missing: 27.2\d* s behind row 3000"):
+        read_record(path)
+
+
+def test_a_record_that_is_mostly_missing_is_refused(tmp_path: Path) -> None:
+    k = np.r_[0:300, 5000:5300]
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join(["Time [s],a", *(f"{i / 100:.2f},{np.sin(i):.5f}" for i in k)]))
+    with pytest.raises(DataError, match="samples are missing"):
+        read_record(path, gaps=True)
 
 
 @pytest.mark.parametrize("samples", [500, 4321, 8192])

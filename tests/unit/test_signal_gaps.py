@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,9 @@ from scipy.signal import lfilter
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import identify_ambient, identify_stretches
 from ringtrue.identify.ambient_methods import identify_ambient_by
+from ringtrue.identify.whittle import SpectralBins
 from ringtrue.shapes.mac import mac
+from ringtrue.signal.events import NONE
 from ringtrue.signal.gaps import bridged
 
 RATE, SECONDS = 100.0, 600
@@ -75,6 +78,66 @@ def test_other_methods_and_later_stretches_leave_them_out_too():
     both = identify_stretches((whole, record(lossy())))
     assert len(both.modes) == 5, both.notes
     assert np.diag(mac(both.modes.shapes, PHI.astype(complex))).min() > 0.99
+
+
+def test_missing_samples_are_left_out_as_held_ones_are():
+    y = lossy()
+    y[:, 20000:24000] = np.nan
+    y[4, 35000:45000] = np.nan
+    whole, gaps = bridged(record(y))
+    expected = bridged(record(lossy()))
+    assert np.array_equal(gaps.lost, expected[1].lost)
+    assert np.abs(whole.data - expected[0].data).max() < 1e-9
+    assert "(samples are missing), the first at 200 s, 140 s in all" in gaps.notes[0]
+    again = gaps.marked(whole)
+    assert np.array_equal(np.isnan(again.data).all(axis=0), expected[1].lost)
+
+
+def test_a_few_missing_samples_are_interpolated_in_their_channel_and_a_silent_one_is_left_out():
+    y = motion().copy()
+    y[2, 5000::7000] = np.nan
+    y[3, 30000:30004] = np.inf
+    y[6] = np.nan
+    whole, gaps = bridged(record(y))
+    assert np.isfinite(whole.data).all()
+    assert not gaps.lost.any()
+    assert np.array_equal(whole.data[[0, 1, 4, 5]], motion()[[0, 1, 4, 5]])
+    assert gaps.notes == (
+        "channel 3+Z: 8 missing samples interpolated",
+        "channel 4+Z: 4 missing samples interpolated",
+        "channel 7+Z: 100 % of its samples are lost; left out",
+    )
+
+
+def test_windows_tell_what_lost_stretches_do_to_the_spectrum_of_a_mode():
+    """Expected periodogram of a decaying correlation under a mask of 300 random losses, against the model of it."""
+    n, f, zeta = 1 << 16, 0.05, 0.004
+    there = np.ones(n)
+    for a in np.random.default_rng(2).integers(0, n - 60, 300):
+        there[a : a + 60] = 0.0
+    events = replace(NONE, gone=there == 0, rate=1.0)
+    bins = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 1, 1)), float(n), 1 - events.kept, events.breaks)
+    pairs = np.fft.irfft(np.abs(np.fft.rfft(there, 2 * n)) ** 2)[:n] / there.sum()
+    nu = f + np.linspace(-5, 5, 41) * zeta * f
+    rate = 2 * np.pi * (zeta * f + 1j * (nu - f))
+    tau = np.arange(n)
+    seen = np.array([(pairs * np.exp(-r * tau)).real.sum() for r in rate])
+    told = sum(w * ((1 - (1 - np.exp(-rate * t)) / (rate * t)) / rate).real for w, t in bins.windows)
+    plain = ((1 - (1 - np.exp(-rate * n)) / (rate * n)) / rate).real
+    assert np.abs(told / seen - 1).max() < 0.1  # by chance the losses of one mask lie in steps
+    assert np.abs(plain / seen - 1).max() > 0.25
+
+
+def test_many_short_losses_do_not_raise_the_damping():
+    """Of 60 at random, 2 s each: the spectra by themselves say a third more."""
+    y = motion().copy()
+    for a in np.random.default_rng(6).integers(0, y.shape[1] - 200, 60):
+        y[:, a : a + 200] = np.nan
+    r = identify_ambient(record(y))
+    assert len(r.modes) == 5, r.notes
+    assert (np.abs(r.modes.frequencies - F) < 4 * r.uncertainty.frequency).all()
+    assert (np.abs(r.modes.damping - Z) < 3 * r.uncertainty.damping).all()
+    assert (r.modes.damping / Z).mean() < 1.12  # five modes known to 15 % each
 
 
 def test_a_channel_lost_for_most_of_the_record_is_left_out():

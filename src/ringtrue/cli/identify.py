@@ -29,6 +29,7 @@ from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.records import read_record
 from ringtrue.plots.picker import picker_page
 from ringtrue.signal.faults import find_faults
+from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import without_machines
 from ringtrue.signal.preprocess import harmonics
 
@@ -126,11 +127,11 @@ def check_band(fmin: float | None, fmax: float | None) -> None:
 
 
 def record_without(path: Path, rate: float | None, lost: Sequence[str], group: str = "") -> TimeHistory:
-    """A record without some channels; those that are left are checked."""
+    """A record without some channels, in which samples may be missing; those that are left are checked."""
     if not lost:
-        return read_record(path, rate, group=group)
-    every = read_record(path, rate, check=False, group=group).channels
-    return read_record(path, rate, channels=kept_channels(path, every, lost), group=group)
+        return read_record(path, rate, group=group, gaps=True)
+    every = read_record(path, rate, check=False, group=group, gaps=True).channels
+    return read_record(path, rate, channels=kept_channels(path, every, lost), group=group, gaps=True)
 
 
 def kept_channels(path: Path, channels: Sequence[Channel], lost: Sequence[str]) -> list[str]:
@@ -253,8 +254,13 @@ def told(
 
 
 def _removed(history: TimeHistory, how: Removal | None) -> tuple[TimeHistory, tuple[str, ...]]:
-    lines = harmonics(history) if how else ()
-    return without_machines(history, [h.frequency for h in lines], how.value) if how and lines else (history, ())
+    if not how:
+        return history, ()
+    whole, gaps = bridged(history)
+    if not (lines := harmonics(whole)):
+        return history, ()
+    clean, said = without_machines(whole, [h.frequency for h in lines], how.value)
+    return gaps.marked(clean), (*gaps.channels, *said)
 
 
 def _machines(found: AmbientResult) -> list[str]:

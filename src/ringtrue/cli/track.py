@@ -62,7 +62,7 @@ def _parts(path: Path, rate: float | None, seconds: float) -> Iterator[TimeHisto
         size = max(2, round(seconds * info.rate))
         yield from record_blocks(path, size)
         return
-    history = read_record(path, rate, check=False)
+    history = read_record(path, rate, check=False, gaps=True)
     size = max(2, round(seconds * history.rate))
     for a in range(0, history.data.shape[1], size):
         part = history.data[:, a : a + size]

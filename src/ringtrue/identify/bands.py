@@ -93,7 +93,9 @@ def _added(a: BandSums, b: BandSums) -> BandSums:
     if x.freqs.shape != y.freqs.shape or not np.isclose(x.duration, y.duration):
         return both
     np.add(x.cross, y.cross, out=x.cross)  # in place: these are the largest arrays
-    return replace(both, spectra=replace(x, count=x.count + y.count), stretches=a.stretches + 1)
+    n = a.stretches
+    lost, breaks = (n * x.lost + y.lost) / (n + 1), (n * x.breaks + y.breaks) / (n + 1)
+    return replace(both, spectra=replace(x, count=x.count + y.count, lost=lost, breaks=breaks), stretches=n + 1)
 
 
 def _in_pairs(x: BandSums) -> BandSums:
@@ -191,7 +193,7 @@ def _pass(x: BandSums, y: Signals, events: Events, last: bool) -> tuple[BandSums
     scale = x.scale.astype(np.float32)
     r /= scale[:, None] * scale[x.references]
     spectra = _binned(y, x.eyes, x.band, 1 / scale[x.eyes])
-    spectra = replace(spectra, count=spectra.count * events.kept)
+    spectra = replace(spectra, count=spectra.count * events.kept, lost=1 - events.kept, breaks=events.breaks)
     return replace(x, parts=(r,), shares=(share,), spectra=spectra, stretches=1), pyramid.detrended(lower)
 
 

@@ -43,12 +43,29 @@ class SpectralBins:
     cross : (bin, ch, ch) complex64
     duration : float, s
         Of one periodogram.
+    lost : float
+        Share of the record that the recorder lost, bridged by straight lines.
+    breaks : float, 1/s
+        Number of these stretches, in a second of the record.
     """
 
     freqs: Float
     count: Float
     cross: Any_
     duration: float
+    lost: float = 0.0
+    breaks: float = 0.0
+
+    @property
+    def windows(self) -> tuple[tuple[float, float], ...]:
+        """Weights and lengths (s) of the triangles that make up the window on the correlations.
+
+        Pairs of samples at a lag τ that are both there become fewer as 1 - τ/duration, and by those that a lost stretch
+        takes: breaks · τ at small lags, of the share (1 - lost), and as much as chance tells beyond their length.
+        """
+        if not self.lost:
+            return ((1.0, self.duration),)
+        return ((1 - self.lost, self.duration), (self.lost, self.lost * (1 - self.lost) / self.breaks))
 
     def __add__(self, other: SpectralBins) -> SpectralBins:
         """The average of two stretches of one record, equally long."""
@@ -56,7 +73,8 @@ class SpectralBins:
             raise DataError("spectra of stretches of different length do not add")
         n = self.count + other.count
         a, b = (x.astype(np.float32)[:, None, None] for x in (self.count / n, other.count / n))
-        return SpectralBins(self.freqs, n, a * self.cross + b * other.cross, self.duration)
+        lost, breaks = 0.5 * (self.lost + other.lost), 0.5 * (self.breaks + other.breaks)
+        return SpectralBins(self.freqs, n, a * self.cross + b * other.cross, self.duration, lost, breaks)
 
 
 def spectral_bins(data: Any_, rate: float, band: tuple[float, float]) -> SpectralBins:
@@ -115,19 +133,23 @@ class _Curve:
     d_zeta: Float
 
 
-def _finite(nu: Float, nu0: float, zeta: float, turns: float) -> Float:
-    """Factor on the spectrum of a mode for the finite length, `turns` = duration · f_start."""
-    q = 2 * np.pi * turns * (zeta * nu0 + 1j * (nu - nu0 * np.sqrt(1 - min(zeta, 0.9) ** 2)))
-    u = 1 / q
-    return np.asarray(1 - (u * u * (1 - np.exp(-q))).real / u.real)
+def _finite(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]) -> Float:
+    """Factor on the spectrum of a mode for the finite length; `windows`: weights, and lengths in periods of f_start."""
+    rate = 2 * np.pi * (zeta * nu0 + 1j * (nu - nu0 * np.sqrt(1 - min(zeta, 0.9) ** 2)))
+    factor = np.zeros(nu.shape)
+    for weight, turns in windows:
+        q = turns * rate
+        u = 1 / q
+        factor += weight * (1 - (u * u * (1 - np.exp(-q))).real / u.real)
+    return factor
 
 
-def _lorentz(nu: Float, nu0: float, zeta: float, turns: float) -> _Curve:
+def _lorentz(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]) -> _Curve:
     """1 over |ν0² − ν² + 2iζν0ν|², peak 1, as seen in a record of a finite length."""
     square = nu * nu
     own, wide = nu0**2 - square, (4 * zeta**2 * nu0**2) * square
     d = own * own + wide
-    level = (4 * zeta**2 * nu0**4) * _finite(nu, nu0, zeta, turns) / d
+    level = (4 * zeta**2 * nu0**4) * _finite(nu, nu0, zeta, windows) / d
     return _Curve(level, 4 - (4 * nu0**2 * own + 2 * wide) / d, 2 - 2 * wide / d)
 
 
@@ -139,7 +161,7 @@ class _Fit:
     Attributes
     ----------
     nu, power, count : (bin,) float64
-    turns : float
+    windows : tuple of (weight, length in periods of f_start)
     place : (other,) float64
         ν of the neighbours.
     near : (bin, other) float64
@@ -151,7 +173,7 @@ class _Fit:
     nu: Float
     power: Float
     count: Float
-    turns: float
+    windows: tuple[tuple[float, float], ...]
     place: Float
     near: Float
     mean: Float
@@ -160,7 +182,7 @@ class _Fit:
     def spectrum(self, theta: Float) -> tuple[Float, Float]:
         """S (bin,) and its logarithmic derivatives (bin, parameter)."""
         nu0, zeta, slope = float(np.exp(theta[0])), float(np.exp(theta[1])), float(theta[2])
-        own, ratio = _lorentz(self.nu, nu0, zeta, self.turns), np.log(self.nu / nu0)
+        own, ratio = _lorentz(self.nu, nu0, zeta, self.windows), np.log(self.nu / nu0)
         tilt = np.exp(slope * ratio)
         x = (self.nu - self.nu[0]) / (self.nu[-1] - self.nu[0])
         parts = np.empty((x.size, 3 + self.place.size))
@@ -309,10 +331,11 @@ def _prepare(b: SpectralBins, i: int, f: Float, z: Float, psi: Complex, slope: t
     if at.size < 30 or half < 1.5 * np.median(np.diff(b.freqs[at])):
         return None
     others = np.flatnonzero((np.abs(f - f[i]) < 2 * SPAN * f[i]) & (np.arange(f.size) != i))
-    nu, few, turns, place = b.freqs[at] / f[i], max(at.size // 10, 3), b.duration * f[i], f[others] / f[i]
+    nu, few, place = b.freqs[at] / f[i], max(at.size // 10, 3), f[others] / f[i]
+    windows = tuple((weight, length * float(f[i])) for weight, length in b.windows)
     near = np.empty((nu.size, others.size))
     for k, (p, q) in enumerate(zip(place.tolist(), z[others].tolist(), strict=True)):  # neighbours
-        near[:, k] = _lorentz(nu, p, q, turns).level
+        near[:, k] = _lorentz(nu, p, q, windows).level
     own = _filter(b, at, half, psi, i, others, near, f)
     # single precision, that of the spectra: to make them double takes longer than all else
     w = own.weights.astype(np.complex64)
@@ -325,4 +348,4 @@ def _prepare(b: SpectralBins, i: int, f: Float, z: Float, psi: Complex, slope: t
     # free ones take from the skirts of the mode on average, and with them from its damping
     loose = np.where(known, LEVEL, 3.0) ** -2
     prior = np.concatenate([[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LEVEL**-2)])
-    return _Fit(nu, power, b.count[at], turns, place, near, mean, prior)
+    return _Fit(nu, power, b.count[at], windows, place, near, mean, prior)

@@ -5,17 +5,18 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.clock import is_clock, seconds
 from ringtrue.io.complex_cells import parted
-from ringtrue.io.plain import TIME_NAMES, RawTable, even_rate, numbered, read_text
+from ringtrue.io.plain import TIME_NAMES, RawTable, even_grid, numbered, read_text
 from ringtrue.io.si import known
 
 _TIMES = {*TIME_NAMES, "timestamp", "datetime", "date", "datum", "uhrzeit", "elapsed", "elapsed time", "relative time"}
@@ -66,7 +67,8 @@ def read_csv(path: Path) -> RawTable:
         raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
     rate = _told_rate([*told, *lines[:top]])
     if clock:
-        return _named(data, names[clock:], _clock_rate(lines[top:], delimiter, clock, path) or rate)
+        by_clock, rows = _clock_rate(lines[top:], delimiter, clock, path)
+        return replace(_named(data, names[clock:], by_clock or rate), rows=rows)
     return _with_time(data, names, rate, path)
 
 
@@ -201,8 +203,8 @@ def _clocked(lines: Sequence[str], delimiter: str, path: Path) -> tuple[Sequence
     return out, clock
 
 
-def _clock_rate(lines: Sequence[str], delimiter: str, columns: int, path: Path) -> float | None:
-    """The rate of lines that begin with dates and times of day; None where these are too coarse."""
+def _clock_rate(lines: Sequence[str], delimiter: str, columns: int, path: Path) -> tuple[float | None, Int | None]:
+    """The rate of lines that begin with dates and times of day, None where these are too coarse; as `_rate_of`."""
     texts = [" ".join(x.split(None if delimiter == " " else delimiter, columns)[:columns]) for x in lines]
     try:
         t = seconds([x.replace('"', "") for x in texts])
@@ -211,13 +213,13 @@ def _clock_rate(lines: Sequence[str], delimiter: str, columns: int, path: Path) 
     return _rate_of(t, path)
 
 
-def _rate_of(t: Float, path: Path) -> float | None:
-    """The rate of times that are even but for their rounding to whole seconds or less."""
+def _rate_of(t: Float, path: Path) -> tuple[float | None, Int | None]:
+    """The rate of times that are even but for their rounding to whole seconds or less; as `even_grid`."""
     if t.size > 2 and (np.diff(t) >= 0).all() and (np.diff(t) == 0).any() and (np.round(t) == t).all():
         step = float(np.polyfit(np.arange(t.size) / t.size, t, 1)[0]) / t.size
         even = np.abs(t - t[0] - step * np.arange(t.size)).max() < 1.5
-        return 1 / step if even and step > 0 and 1 / (t.size**1.5 * step) < _COARSE else None
-    return even_rate(t, True, path)
+        return (1 / step if even and step > 0 and 1 / (t.size**1.5 * step) < _COARSE else None), None
+    return even_grid(t, True, path)
 
 
 def _told_rate(lines: Sequence[str]) -> float | None:
@@ -283,12 +285,12 @@ def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path
     if len(data) < 2 and not named:
         return _named(data, names, told)
     t = (data[0] - data[0, 0]) * unit if data[0, 0] > _EPOCHS[-1][0] else data[0] * unit
-    rate = _rate_of(t, path) if named else even_rate(t, False, path)
+    rate, rows = _rate_of(t, path) if named else even_grid(t, False, path)
     if rate is None and not named:
         return _named(data, names, told)
     again = np.array([bool((row == data[0]).all()) for row in data])  # a time for each channel
     rest = [n for n, a in zip(names, again, strict=True) if not a] if names else []
-    return _named(data[~again], rest, rate or told)
+    return replace(_named(data[~again], rest, rate or told), rows=rows)
 
 
 def _named(data: Float, names: Sequence[str], rate: float | None) -> RawTable:

@@ -12,7 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.errors import DataError, did_you_mean
 
 _RATE_NAMES = ("rate", "fs", "samplingrate", "samplerate", "fsamp", "fsample", "sr")  # in letters and digits
@@ -21,6 +21,7 @@ _STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat"
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
 _LONG = 64  # samples: a shorter table is no record
+_THIN = 0.5  # share of the rows that must be there, where some are missing
 _CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
 
 
@@ -33,6 +34,8 @@ class RawTable:
     data : (channel, sample)
     rate : float or None, Hz
     names, units, quantities : tuple of str, one for each channel
+    rows : (sample,) int64 or None
+        Where rows are missing by the times: the place of each on the even grid.
     """
 
     data: Any_
@@ -40,6 +43,25 @@ class RawTable:
     names: tuple[str, ...]
     units: tuple[str, ...]
     quantities: tuple[str, ...]
+    rows: Int | None = None
+
+    def evened(self) -> RawTable:
+        """The table with NaN in the rows that are missing."""
+        if self.rows is None:
+            return self
+        data = np.full((len(self.data), int(self.rows[-1]) + 1), np.nan, dtype=np.result_type(self.data, np.float32))
+        data[:, self.rows] = self.data
+        return replace(self, data=data, rows=None)
+
+    def check_whole(self, path: Path) -> None:
+        """Refuse missing rows.
+
+        Raises
+        ------
+        DataError
+        """
+        if self.rows is not None and self.rate is not None:
+            raise DataError(f"{path}: {_uneven(np.diff(self.rows) / self.rate)}")
 
 
 def numbered(data: Any_, rate: float | None) -> RawTable:
@@ -233,6 +255,30 @@ def even_rate(t: Float, named: bool, path: Path) -> float | None:
     return _shortest_rate(t, mean)
 
 
+def even_grid(t: Float, named: bool, path: Path) -> tuple[float | None, Int | None]:
+    """The rate of a time column as `even_rate`, and where rows are missing the place of each, (row,) int64."""
+    rate = even_rate(t, False, path)
+    if rate is None and (found := _with_missing(t, path)) is not None:
+        return found
+    return even_rate(t, named, path) if rate is None else rate, None
+
+
+def _with_missing(t: Float, path: Path) -> tuple[float, Int] | None:
+    """Rate and place of each row of times that are even but for jumps over missing rows; None where they are not."""
+    step = np.diff(t)
+    if step.size < 2 or not np.isfinite(step).all() or not (step > 0).all():
+        return None
+    parts = np.split(t, np.flatnonzero(step > 1.5 * np.median(step)) + 1)
+    rate = even_rate(max(parts, key=len), False, path)
+    if rate is None or len(parts) == 1:
+        return None
+    first = np.round((np.array([x[0] for x in parts]) - t[0]) * rate).astype(np.int64)
+    rows = np.concatenate([a + np.arange(x.size) for a, x in zip(first, parts, strict=True)])
+    if not (np.diff(rows) > 0).all() or np.abs((t - t[0]) * rate - rows).max() > 1 or rows[-1] + 1 > t.size / _THIN:
+        return None
+    return rate, rows
+
+
 def _shortest_rate(t: Float, step: float) -> float:
     """The rate with the fewest digits that the times, written with so many decimals, allow: 1024, not 1023.99997."""
     k = np.arange(t.size)
@@ -271,10 +317,10 @@ def _rounded(t: Float) -> bool:
 
 def without_time(table: RawTable, path: Path) -> RawTable:
     """A table without names whose first row is a time (it rises in equal steps): the rate in its place."""
-    rate = even_rate(table.data[0], False, path) if table.data.shape[0] > 1 else None
+    rate, rows = even_grid(table.data[0], False, path) if table.data.shape[0] > 1 else (None, None)
     if rate is None or rate <= 1 or table.data.shape[1] < 10:  # 1 Hz: the column may as well number the samples
         return table
-    rest = numbered(table.data[1:], rate)
+    rest = replace(numbered(table.data[1:], rate), rows=rows)
     if table.rate is not None and abs(table.rate / rate - 1) > 1e-3:
         raise DataError(f"{path}: a rate of {table.rate:g} Hz is named, but the first column, a time, says {rate:g} Hz")
     return rest

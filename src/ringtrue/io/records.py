@@ -138,6 +138,7 @@ def read_record(
     stop: int | None = None,
     check: bool = True,
     group: str = "",
+    gaps: bool = False,
 ) -> TimeHistory:
     """Read a time record, SI.
 
@@ -157,17 +158,20 @@ def read_record(
     group : str
         The group of a `.tdms`, or the group or data set of an HDF5 file of others, that is meant where there are
         several of unlike rates.
+    gaps : bool
+        Let samples be missing, as an ambient test may: rows that the times show to be missing become NaN, and these and
+        others stay.
 
     Raises
     ------
     DataError
-        If the file is empty, a channel has NaN or is constant, or the rate is missing or odd.
+        If the file is empty, a channel has NaN or is constant, rows are missing, or the rate is missing or odd.
     """
     path = existing(path)
     _check_rate_given(path, rate)
-    history = _read(path, rate, channels, slice(start, stop), group)
+    history = _read(path, rate, channels, slice(start, stop), group, gaps)
     _check_rate(history, path)
-    refuse_bad_samples(history, path, check)
+    refuse_bad_samples(history, path, check, gaps)
     return history
 
 
@@ -245,7 +249,9 @@ def record_blocks(
             yield stored_samples(group, info, at, slice(start, start + samples))
 
 
-def _read(path: Path, rate: float | None, channels: Sequence[str] | None, samples: slice, group: str) -> TimeHistory:
+def _read(
+    path: Path, rate: float | None, channels: Sequence[str] | None, samples: slice, group: str, gaps: bool
+) -> TimeHistory:
     ext = path.suffix.lower()
     if group and ext not in (*_HDF5, ".tdms"):
         raise DataError(f"{path}: group {group!r}: only .tdms and HDF5 files have groups")
@@ -263,7 +269,7 @@ def _read(path: Path, rate: float | None, channels: Sequence[str] | None, sample
         table = _READERS[ext](path)
     else:
         raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, [*_HDF5, *_UFF, *_READERS, '.tdms'])}")
-    history = _from_table(table, path, rate)
+    history = _from_table(table.evened() if gaps else table, path, rate)
     history = history if channels is None else history.pick(channels)
     return replace(history, data=history.data[:, samples])
 
@@ -291,6 +297,7 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
         if not (np.isfinite(table.rate) and table.rate > 0):
             raise DataError(f"{path}: rate {table.rate} Hz must be positive")
         _agree(rate, table.rate, path, "its time column or header")
+    table.check_whole(path)
     if twice := sorted({n for n in table.names if table.names.count(n) > 1}):
         raise DataError(f"{path}: channel {' '.join(twice[:8])} occurs twice")
     rows = [to_si(u if u else "", q) for u, q in zip(table.units, table.quantities, strict=True)]
@@ -301,8 +308,10 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
     return TimeHistory(data, float(table.rate or rate or 0.0), channels, str(path))
 
 
-def refuse_bad_samples(history: TimeHistory, path: Path, check: bool = True) -> None:
+def refuse_bad_samples(history: TimeHistory, path: Path, check: bool = True, gaps: bool = False) -> None:
     """Refuse a record of less than two samples and, if `check`, channels that are constant or not finite.
+
+    With `gaps`, only those without a finite sample.
 
     Raises
     ------
@@ -314,6 +323,10 @@ def refuse_bad_samples(history: TimeHistory, path: Path, check: bool = True) -> 
         return
     low, high = history.data.min(axis=1), history.data.max(axis=1)
     bad = ~(np.isfinite(low) & np.isfinite(high))
+    for i in np.flatnonzero(bad) if gaps else ():
+        known = history.data[i, np.isfinite(history.data[i])]
+        bad[i] = not known.size
+        low[i], high[i] = (known.min(), known.max()) if known.size else (low[i], high[i])
     if bad.any():
         at = np.flatnonzero(bad)[:8]
         lost = (~np.isfinite(history.data[at])).sum(axis=1).tolist()

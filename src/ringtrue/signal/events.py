@@ -63,6 +63,11 @@ class Events:
         """Share of the record that is not lost."""
         return 1.0 - float(self.gone.mean()) if self.gone.size else 1.0
 
+    @property
+    def breaks(self) -> float:
+        """Number of lost stretches in a second of the record."""
+        return self.rate * np.count_nonzero(np.diff(self.gone, prepend=False) & self.gone) / max(self.gone.size, 1)
+
     def free(self, samples: int, rate: float, lags: int) -> Any_ | None:
         """(sample,) float32: 1 where a sample may be the earlier one of a pair, 0 elsewhere; None: all of them.
 

@@ -1,7 +1,8 @@
-"""Stretches that a recorder lost: a value held far longer than the resolution explains, as logged over a broken link.
+"""Stretches that a recorder lost: samples that are not there (NaN), or a value held far longer than the resolution
+explains, as logged over a broken link.
 
 Their steps would ring in every band, and a channel without its part of the motion has wrong shapes: the whole record is
-left out there.
+left out there. A few missing samples in a row are interpolated in their channel.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from ringtrue.signal.faults import equal_runs, runs
 HELD, TYPICAL = 16, 20.0  # samples, and more than these times the runs of the record but for 1 %, and those beside
 BESIDE = 8  # runs, to each side: in the rest between events all are long in a coarse record
 LEAP = 8.0  # median differences, by which a lost stretch leaves an extreme of the record; a clipped one does not
+SHORT = 5  # missing samples in a row that are interpolated
 MOST = 0.3  # of the record: a channel that others do not follow is left out beyond
 
 
@@ -28,46 +30,88 @@ class Gaps:
     ----------
     lost : (sample,) bool
         Some channel has nothing to say.
-    notes : tuple of str
+    channels : tuple of str
+        What is said of single channels.
+    stretches : str
+        What is said of all that is lost; empty where nothing is.
     """
 
     lost: Bool
-    notes: tuple[str, ...]
+    channels: tuple[str, ...]
+    stretches: str = ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All that is said."""
+        return (*self.channels, *((self.stretches,) if self.stretches else ()))
 
     def cut(self, samples: int) -> Bool:
         """(samples,) what is lost of the record after as much was cut from its two ends."""
         end = (self.lost.size - samples) // 2
         return self.lost[end : end + samples]
 
+    def marked(self, history: TimeHistory) -> TimeHistory:
+        """A record of as many samples with NaN in what is lost: for a bridged one that filters went over."""
+        if not self.lost.any():
+            return history
+        data = np.array(history.data)
+        data[:, self.lost] = np.nan
+        return replace(history, data=data)
+
 
 def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     """The record with straight lines over what is lost, the same in all channels, without those that lost too much."""
+    history, missing, notes = _filled(history)
     size = history.data.shape[1]
-    lost, held = np.zeros(size, dtype=bool), {}
+    lost, held = np.zeros(size, dtype=bool), dict(missing)
     for c, x in zip(history.channels, history.data, strict=True):
         if (h := _held(np.asarray(x))) is not None and h.any():
-            held[c.id] = h
+            held[c.id] = h | missing[c.id] if c.id in missing else h
     if not held:
-        return history, Gaps(lost, ())
+        return history, Gaps(lost, notes)
     share = {c.id: np.count_nonzero(held[c.id]) / size if c.id in held else 0.0 for c in history.channels}
     typical = float(np.median(list(share.values())))
     keep = [i for i, part in share.items() if part <= typical + MOST]
-    notes = tuple(
+    notes += tuple(
         f"channel {i}: {100 * share[i]:.0f} % of its samples are lost; left out" for i in share if i not in keep
     )
     if len(keep) < len(share):
         history = history.pick(keep)
     for i in held.keys() & set(keep):
         lost |= held[i]
-    if not lost.any():
-        return history, Gaps(lost, notes)
-    names = " ".join(i for i in keep if i in held)
+    if not lost.any() or lost.all():
+        return history, Gaps(np.zeros(size, dtype=bool), notes)
+    names = [i for i in keep if i in held]
     parts, first = len(runs(lost)), int(np.flatnonzero(lost)[0]) / history.rate
+    why = [w for w, some in (("samples are missing", missing), ("a value is held", held.keys() - missing)) if some]
     told = (
-        f"channel {names}: lost {parts} time{'s' if parts > 1 else ''} (a value is held), the first at {first:.4g} s, "
+        f"{'all channels' if len(names) == len(keep) > 1 else 'channel ' + ' '.join(names)}: lost {parts} "
+        f"time{'s' if parts > 1 else ''} ({', '.join(why)}), the first at {first:.4g} s, "
         f"{np.count_nonzero(lost) / history.rate:.3g} s in all; left out in all channels"
     )
-    return replace(history, data=_over(history.data, lost)), Gaps(lost, (*notes, told))
+    return replace(history, data=_over(history.data, lost)), Gaps(lost, notes, told)
+
+
+def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[str, ...]]:
+    """The record with straight lines over samples that are not finite, the long runs of these (sample,), and notes."""
+    bad = [i for i, x in enumerate(history.data) if not np.isfinite(x.sum(dtype=np.float64))]
+    if not bad:
+        return history, {}, ()
+    data = np.array(history.data)
+    missing: dict[str, Bool] = {}
+    notes: list[str] = []
+    for i in bad:
+        none, name = ~np.isfinite(data[i]), history.channels[i].id
+        at, known = np.flatnonzero(none), np.flatnonzero(~none)
+        data[i, at] = np.interp(at, known, data[i, known]) if known.size else 0.0
+        long = none.copy()
+        for a, b in runs(none):
+            long[a : b + 1] = b - a >= SHORT
+        if long.any():
+            missing[name] = long
+        if count := at.size - np.count_nonzero(long):
+            notes.append(f"channel {name}: {count} missing sample{'s' if count > 1 else ''} interpolated")
+    return replace(history, data=data), missing, tuple(notes)
 
 
 def _held(x: Any_) -> Bool | None:

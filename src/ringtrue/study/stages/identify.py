@@ -28,6 +28,7 @@ from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
 from ringtrue.signal.frf import estimate_columns, join_frfs, setups_of
+from ringtrue.signal.gaps import bridged
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.reciprocal import exchanged
@@ -107,12 +108,15 @@ def _check_sheet(path: Path, channels: Sequence[Channel], sheet: TestModel) -> N
     on_sheet([c.id for c in channels if c.quantity != "force"], sheet, path)
 
 
-def _history(path: Path, sheet: TestModel, lost: Sequence[str]) -> TimeHistory:
-    """A record without the channels `lost`; the others are checked and must be on the sheet."""
+def _history(path: Path, sheet: TestModel, lost: Sequence[str], *, gaps: bool = False) -> TimeHistory:
+    """A record without the channels `lost`; the others are checked and must be on the sheet.
+
+    With `gaps` samples may be missing.
+    """
     keep = None
     if lost:
-        keep = [c.id for c in read_record(path, check=False).channels if c.id not in set(lost)]
-    history = read_record(path, channels=keep)
+        keep = [c.id for c in read_record(path, check=False, gaps=gaps).channels if c.id not in set(lost)]
+    history = read_record(path, channels=keep, gaps=gaps)
     _check_sheet(path, history.channels, sheet)
     return history
 
@@ -222,13 +226,13 @@ def ambient(
     found, shown = [], []
     for i, record in enumerate(records):
         progress(i / max(len(records), 1), f"ambient modes: {record.name}")
-        raw = _history(record.path, sheet, lost)
+        raw, gaps = bridged(_history(record.path, sheet, lost, gaps=True))
         history, low, note = corrected(raw, sensors)
         fmin = max(low, settings.ambient_fmin or 0.0) or None
         with about(record.path):
             band = AmbientSettings(fmin=fmin, fmax=settings.ambient_fmax)
-            result = identify_ambient(history, band, choice=choice.of(record.name))
-        notes = [n for n in (note, *result.notes) if n]
+            result = identify_ambient(gaps.marked(history), band, choice=choice.of(record.name))
+        notes = [n for n in (note, *gaps.channels, *result.notes) if n]
         found.append(IdentifiedRecord(record.name, result.modes, result.uncertainty, result.reasons, result.diagrams))
         shown.append(summary(record, history, notes))
     return found, shown
