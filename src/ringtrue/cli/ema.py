@@ -112,7 +112,7 @@ def ema(
     ] = None,
     pretrigger: Annotated[float, typer.Option(metavar="S", help="Part of a block before the blow.")] = 0.02,
     force_window: Annotated[
-        float | None, typer.Option(metavar="S", help="The force is kept so long; by default four pulse widths.")
+        float | None, typer.Option(metavar="S", help="The force is kept so long; by default while it stands out.")
     ] = None,
     exp_end: Annotated[
         float | None,

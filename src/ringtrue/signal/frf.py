@@ -33,6 +33,7 @@ _RISE = 8  # samples
 _QUIET, _FLOOR = 0.02, 6.0  # of the response; times the typical power, above which a line is no noise
 _SLOW, _FILTER = 3, 0.75  # lines that a drift takes; share of half the rate, that no filter rings at
 _PULSE = 16  # samples at least that the force is kept: an anti-aliasing filter rings on
+_SEEN, _MEDIAN = 4.0, 0.6745  # standard deviations that noise does not reach; median of their moduli
 _SAME_END = 2e-3  # of the block, by which pulses of other width move its end
 _ENDS_AT = 0.01  # of its start, a response under an automatic exponential window
 
@@ -230,15 +231,26 @@ def _decay(cut: _Cut, hits: Int, length: int, settings: HammerSettings) -> float
     return float(np.log(max(last / max(first, 1e-300) / _ENDS_AT, 1.0)) / duration)
 
 
-def _force_window(force: Float, pre: int, rate: float, settings: HammerSettings) -> Float:
-    """1 over the pulse, then a half cosine of the same length down to 0."""
+def _force_window(force: Float, pre: int, rate: float, settings: HammerSettings, noise: float) -> Float:
+    """1 over the pulse, then a half cosine of the same length down to 0.
+
+    Unless it is given, no longer than the pulse stands out of the `noise`: what is kept of that moves the poles.
+    """
     half = np.flatnonzero(np.abs(force[pre:]) < 0.5 * abs(force[pre]))
     width = 2 * (int(half[0]) if half.size else 1)
     keep = round(settings.force_window * rate) if settings.force_window else max(4 * width, round(0.001 * rate), _PULSE)
     t = np.arange(force.size) - pre
+    if not settings.force_window and noise > 0:
+        seen = t[(np.abs(force) > _SEEN * noise) & (t >= -keep) & (t <= keep)]
+        keep = min(keep, max(int(seen.max(initial=0)) + 1, 2 * int(-seen.min(initial=0)), 1))
     down = 0.5 + 0.5 * np.cos(np.pi * np.clip((t - keep) / max(keep, 1), 0, 1))
     up = np.clip((t + max(keep, 1) + 1) / max(keep / 2, 1), 0, 1)
     return np.asarray(down * up)
+
+
+def _noise(force: Float) -> float:
+    """Standard deviation of the force between the blows, which take little of the record."""
+    return float(np.median(np.abs(force - np.median(force)))) / _MEDIAN
 
 
 def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSettings) -> _Sums:
@@ -250,11 +262,11 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
     outputs = tuple(c for i, c in enumerate(cut.record.channels) if i != at)
     ff = np.zeros(lines)
     xf, xx = np.zeros((lines, len(outputs)), dtype=np.complex128), np.zeros((lines, len(outputs)))
-    kept = 0.0
+    kept, noise = 0.0, _noise(np.asarray(cut.record.data[at], dtype=np.float64))
     for hit in hits.tolist():  # a few dozen hits; all at once would hold the record twice
         start = min(hit - lead, last)
         block = _block(cut.record.data, start, length)
-        pulse = block[at] * _force_window(block[at], hit - start, rate, settings)
+        pulse = block[at] * _force_window(block[at], hit - start, rate, settings, noise)
         kept += (length - float(np.arange(length) @ pulse) / float(pulse.sum())) / rate / hits.size
         f = np.fft.rfft(pulse * fade)
         x = np.fft.rfft(np.delete(block, at, axis=0) * fade, axis=1).T

@@ -42,7 +42,8 @@ class HammerSettings:
     weak : float
         A hit below this share of the median hit is left out.
     force_window : float, s, optional
-        Length after the hit that the force is kept; by default four pulse widths, 1 ms and 16 samples at least.
+        Length after the hit that the force is kept; by default four pulse widths, 1 ms and 16 samples at least, but
+        no longer than the pulse stands out of the noise between the blows.
     exp_end : float, optional
         Value of the exponential window at the end of the block, 1 for none; by default what lets the responses end
         at 1 % of their start.
