@@ -369,6 +369,19 @@ def test_what_is_wrong_is_told() -> None:
         assemble(model(grid(xyz), shell("CQUAD8", elements), *layup(mid=(2, 8, 2))))
 
 
+@pytest.mark.parametrize("card", ["CQUAD4", "CQUAD8"])
+def test_frames_along_the_normal_count_where_the_material_has_a_direction(card: str) -> None:
+    """Preprocessors name one frame on all shells: those of isotropic material do not turn with it, as in any frame."""
+    xyz, elements, _ = net(card, 2, 1, rectangle())
+    frame = cards("CORD2R", CID=[5], A1=0.0, B1=1.0, C3=1.0)  # its x is along z
+    alone = model(grid(xyz), shell(card, elements), pshell(0.1), steel())
+    named = model(grid(xyz), shell(card, elements, MCID=5), pshell(0.1), steel(), frame)
+    assert abs(assemble(named).stiffness - assemble(alone).stiffness).max() == 0
+    mixed = shell(card, elements, MCID=np.array([5, -1])).with_column("PID", np.array([1, 2]))
+    plies, *materials = layup()  # the laminate beside them names none
+    assemble(model(grid(xyz), frame, mixed, pshell(0.1), steel(), plies.with_column("PID", np.array([2])), *materials))
+
+
 def test_plane_strain() -> None:
     """MID2 -1: a strip under tension is stiffer by 1/(1 - ν²)."""
     xyz, elements, uv = net("CQUAD4", 1, 1, rectangle())

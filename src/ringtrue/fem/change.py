@@ -197,14 +197,23 @@ def rows_of(model: Model, target: Target) -> Rows:
 
 
 def _users(model: Model, card: str, ids: Int) -> Rows:
-    """Rows of each element card that name one of these cards, themselves or through a property."""
-    card = MADE.get(card, card)
+    """Rows of each element card that name one of these cards, themselves or through a property, a frame or a node."""
     elements = set(affected_cards(model))
-    found: list[Rows] = [{card: np.flatnonzero(np.isin(model[card].ids, ids))}] if card in elements else []
-    for r in [r for r in REFERENCES if card in r.of and r.card in model]:
-        rows = _naming(model[r.card], r.field, ids)
-        if rows.size:
-            found.append({r.card: rows} if r.card in elements else _users(model, r.card, model[r.card].ids[rows]))
+    found: list[Rows] = []
+    followed: dict[str, Int] = {}
+    waiting = [(MADE.get(card, card), ids)]
+    while waiting:
+        card, ids = waiting.pop()
+        ids = np.setdiff1d(ids, followed.get(card, []))  # a node of a frame may have that frame as its CD
+        followed[card] = np.union1d(followed.get(card, []), ids)
+        if card in elements:
+            found.append({card: np.flatnonzero(np.isin(model[card].ids, ids))})
+        for r in [r for r in REFERENCES if card in r.of and r.card in model and ids.size]:
+            rows = _naming(model[r.card], r.field, ids)
+            if r.card in elements:
+                found.append({r.card: rows})
+            elif rows.size:
+                waiting.append((r.card, model[r.card].ids[rows]))
     return {c: at for c, at in union(found).items() if at.size}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import sparse
@@ -12,6 +12,7 @@ from ringtrue.core.parameters import Parameter, Target
 from ringtrue.eigen.derivatives import Slope
 from ringtrue.fem.assembly import System, full_matrices, sum_up, turn
 from ringtrue.fem.constraints import eliminate
+from ringtrue.fem.elements import dmig
 from ringtrue.fem.kinds import batches
 from ringtrue.fem.mesh import Mesh, mesh
 from ringtrue.fem.slopes import CENTRAL, SMALL, ElementSlopes, displaced, element_slopes, moves_nodes
@@ -42,7 +43,7 @@ def system_derivatives(model: Model, parameters: Sequence[Parameter], system: Sy
     for p, full in zip(parameters, _summed(m, slopes, len(parameters)), strict=True):
         K, M, D, H = (_congruent(T, Tt, A) for A in full)
         if (dT := transform_derivative(model, p, system)) is not None:
-            K, M, D, H = (A + B for A, B in zip((K, M, D, H), _carried(model, system, dT), strict=True))
+            K, M, D, H = (A + B for A, B in zip((K, M, D, H), _carried(model, p, system, dT), strict=True))
         out.append(Slope(K, M, sparse.csr_array(D), sparse.csr_array(H + G * K)))
     return out
 
@@ -72,6 +73,14 @@ def transform_derivative(model: Model, p: Parameter, system: System) -> sparse.c
 
     It is not zero where the arm of a rigid element changes, or a node goes round a cylindrical displacement frame.
     """
+    total = _moved(model, p, system, _transform)
+    return None if total is None or np.abs(total.data).max(initial=0.0) < 1e-9 else total
+
+
+def _moved(
+    model: Model, p: Parameter, system: System, transform: Callable[[Model, System], sparse.csr_array]
+) -> sparse.csr_array | None:
+    """The derivative of a transform at a = 1; None if no node moves."""
     moves: list[tuple[Target | None, int, float]] = [(t, 0, abs(t.step) or 1.0) for t in p.targets if moves_nodes(t)]
     moves += [(None, k, float(np.abs(s.vectors).max(initial=0.0))) for k, s in enumerate(p.shapes)]
     if not moves:
@@ -81,9 +90,9 @@ def transform_derivative(model: Model, p: Parameter, system: System) -> sparse.c
         h = SMALL * min(1.0, reach / (size or 1.0))
         for k, c in CENTRAL:
             for sign in (1, -1):
-                T = _transform(displaced(model, p, sign * k * h, target=target, shape=shape), system)
+                T = transform(displaced(model, p, sign * k * h, target=target, shape=shape), system)
                 total = sparse.csr_array(total + T * (sign * c / h))
-    return total if np.abs(total.data).max(initial=0.0) >= 1e-9 else None
+    return total
 
 
 def _reach(m: Mesh) -> float:
@@ -91,24 +100,34 @@ def _reach(m: Mesh) -> float:
 
 
 def _transform(model: Model, system: System) -> sparse.csr_array:
-    m = mesh(model)
-    local, free = eliminate(m)
+    """`system.transform` of a model whose nodes have moved."""
+    return sparse.csr_array(turn(mesh(model)) @ _in_frames(model, system))
+
+
+def _in_frames(model: Model, system: System) -> sparse.csr_array:
+    """The same in the displacement frames, (full, f)."""
+    local, free = eliminate(mesh(model))
     at = np.searchsorted(free, system.dofs.find(system.free.node, system.free.direction))
-    return sparse.csr_array(turn(m) @ local)[:, at]
+    return sparse.csr_array(local[:, at])
 
 
-def _carried(model: Model, system: System, dT: sparse.csr_array) -> list[sparse.csr_array]:
-    """dTᵀ A T + Tᵀ A dT of the full K, M, D and Σ g K."""
+def _carried(model: Model, p: Parameter, system: System, dT: sparse.csr_array) -> list[sparse.csr_array]:
+    """dTᵀ A T + Tᵀ A dT of the full K, M, D and Σ g K; DMIG, given in the displacement frames, turn with them."""
     m = mesh(model)
     parts = [build(m, card, at) for card, build, at in batches(model)]
     K, M = full_matrices(m, parts)
     D = sum_up(m.size, ((p.dofs, p.viscous) for p in parts if len(p.viscous)))
     H = sum_up(m.size, ((p.dofs, s) for p in parts if len(s := p.structural)))
-    out = []
-    for A in (K, M, D, H):
-        half = sparse.csr_array(dT.T.tocsr() @ A @ system.transform)
-        out.append(sparse.csr_array(half + half.T))
+    out = [_both(dT, A, system.transform) for A in (K, M, D, H)]
+    if (direct := dmig.given(m)) is not None and (dL := _moved(model, p, system, _in_frames)) is not None:
+        L = _in_frames(model, system)
+        out[:3] = [sparse.csr_array(a + _both(dL, A, L)) for a, A in zip(out, direct, strict=False)]
     return out
+
+
+def _both(dT: sparse.csr_array, A: sparse.csr_array, T: sparse.csr_array) -> sparse.csr_array:
+    half = sparse.csr_array(dT.T.tocsr() @ A @ T)
+    return sparse.csr_array(half + half.T)
 
 
 def _padded(system: System, x: Float) -> Float:
@@ -153,7 +172,7 @@ def bilinear(
                 np.add.at(total, s.owner, np.stack([np.einsum("edm,edm->em", x, Av) for x in at[1:]], axis=1))
     for i, p in enumerate(parameters):
         if (dT := transform_derivative(model, p, system)) is not None:
-            dK, dM, _, _ = _carried(model, system, dT)
+            dK, dM, _, _ = _carried(model, p, system, dT)
             for total, carried in ((K, dK), (M, dM)):
                 total[i] += np.einsum("sfm,fm->sm", left, carried @ right)
     return K.transpose(1, 2, 0), M.transpose(1, 2, 0)

@@ -104,7 +104,7 @@ def curved_kernel(x: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section)
     J, det, _ = jacobian(_DN, xy)
     J0, det0, _ = jacobian(_CENTRE, xy)
     soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det, s.weights(det, _N, 1))
-    rows = np.zeros((e, 4, 8, 28), dtype=np.result_type(x, normals))
+    rows = np.zeros((e, 4, 8, 28), dtype=np.result_type(x, normals, soft))
     rows[..., :24] = strains(QUAD4, x, normals, np.linalg.inv(J))
     for b in range(2):
         g = soft[:, :, b]

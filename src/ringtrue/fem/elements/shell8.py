@@ -9,7 +9,7 @@ from ringtrue.fem.algebra import arm, congruent, nodal, unit
 from ringtrue.fem.elements.shell import condensed, in_spans, masses
 from ringtrue.fem.elements.shell_curved import drilling, law, length, missing_mean, strains, tangents
 from ringtrue.fem.elements.shell_rule import QUAD8, TRIA6, Rule
-from ringtrue.fem.elements.shell_section import Section, material_axis, section
+from ringtrue.fem.elements.shell_section import Section, directed, material_axis, section
 from ringtrue.fem.mesh import Matrices, Mesh, error
 from ringtrue.fem.place import node_dofs
 
@@ -76,7 +76,7 @@ def kernel(m: Mesh, card: str, at: Int, x: Any_, s: Section) -> Any_:
     N, d = rule.shapes(rule.points)
     g, up = tangents(d, x)
     w = length(up) * rule.weights
-    frame = _frames(m, card, at, np.einsum("pn,ena->epa", N, x), unit(g[:, :, 0]), unit(up))
+    frame = _frames(m, card, at, np.einsum("pn,ena->epa", N, x), unit(g[:, :, 0]), unit(up), directed(s))
     back = np.linalg.inv(np.einsum("epra,epia->epri", g, frame))  # ∂ξ_r/∂x_i, (e, p, i, r)
     rows = strains(rule, x, n, back)
     if rule.corners == 4:
@@ -108,11 +108,11 @@ def _bubbles(rule: Rule, x: Any_, frame: Any_, back: Any_) -> Any_:
     return out
 
 
-def _frames(m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_) -> Any_:
+def _frames(m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_, turned: Bool) -> Any_:
     """Material axes in the tangent plane of each point as rows, (e, p, 2, 3); THETA is from the tangent along r."""
     e, p = x.shape[:2]
-    flat = (v.reshape(-1, 3) for v in (x, tangent, normal))
-    one = material_axis(m, card, np.repeat(at, p), *flat).reshape(e, p, 3)
+    x, along, up = (v.reshape(-1, 3) for v in (x, tangent, normal))
+    one = material_axis(m, card, np.repeat(at, p), x, along, up, np.repeat(turned, p)).reshape(e, p, 3)
     return np.stack([one, np.cross(normal, one)], axis=2)
 
 

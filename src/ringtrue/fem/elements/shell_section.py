@@ -92,7 +92,7 @@ def section(m: Mesh, card: str, at: Int, corners: int) -> Section:
 
 def in_axes(s: Section, turn: Any_) -> Section:
     """The sections in axes in which their material axis has the direction `turn` (e, 2); isotropic ones stay as is."""
-    some = _directed(s)
+    some = directed(s)
     if not some.any():
         return s
     c, n = turn[some, 0], turn[some, 1]
@@ -107,7 +107,7 @@ def in_axes(s: Section, turn: Any_) -> Section:
     return replace(s, **new)
 
 
-def _directed(s: Section) -> Bool:
+def directed(s: Section) -> Bool:
     """Which sections depend on their direction."""
     some = (s.shear[:, 0, 1] != 0) | (s.shear[:, 0, 0] != s.shear[:, 1, 1])
     for C in (s.membrane, s.coupling, s.bending):
@@ -121,18 +121,20 @@ def oriented(m: Mesh, card: str, at: Int, s: Section, axes: Any_, x: Any_) -> Se
 
     THETA is measured from the side G1-G2.
     """
-    if not _directed(s).any():
+    turned = directed(s)
+    if not turned.any():
         return s
     side = x[:, 1] - x[:, 0]
     side = unit(side - (side * axes[:, 2]).sum(axis=1)[:, None] * axes[:, 2])
-    axis = material_axis(m, card, at, x.mean(axis=1), side, axes[:, 2])
+    axis = material_axis(m, card, at, x.mean(axis=1), side, axes[:, 2], turned)
     return in_axes(s, np.einsum("eij,ej->ei", axes[:, :2], axis))
 
 
-def material_axis(m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_) -> Any_:
+def material_axis(m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_, turned: Bool) -> Any_:
     """Direction (e, 3) of the material axis in the plane of `normal` (e, 3) at points x (e, 3).
 
-    THETA turns it from `tangent` (e, 3), in the plane; MCID projects the x axis of that frame.
+    THETA turns it from `tangent` (e, 3), in the plane; MCID projects the x axis of that frame. Sections that do not
+    depend on their direction, others than `turned` (e,), may have it along the normal.
 
     Raises
     ------
@@ -143,16 +145,16 @@ def material_axis(m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: A
     angle, cid = np.radians(1.0) * t["THETA"][at], t["MCID"][at]
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
     out = c * tangent + s * np.cross(normal, tangent)
-    named = cid >= 0
-    if named.any():
-        axis = frame(m, cid[named], x[named].real)[:, 0]
-        n = normal[named]
+    named = np.flatnonzero(cid >= 0)
+    if named.size:
+        axis, n = frame(m, cid[named], x[named].real)[:, 0], normal[named]
         flat = axis - (axis * n).sum(axis=1)[:, None] * n
-        if (np.abs(flat).max(axis=1) < 1e-6).any():
-            bad = int(at[named][np.abs(flat).max(axis=1) < 1e-6][0])
+        along = named[np.abs(flat).max(axis=1) < 1e-6]
+        if turned[along].any():
+            bad = int(at[along[turned[along]][0]])
             raise error(m.model, t, bad, "the x axis of its frame MCID is along the normal; name another frame")
-        out = out.astype(np.result_type(out, flat))
-        out[named] = unit(flat)
+        out, use = out.astype(np.result_type(out, flat)), ~np.isin(at[named], at[along])
+        out[named[use]] = unit(flat[use])
     return np.asarray(out)
 
 
