@@ -128,6 +128,28 @@ def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("case", "bulk", "told"),
+    [
+        ("K2PP = KA, KB", "", "case control asks for K2PP = KA, KB: it is left out"),
+        ("TFL = 3", "", "case control asks for TFL = 3: it is left out"),
+        ("M2GG = MX", "DMIG,KX,0,6,1,0\nDMIG,KX,1,3,,1,3,5.", "DMIG KX: it adds nothing"),
+        ("SPC = 5", "GRID,9,,1.,0.,0.,,,2", "GRID 9: SEID kept, not applied"),
+        ("SPC = 5", "ROTORG,1,1,2", "ROTORG: kept, not applied: the modes are those at rest"),
+        ("SPC = 5", "PARAM,ALPHA1,.5", "PARAM,ALPHA1: not applied"),
+    ],
+)
+def test_what_is_kept_and_left_out_is_told(tmp_path: Path, case: str, bulk: str, told: str) -> None:
+    model = read_deck(write(tmp_path, f"CEND\n{case}\nBEGIN BULK\n{SPRING}{bulk}\n"))
+    assert any(told in f.text for f in check_deck(model).findings)
+
+
+def test_matrices_that_are_chosen_or_loads_are_not_called_idle(tmp_path: Path) -> None:
+    bulk = "DMIG,KX,0,6,1,0\nDMIG,KX,1,3,,1,3,5.\nDMIG,P,0,9,1,0,,,1\nDMIG,P,1,,,1,3,5."
+    model = read_deck(write(tmp_path, f"CEND\nK2GG = KX\nBEGIN BULK\n{SPRING}{bulk}\n"))
+    assert not [f.text for f in check_deck(model).findings if "DMIG" in f.text]
+
+
+@pytest.mark.parametrize(
     ("command", "card"),
     [
         ("BGSET = 1", "BGSET,1,2,3"),

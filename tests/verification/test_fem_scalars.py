@@ -285,6 +285,8 @@ def test_dmig_mass_is_not_weight() -> None:
 
 
 def test_dmig_that_cannot_be_used() -> None:
+    with pytest.raises(DeckError, match="PARAM,CK1 scales all elements"):
+        assemble(direct(dmig("KX", [1], [1], [1.0]), CaseControl(k2gg=((1.0, "KX"),)), CK1=2.0))
     with pytest.raises(DeckError, match="asks for DMIG KY"):
         assemble(direct(dmig("KX", [1], [1], [1.0]), CaseControl(k2gg=((1.0, "KY"),))))
     with pytest.raises(UnsupportedCard, match="KX has form 2"):

@@ -14,10 +14,10 @@ from ringtrue.checks.edges import edge_findings
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.checks.geometry import check_geometry
 from ringtrue.checks.materials import check_materials
+from ringtrue.checks.unapplied import unapplied
 from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
 from ringtrue.io.nastran.constraint_sets import KINDS, empty_choices
-from ringtrue.model.cards import TABLES
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged
 from ringtrue.model.references import NODES, REFERENCES, missing, unused
@@ -67,7 +67,7 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
     checks = [*lost, *_unconnected(model)]
     if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
         checks += [*check_geometry(model), *_coincident(model), *check_units(model, units)]
-    checks += [*_unused(model), *_unchosen(model), *_lost_sets(model), *_reductions(model)]
+    checks += [*_unused(model), *_unchosen(model), *_lost_sets(model), *unapplied(model)]
     checks += [*check_materials(model), *edge_findings(model)]
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
@@ -183,16 +183,6 @@ def _lost_sets(model: Model) -> Iterator[Finding]:
 
 def _naming_none(sets: Ragged, there: Int) -> Int:
     return np.unique(sets.owner[~np.isin(sets.values, there)])
-
-
-def _reductions(model: Model) -> list[Finding]:
-    """Cards by which Nastran condenses the model before it computes modes."""
-    found = [card for card in ("ASET", "ASET1", "OMIT", "OMIT1") if card in model.kept]
-    what = "kept, not applied: the modes here are those of the full model, not of the condensed one"
-    out = [Finding("info", f"{', '.join(found)}: {what}")] if found else []
-    tables = [card for card in TABLES if card in model.kept]
-    what = "kept, not applied: the nominal stiffness and damping hold at all frequencies, as in SOL 103"
-    return [*out, Finding("info", f"{', '.join(tables)}: {what}")] if tables else out
 
 
 def _unused(model: Model) -> list[Finding]:

@@ -106,7 +106,8 @@ class CaseControl:
     """The choices of the (first) subcase; 0 where not made.
 
     `k2gg`, `m2gg` and `b2gg` are the DMIG names that are added to stiffness, mass and damping, each with its factor;
-    `others` are further subcases that compute modes, of other sets, and are not taken.
+    `others` are further subcases that compute modes, of other sets, and are not taken; `unread` are commands that add
+    matrices in other solutions, as they stand.
     """
 
     title: str = ""
@@ -118,6 +119,7 @@ class CaseControl:
     m2gg: tuple[tuple[float, str], ...] = ()
     b2gg: tuple[tuple[float, str], ...] = ()
     others: tuple[int, ...] = ()
+    unread: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,7 @@ def given(m: Mesh) -> Given | None:
     Raises
     ------
     DeckError
-        If a matrix that is chosen is not in the deck, or is not symmetric.
+        If a matrix that is chosen is not in the deck, or is not symmetric, or PARAM CK1, CM1 or CB1 scale the elements.
     UnsupportedCard
         If one is rectangular or complex.
     """
@@ -31,6 +31,11 @@ def given(m: Mesh) -> Given | None:
     chosen = case.k2gg, case.m2gg, case.b2gg
     if not any(chosen):
         return None
+    for name, names in zip(("CK1", "CM1", "CB1"), chosen, strict=True):
+        if names and m.model.param(name, 1.0) != 1:
+            raise DeckError(
+                f"PARAM,{name} scales all elements: give the factor to their materials and properties instead"
+            )
     scale = (m.model.param(name, 1.0) for name in ("CK2", "CM2", "CB2"))
     K, M, B = (sparse.csr_array(_sum(m, names) * c) for names, c in zip(chosen, scale, strict=True))
     return K, M, B

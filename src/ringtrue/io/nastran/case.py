@@ -22,7 +22,8 @@ STIFFENING = {  # commands that bring in stiffness which is not read, and how th
     "BCONTACT": ("BCBODY", "BCTABL"),
     "STATSUB": PRELOADS,
 }
-_NAMES = (*_CHOICES, *STIFFENING)
+_UNREAD = ("K2PP", "M2PP", "B2PP", "K42GG", "A2GG", "TFL")  # matrices of other solutions
+_NAMES = (*_CHOICES, *STIFFENING, *_UNREAD)
 _SHORT = {
     "METH": "METHOD",
     "TITL": "TITLE",
@@ -102,6 +103,7 @@ def case_control(top: Sequence[str]) -> CaseControl:
         number.get("NSM", 0),
         **{name.lower(): _matrices(name, found) for name in ("K2GG", "M2GG", "B2GG")},
         others=_not_taken(top, found),
+        unread=tuple(f"{name} = {found[name]}" for name in _UNREAD if name in found),
     )
 
 

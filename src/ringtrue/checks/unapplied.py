@@ -1,0 +1,56 @@
+"""What a deck asks for and modes do not hold: condensation, rotor terms, matrices and damping of other solutions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ringtrue.checks.findings import Finding, at_rows
+from ringtrue.model.cards import TABLES
+from ringtrue.model.model import Model
+
+_WHOLE = "kept, not applied: the modes here are those of the full model, not of the condensed one"
+_KEPT = (  # cards that are kept and what becomes of them
+    (("ASET", "ASET1", "OMIT", "OMIT1"), _WHOLE),
+    (TABLES, "kept, not applied: the nominal stiffness and damping hold at all frequencies, as in SOL 103"),
+    (
+        ("ROTORG", "ROTORD", "ROTORAX", "ROTORSE"),
+        "kept, not applied: the modes are those at rest, without gyroscopic terms",
+    ),
+    (("TF",), "kept, not applied: transfer functions act in the solutions of responses only"),
+)
+RECTANGULAR = 9  # form of DMIG that are loads
+_RAYLEIGH = ("ALPHA1", "ALPHA2")
+
+
+def unapplied(model: Model) -> Iterator[Finding]:
+    """Findings on what is kept in the deck and left out of the modes, or of the damping."""
+    for cards, what in _KEPT:
+        found = [card for card in cards if card in model.kept]
+        if found:
+            yield Finding("info", f"{', '.join(found)}: {what}")
+    if "GRID" in model and (rows := np.flatnonzero(model["GRID"]["SEID"] > 0)).size:
+        yield at_rows(model, "GRID", rows, "info", f"SEID {_WHOLE}")
+    for command in model.case.unread:
+        yield Finding(
+            "warning", f"case control asks for {command}: it is left out; K2GG, M2GG and B2GG act on the modes"
+        )
+    damping = [f"PARAM,{name}" for name in _RAYLEIGH if model.params.get(name, 0.0) != 0]
+    if damping:
+        yield Finding("warning", f"{', '.join(damping)}: not applied; give damping as GE, PARAM,G, dampers or B2GG")
+    yield from _idle_matrices(model)
+
+
+def _idle_matrices(model: Model) -> Iterator[Finding]:
+    """Square DMIG that no command of case control takes."""
+    if "DMIG" not in model:
+        return
+    table = model["DMIG"]
+    names = np.char.upper(table["NAME"].astype(str))
+    taken = [name for terms in (model.case.k2gg, model.case.m2gg, model.case.b2gg) for _, name in terms]
+    asked = " ".join(model.case.unread).upper()
+    for row in np.flatnonzero(~np.isin(names, taken) & (table["IFO"] != RECTANGULAR)).tolist():
+        if names[row] not in asked:
+            text = f"DMIG {names[row]}: it adds nothing: case control takes it by no K2GG, M2GG or B2GG"
+            yield Finding("warning", text, model.files[int(table.file[row])], int(table.line[row]))
