@@ -259,3 +259,13 @@ def test_replicated_cards_are_not_edited(tmp_path: Path, id: int) -> None:
     with pytest.raises(DeckError, match=rf"a\.bdf:{id}: MAT1 {id} field E: it is written by replication"):
         edit_fields(model, [FieldChange("MAT1", id, "E", 5.0)], tmp_path / "new")
     edit_fields(model, [FieldChange("MAT1", 4, "E", 5.0)], tmp_path / "new")
+
+
+@pytest.mark.parametrize("text", ["ALUMINUM", "T2", "+M 1", "+M1"])
+def test_a_new_line_finds_a_card_with_a_word_at_its_end(tmp_path: Path, text: str) -> None:
+    """Field 10 without a continuation is free for remarks; column 73 is no part of the name that it then is."""
+    deck = tmp_path / "a.bdf"
+    deck.write_text(f"{'MAT1    1       7.+10           .3      2700.':72}{text}\nMAT1    2       2.+11           .3\n")
+    (new,) = edit_fields(read_deck(deck), [FieldChange("MAT1", 1, "ST", 3e8)], tmp_path / "out")
+    there = read_deck(new)["MAT1"]
+    assert (there["ST"].tolist(), there["RHO"].tolist()) == ([3e8, 0.0], [2700.0, 0.0])

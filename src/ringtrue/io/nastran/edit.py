@@ -287,8 +287,8 @@ def _continuation(last: _Line) -> _Line:
     last.ending = ending
     if last.fields.style == "free":
         return _Line((b"*," if last.is_large else b"+,") + ending)
-    tag = last.text.expandtabs(8)[72:80].strip().lstrip(b"+*") if last.fields.end >= 72 else b""
-    return _Line((b"*" if last.is_large else b"+") + tag[:7] + ending)
+    tag = last.text.expandtabs(8)[73:80].strip() if last.fields.end >= 72 else b""  # column 73 is no part of the name
+    return _Line((b"*" if last.is_large else b"+") + tag + ending)
 
 
 def _set_free(line: _Line, k: int, value: int | float | str, width: int) -> bytes:
