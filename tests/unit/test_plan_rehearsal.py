@@ -77,6 +77,15 @@ def test_the_hammer_fits_the_sensors() -> None:
     assert 0 < peak < truth.shape[0]
 
 
+def test_soft_suspensions_do_not_lengthen_the_block() -> None:
+    """Modes on bungees far below the band are mass lines: no crew waits until they have come to rest."""
+    plan, zeta = planned((3, 6)), np.full(MODES, 0.01)
+    hung = replace(plan, frequencies=np.array([0.05 * plan.fmin, *F[1:]]))
+    free = replace(plan, frequencies=np.array([0.0, *F[1:]]))
+    block = fitting_hammer(modal_model(hung, hung.frequencies, zeta), plan.fmax, ICP).block
+    assert block == fitting_hammer(modal_model(free, free.frequencies, zeta), plan.fmax, ICP).block
+
+
 def test_a_good_plan_finds_all_modes_and_a_node_loses_its_mode() -> None:
     """Struck at the middle, the string hides its even modes; elsewhere all are found, close to the truth."""
     rng = np.random.default_rng(1)

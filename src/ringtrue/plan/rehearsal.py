@@ -39,7 +39,8 @@ class Planned:
     Attributes
     ----------
     frequencies : (m,) float64, Hz
-        All modes that take part, those beside the band too; rigid-body modes count as mass lines.
+        All modes that take part, those beside the band too; rigid-body modes, free or on a soft suspension, count as
+        mass lines: those below a tenth of `fmin` or a thousandth of `fmax`.
     outputs : (o, m) float64
         Mass-normalised shapes in SI at the channels.
     inputs : (i, m) float64
@@ -169,7 +170,7 @@ def modal_model(plan: Planned, frequencies: Float, damping: Float) -> ModalModel
     frequencies, damping : (m,) float64
         In place of those of the plan, Hz and ratio.
     """
-    elastic = plan.frequencies > 1e-3 * plan.fmax
+    elastic = plan.frequencies > max(0.1 * plan.fmin, 1e-3 * plan.fmax)
     w, z = 2 * np.pi * frequencies[elastic], damping[elastic]
     wd = w * np.sqrt(1 - z**2)
     rigid = plan.outputs[:, ~elastic] @ plan.inputs[:, ~elastic].T
