@@ -113,7 +113,7 @@ class _Part:
 def _part(desk: Workbench, name: str, opened: Opened, test: _Measured) -> _Part:
     modes, system = opened.modes(desk.fmax).modes, opened.analysis.system
     f = modes.frequencies
-    moving = np.flatnonzero(f > STILL * f.max())
+    moving = np.union1d(np.flatnonzero(f > STILL * f.max()), test.fe)  # what the test tells moves, slow as it may be
     phi = np.asarray(system.local @ modes.shapes[:, moving])
     total = project(phi, system.viscous, system.structural)
     return _Part(name, opened, test, moving, (2 * np.pi * f[moving]) ** 2, modes.shapes[:, moving], total)
