@@ -108,16 +108,38 @@ def read_blows(
         )
     records, notes = [], dict[str, None]()
     for i, path, run in runs:
-        kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
         point = how.struck[min(i, len(how.struck) - 1)] if how.struck else ""
-        record, said = _prepared(kept, how, point, shakers)
-        refuse_bad_samples(record, path)
+        record, said = _ready(path, run, how, point, shakers)
         records.append(record)
         notes.update(dict.fromkeys(said))
     ranges: dict[str, float] = {}
     for path in paths:
         ranges |= full_scale(path)
     return tuple(records), ranges, tuple(notes)
+
+
+def read_file(path: Path, how: BlowFiles | None = None) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
+    """The acquisitions of one file as `read_blows` gives them, and what is to be said of them.
+
+    Channels of `leave_out` that the file does not have are no error: another file of the test may have them.
+
+    Raises
+    ------
+    DataError
+        As `read_blows` does.
+    """
+    how = how or BlowFiles()
+    ready = [_ready(path, run, how, "".join(how.struck[:1]), False) for run in _runs(path, how)]
+    return tuple(r for r, _ in ready), tuple(dict.fromkeys(n for _, notes in ready for n in notes))
+
+
+def _ready(
+    path: Path, run: TimeHistory, how: BlowFiles, point: str, shakers: bool
+) -> tuple[TimeHistory, Sequence[str]]:
+    kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
+    record, notes = _prepared(kept, how, point, shakers)
+    refuse_bad_samples(record, path)
+    return record, notes
 
 
 def _runs(path: Path, how: BlowFiles) -> Iterator[TimeHistory]:

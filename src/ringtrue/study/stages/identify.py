@@ -33,7 +33,7 @@ from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
-from ringtrue.study.blows import full_scale, kept_blows, refused_blows
+from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
 from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, on_sheet, supplied_frfs, supplied_modes
@@ -90,7 +90,7 @@ def read_log(path: Path) -> tuple[list[Logged], dict[str, Any]]:
     return records, log.get("sensors", {})
 
 
-_HAMMER_ENTRIES = ("block_samples", "pretrigger_samples", "setup")
+_BLOCK = ("block_samples", "pretrigger_samples")
 
 
 def _check_log(path: Path, records: Sequence[Logged]) -> None:
@@ -99,8 +99,8 @@ def _check_log(path: Path, records: Sequence[Logged]) -> None:
     for r in records:
         if r.kind not in ("ambient", "hammer"):
             raise DataError(f"{path}: test {r.test!r}: kind {r.kind!r}{did_you_mean(r.kind, ('ambient', 'hammer'))}")
-        if lost := [k for k in _HAMMER_ENTRIES if r.kind == "hammer" and k not in r.details]:
-            raise DataError(f"{path}: test {r.test!r}, record {r.path.name}: {' and '.join(lost)} missing")
+        if r.kind == "hammer" and len(lost := [k for k in _BLOCK if k not in r.details]) == 1:
+            raise DataError(f"{path}: test {r.test!r}, record {r.path.name}: {lost[0]} missing; give both or none")
 
 
 def _check_sheet(path: Path, channels: Sequence[Channel], sheet: TestModel) -> None:
@@ -152,7 +152,7 @@ def summary(record: Logged, history: TimeHistory, notes: Sequence[str], *, draw:
         return _listed(record, history, notes)
     shown = tuple(history.channels[i] for i in at)
     show = np.asarray(history.data[at], dtype=np.float64)
-    psd = csd(TimeHistory(show, history.rate, shown), Welch(0.05))
+    psd = csd(TimeHistory(show, history.rate, shown), Welch(max(0.05, 4 / history.duration)))
     power = np.real(np.einsum("fii->if", psd.data))
     thin = max(1, psd.freqs.size // 2000)
     step = max(1, show.shape[1] // POINTS)
@@ -242,20 +242,45 @@ def struck(
     records: Sequence[Logged], sheet: TestModel, lost: Sequence[str], progress: Progress
 ) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...], tuple[FrfSet, ...]]:
     """FRFs of all setups, what is shown of the records, the hits that do not count, and the FRFs of each setup."""
-    histories = [replace(_history(r.path, sheet, lost), source=r.name) for r in records]
+    read = [_blows(r, sheet, lost) for r in records]
     ranges: dict[str, float] = {}
     for r in records:
         ranges |= full_scale(r.path)
-    rate, d = histories[0].rate, records[0].details
-    block, pre = d["block_samples"] / rate, d["pretrigger_samples"] / rate
-    want = HammerSettings(block=block - pre, pretrigger=pre)  # the peak comes a little after the trigger
+    histories = [h for blows, _ in read for h in blows]
+    want = _block(records[0].details, histories[0].rate)
     columns, hits = estimate_columns(histories, want, full_scale=ranges, progress=progress)
     shown = []
-    for record, history in zip(records, histories, strict=True):
-        mine = [h for h in hits if h.source == record.name]
-        first = record.details["setup"] == records[0].details["setup"]  # the others look alike
-        shown.append(summary(record, history, [kept_blows(mine)], draw=first))
+    for record, (blows, notes) in zip(records, read, strict=True):
+        names = {b.source for b in blows}
+        mine = [h for h in hits if h.source in names]
+        first = _setup(record) == _setup(records[0])  # the others look alike
+        shown.append(summary(record, _in_a_row(blows), [*notes, kept_blows(mine)], draw=first))
     return join_frfs(columns), shown, refused_blows(hits), setups_of(columns)
+
+
+def _blows(record: Logged, sheet: TestModel, lost: Sequence[str]) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
+    """The acquisitions of a hammer record, and what is to be said of them."""
+    point, force = record.details.get("reference", ""), record.details.get("force_channel", "")
+    how = BlowFiles(force=force, struck=(point,) if point else (), leave_out=tuple(lost))
+    runs, notes = read_file(record.path, how)
+    for run in runs:
+        _check_sheet(record.path, run.channels, sheet)
+    names = [record.name] if len(runs) == 1 else [f"{record.name} #{k + 1}" for k in range(len(runs))]
+    return tuple(replace(r, source=name) for r, name in zip(runs, names, strict=True)), notes
+
+
+def _block(details: dict[str, Any], rate: float) -> HammerSettings:
+    """The block of a blow that the log tells; without, as long as the blows are apart or the acquisition lasts."""
+    if _BLOCK[0] not in details:
+        return HammerSettings()
+    block, pre = (details[k] / rate for k in _BLOCK)
+    return HammerSettings(block=block - pre, pretrigger=pre)  # the peak comes a little after the trigger
+
+
+def _in_a_row(blows: Sequence[TimeHistory]) -> TimeHistory:
+    """Acquisitions of the same channels, one after the other, to be looked at."""
+    first = blows[0]
+    return first if len(blows) == 1 else replace(first, data=np.hstack([b.data for b in blows]))
 
 
 def _lines(test: TestModel) -> Int:

@@ -1,0 +1,72 @@
+"""Hammer records as a laboratory hands them over: a universal file for each point struck, its blows one by one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_study
+
+from ringtrue.io.records import read_record, write_history
+from ringtrue.study.run import run_study
+from ringtrue.study.stages.identify import IdentifyStage
+
+STUDY = small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\n"
+
+
+def in_universal_files(folder: Path) -> None:
+    """Each blow an acquisition of its own; the hammer's name tells no point, the log does, and nothing of blocks."""
+    log = json.loads((folder / "campaign.json").read_text())
+    (test,) = log["tests"]
+    for record in test["records"]:
+        blows, parts = read_record(folder / record["file"]), []
+        force, *motions = blows.channels
+        for k in range(small_study.HITS):
+            data = blows.data[:, k * small_study.BLOCK : (k + 1) * small_study.BLOCK]
+            one = folder / "one.uff"
+            write_history(one, replace(blows, data=data, channels=(replace(force, id="hammer"), *motions)))
+            parts.append(one.read_bytes())
+        record["file"] = str(Path(record["file"]).with_suffix(".uff"))
+        del record["setup"]
+        (folder / record["file"]).write_bytes(b"".join(parts))
+    del test["block_samples"], test["pretrigger_samples"]
+    (folder / "campaign.json").write_text(json.dumps(log))
+
+
+def identified(study: Path) -> IdentifyStage:
+    return run_study(study, until="identify").results["identify"]
+
+
+def test_acquisitions_of_one_blow_each_are_read(tmp_path: Path) -> None:
+    study = small_study.write_study(tmp_path, STUDY, ambient=False)
+    blocks = identified(study)
+    in_universal_files(tmp_path / "data")
+    found = identified(study)
+    assert found.hammer is not None
+    assert blocks.hammer is not None
+    assert [c.id for c in found.frfs.inputs] == list(small_study.REFERENCES)
+    np.testing.assert_allclose(found.hammer.frequencies, blocks.hammer.frequencies, rtol=1e-3)
+    told = f"{small_study.HITS} of {small_study.HITS} hits kept"
+    assert all(told in r.notes for r in found.records)
+    assert found.records[0].duration == pytest.approx(small_study.HITS * small_study.BLOCK / small_study.RATE)
+
+
+def test_records_of_a_few_seconds_are_shown(tmp_path: Path) -> None:
+    """One blow a record is shorter than the resolution that the spectra of long records have."""
+    study = small_study.write_study(tmp_path, STUDY, ambient=False)
+    path = tmp_path / "data/campaign.json"
+    log = json.loads(path.read_text())
+    (test,) = log["tests"]
+    for record in test["records"]:
+        file = tmp_path / "data" / record["file"]
+        blow = read_record(file)
+        write_history(file, replace(blow, data=blow.data[:, : round(12 * blow.rate)]))
+    del test["block_samples"], test["pretrigger_samples"]
+    path.write_text(json.dumps(log))
+    for shown in identified(study).records:
+        assert shown.duration == pytest.approx(12.0)
+        assert shown.psd.size
+        assert np.isfinite(shown.psd).all()
