@@ -10,6 +10,7 @@ import pytest
 from ringtrue.core.testmodel import TestModel
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.study.opened import Opened
+from ringtrue.study.placing import shared_places
 
 # a bar on two bushes of no length; its middle node 2 and, beside it, node 30 that nothing holds or uses
 DECK = """BEGIN BULK
@@ -65,3 +66,24 @@ def test_of_two_moving_nodes_at_one_place_the_one_with_the_number_of_the_point_i
     )
     seen = opened.observation(test, 0.01)
     assert opened.analysis.dofs.node[seen.matrix.indices].tolist() == [wanted]
+
+
+@pytest.mark.parametrize(("point", "spring", "told"), [(7, 1e6, True), (2, 1e6, False), (7, 1e12, False)])
+def test_a_place_whose_nodes_move_apart_is_said(tmp_path: Path, point: int, spring: float, told: bool) -> None:
+    """A soft hinge is; one that is as good as rigid, and a point with the number of a node, are not."""
+    text = DECK.format(hub=(1, 3), ground=(101, 103)).replace("CBAR,2,1,2,", "CBAR,2,1,30,")
+    hinge = f"CBUSH,13,3,2,30,,,,0\nPBUSH,3,K,{','.join([f'{spring:.1E}'] * 6)}\nENDDATA"
+    (tmp_path / "bar.bdf").write_text(text.replace("ENDDATA", hinge))
+    opened = Opened(read_deck(tmp_path / "bar.bdf"), 1.0)
+    test = TestModel(
+        np.array([point]),
+        np.array([[1.0, 0, 0]]),
+        ("a",),
+        np.array([point]),
+        np.array([[0.0, 0, 1]]),
+        np.zeros((0, 2), np.int64),
+    )
+    notes = shared_places(opened, test, opened.modes(500.0).modes)
+    assert [n.split(", and one")[0] for n in notes] == told * [
+        "point 7: nodes that do not move alike are at the place (2 and 30 at point 7)"
+    ]

@@ -21,6 +21,7 @@ class Finding:
     line: int = 0
 
     def __str__(self) -> str:
+        """`warning: model.bdf:31: what`."""
         place = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
         return f"{self.severity}: {place}{self.text}"
 

@@ -20,8 +20,9 @@ from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import placed
+from ringtrue.study.placing import placed, shared_places
 from ringtrue.study.summary import correlation_json
 
 MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
@@ -41,15 +42,20 @@ def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, Mode
     return one.rows(common), two.rows(common)
 
 
-def _of_deck(deck: Path, test: ModeSet, sensors: Path | None, units: str, tolerance: float) -> ModeSet:
-    """The modes of a deck at the channels of a test, as far up as a partner may lie."""
+def _of_deck(
+    deck: Path, test: ModeSet, sensors: Path | None, units: str, tolerance: float
+) -> tuple[ModeSet, tuple[str, ...]]:
+    """The modes of a deck at the channels of a test, as far up as a partner may lie, and notes on its places."""
     unit, top = unit_length(units), float(test.frequencies.max(initial=0.0))
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
         opened = Opened(read_deck(deck), unit)
         look = placed(opened, test.channels, sensors, tolerance=tolerance)
         modes = opened.modes(ABOVE * top, part(show, 0.3, 1.0)).modes
-    return ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
+    there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
+    if sensors is None:
+        return there, ()
+    return there, shared_places(opened, read_sensor_sheet(sensors).model.pick(test.channels), modes)
 
 
 def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], ...]:
@@ -141,7 +147,8 @@ def correlate(
     test, deck = read_modes(a), b.suffix.lower() not in MODES
     if sensors is not None and not deck:
         raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
-    one, two = _common(test, _of_deck(b, test, sensors, units, tolerance) if deck else read_modes(b), a, b)
+    there, notes = _of_deck(b, test, sensors, units, tolerance) if deck else (read_modes(b), ())
+    one, two = _common(test, there, a, b)
     names = ("A", "B")
     table = correlation_table(one, two, pair_modes(one, two, PairingSettings(), names=names, locks=locks), names=names)
     value: dict[str, Any] = correlation_json(table)
@@ -166,7 +173,7 @@ def correlate(
             for r in value["pairs"]
         ]
         rows(f"{a} against {b}", ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
-        tell(_reasons(value["unpaired"]))
+        tell([*_reasons(value["unpaired"]), *notes])
         if full is not None:
             _show_complete(full)
     return 0 if value["pairs"] else 1

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 
+from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.align import Alignment, best_fit, nearest_fit
@@ -15,7 +18,10 @@ from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.frames import positions
-from ringtrue.study.opened import Opened
+from ringtrue.study.opened import ROUNDING, Opened
+
+ALIKE = 0.05  # of the largest motion: nodes at one place that differ by less tell a sensor the same
+MANY = 12  # points that are named
 
 
 def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
@@ -56,6 +62,46 @@ def words(found: Alignment) -> str:
         f"{int(found.used.sum())} of them fit within {1e3 * found.rms:.3g} mm"
         + (f", {lost} do not and were set aside" if lost else "")
     )
+
+
+def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str, ...]:
+    """A note on points at whose place the deck has several nodes that do not move alike, as at a joint.
+
+    Points that have the number of one of them are read there.
+
+    Parameters
+    ----------
+    opened : Opened
+    test : TestModel
+        In the frame of the deck, m.
+    modes : ModeSet
+        Shapes at the degrees of freedom of the embedded solver.
+    """
+    ids, xyz = opened.seats
+    points, first = np.unique(test.at, return_index=True)
+    place, tree = test.channel_xyz()[first] / opened.length, KDTree(xyz)
+    reach = tree.query(place)[0] + ROUNDING * float(np.linalg.norm(np.ptp(xyz, axis=0)))
+    shared = [
+        (point, some)
+        for point, at in zip(points.tolist(), tree.query_ball_point(place, reach), strict=True)
+        if point not in (some := sorted(ids[at].tolist())) and _apart(opened.analysis.dofs, some, modes.shapes)
+    ]
+    if not shared:
+        return ()
+    named = " ".join(str(point) for point, _ in shared[:MANY]) + (" ..." if len(shared) > MANY else "")
+    point, some = shared[0]
+    return (
+        f"point {named}: nodes that do not move alike are at the place ({' and '.join(map(str, some))} at point "
+        f"{point}), and one of them is read; give the point the number of its node, or a place beside the joint",
+    )
+
+
+def _apart(dofs: DofSet, nodes: Sequence[int], shapes: Float) -> bool:
+    """Whether in any mode (dof, mode) nodes at one place move apart by a share of its largest translation."""
+    row = dofs.find(np.repeat(nodes, 3), np.tile([1, 2, 3], len(nodes)))
+    motion = np.where(row[:, None] < 0, 0.0, shapes[row]).reshape(len(nodes), 3, -1)
+    largest = np.abs(shapes[np.abs(dofs.direction) <= 3]).max(axis=0, initial=0.0)
+    return bool((np.ptp(motion, axis=0) > ALIKE * largest).any())
 
 
 def placed(

@@ -14,7 +14,7 @@ from ringtrue.study.config import StudyConfig
 from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.expansion import expanded, on_scene
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import words
+from ringtrue.study.placing import shared_places, words
 from ringtrue.study.reference import Reference, beyond, elastic_table, left_out, reference_modes, rigid_table
 from ringtrue.study.results import CorrelateStage, Evidence, Expansion, RemodelStep
 from ringtrue.study.workbench import Workbench
@@ -66,8 +66,16 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         words(desk.placed[0]) if config.correlate.align else "",
         _history(desk, reference, out, initial, tables),
         _expanded(desk, reference, progress),
-        (*reference.gaps, *beyond(reference.elastic, desk.fmax)),
+        (*reference.gaps, *beyond(reference.elastic, desk.fmax), *_shared(desk)),
     )
+
+
+def _shared(desk: Workbench) -> tuple[str, ...]:
+    """What is to be said of sensors at places with several nodes."""
+    config = desk.config.correlate
+    test = desk.placed[1] if config.align else desk.get("identify").test
+    modes = desk.initial.modes(desk.fmax).modes
+    return shared_places(desk.initial, test, modes) if config.match == "nearest" else ()
 
 
 def _expanded(desk: Workbench, reference: Reference, progress: Progress) -> Expansion | None:
