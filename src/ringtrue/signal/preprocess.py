@@ -18,6 +18,8 @@ from ringtrue.signal.windows import step, window
 _LARGEST = 1e70  # fourth powers stay finite
 _LINES = 32  # channels that show the lines of machines, at most
 _BATCH = 8  # segments that are transformed together
+_CLEAR = 30.0, 10.0, 1.35  # times the power beside a steady line and around it, and its moment
+_DOUBT, _EVERY, _MANY = (15.0, 5.0, 1.6), 4, 100  # what each fourth segment of many shows of one at least
 _FEW = 2000  # samples that most channels show themselves in
 _LOOK, _LEVELS = 1 << 16, 32  # samples looked at for different values, and how few are a coarse recorder
 _ODD = 100.0  # times the typical level of the channels of a quantity
@@ -294,13 +296,11 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     length = int(next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True))
     if data.shape[1] < 16 * length // 2:
         return ()
-    second, kurtosis, freqs = _moments(data, length, rate)
-    floor = median_filter(second, size=41, mode="nearest")
-    at = np.arange(8, second.size - 8)
-    side = np.maximum(second[at - 5], second[at + 5])
-    peak = (second[at] >= second[at - 1]) & (second[at] > second[at + 1])
-    line = peak & (second[at] > 30 * side) & (second[at] > 10 * floor[at]) & (kurtosis[at] < 1.35)
-    found = [float(freqs[i]) for i in at[line] if freqs[i] > low]
+    if 2 * data.shape[1] > _MANY * length and not _steady(*_moments(data, length, every=_EVERY), *_DOUBT).size:
+        return ()
+    second, kurtosis = _moments(data, length)
+    line, freqs = _steady(second, kurtosis, *_CLEAR), rfftfreq(length, 1 / rate)
+    found = [float(freqs[i]) for i in line if freqs[i] > low]
     names = [line_name(f, freqs[1], found[:i]) for i, f in enumerate(found)]
     return tuple(
         Harmonic(f, f"{name}: steady line (fourth moment {k:.2f}, a mode has 2)", k)
@@ -308,28 +308,39 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     )
 
 
-def _moments(data: Any_, length: int, rate: float) -> tuple[Float, Float, Float]:
-    """Power (freq,) summed over normalised channels, its normalised second moment over time, and frequencies.
+def _steady(second: Float, moment: Float, over_side: float, over_floor: float, limit: float) -> Int:
+    """Lines of the spectrum `second` (freq,) as narrow as the window, whose `moment` (freq,) is below the limit."""
+    floor = median_filter(second, size=41, mode="nearest")
+    at = np.arange(8, second.size - 8)
+    side = np.maximum(second[at - 5], second[at + 5])
+    peak = (second[at] >= second[at - 1]) & (second[at] > second[at + 1])
+    clear = (second[at] > over_side * side) & (second[at] > over_floor * floor[at])
+    return np.asarray(at[peak & clear & (moment[at] < limit)], dtype=np.int64)
 
-    Of half-overlapped segments of `length` samples. The moment is the mean of those of the channels by their power: the
-    sum of the powers of two modes in different directions would look steadier than either.
+
+def _moments(data: Any_, length: int, *, every: int = 1) -> tuple[Float, Float]:
+    """Power (freq,) summed over normalised channels, and its normalised second moment over time.
+
+    Of half-overlapped segments of `length` samples, all or one of `every` so many. The moment is the mean of those of
+    the channels by their power: the sum of the powers of two modes in different directions would look steadier than
+    either.
     """
-    win, count = window("blackmanharris", length), (data.shape[1] - length) // (length // 2) + 1
-    total, moment = np.zeros((2, length // 2 + 1))
-    seg, own = np.empty((_BATCH, length), dtype=np.float32), np.empty(data.shape[1], dtype=np.float32)
+    win, total, moment = window("blackmanharris", length), *np.zeros((2, length // 2 + 1))
+    room = np.empty((_BATCH, length), dtype=np.float32)
     for i in np.unique(np.linspace(0, len(data) - 1, _LINES).astype(np.int64)):
         some = data[i, :: max(1, data.shape[1] // 20000)]
         level, scale = some.mean(dtype=np.float64), max(float(np.std(some, dtype=np.float64)), 1e-30)
-        np.subtract(data[i], level, out=own, casting="same_kind")
-        gain, parts = (win / scale).astype(np.float32), sliding_window_view(own, length)[:: length // 2]
+        gain, parts = (win / scale).astype(np.float32), sliding_window_view(data[i], length)[:: every * (length // 2)]
         first, second = np.zeros((2, length // 2 + 1))
-        for k in range(0, count, _BATCH):  # in the cache, and in place: most of the time is that of the transforms
-            x = np.multiply(parts[k : k + _BATCH], gain, out=seg[: min(_BATCH, count - k)])
+        for k in range(0, len(parts), _BATCH):  # in the cache, and in place: most of the time is that of the transforms
+            x = room[: min(_BATCH, len(parts) - k)]
+            np.subtract(parts[k : k + _BATCH], level, out=x, casting="same_kind")
+            x *= gain
             y = rfft(x, axis=1).view(np.float32)
             y *= y
             power = y[:, ::2] + y[:, 1::2]
             first += power.sum(0)
             second += np.einsum("sf,sf->f", power, power)
-        total += first / count
+        total += first / len(parts)
         moment += second / np.maximum(first, np.finfo(np.float64).tiny)
-    return total, moment / np.maximum(total, np.finfo(np.float64).tiny), rfftfreq(length, 1 / rate)
+    return total, moment / np.maximum(total, np.finfo(np.float64).tiny)
