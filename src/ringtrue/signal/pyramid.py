@@ -16,7 +16,7 @@ from scipy.fft import ihfft, irfft, next_fast_len, rfft
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.signal.stream import Fir
 
-AT_ONCE = 1 << 21  # samples of all channels that are transformed together: they stay in the cache
+AT_ONCE, MANY = 1 << 21, 48  # samples of all channels and segments that go together: they stay in the cache
 INVERSE = 10.0  # inverse transforms of a block over transforms of a segment: 8 references
 LONGEST = 5  # samples of a segment that count, over those that overlap
 LOOKS = 48  # segments that `glance` takes
@@ -208,7 +208,7 @@ def run(
     q, block = cut.factor, cut.each * cut.hop
     lower = np.empty((ch, cut.blocks * block // q if q > 1 else 0), dtype=np.float32)
     r = np.empty((cut.blocks, cut.lags + 1, ch, references.size), dtype=np.float32)
-    batch = max(1, AT_ONCE // (ch * cut.size))
+    batch = _together(cut, ch, cut.each)
     room = np.empty((ch, (batch - 1) * cut.hop + cut.size), dtype=np.float32)
     cross, some = np.empty((2, gain.size, ch, references.size), dtype=np.complex64)
     for b in range(cut.blocks):  # in memory one at a time
@@ -234,7 +234,7 @@ def lowered(signals: Signals, decimation: Fir) -> Any_:
     cut = segments(n, -(-n // max(4 * decimation.taps.size, 4096)), 0, decimation, decimation)
     gain, q = _gain(decimation, cut.size), cut.factor
     out = np.empty((ch, cut.blocks * cut.each * cut.hop // q), dtype=np.float32)
-    batch = max(1, AT_ONCE // (ch * cut.size))
+    batch = _together(cut, ch, cut.blocks * cut.each)
     room = np.empty((ch, (batch - 1) * cut.hop + cut.size), dtype=np.float32)
     for k in range(0, cut.blocks * cut.each, batch):
         count = min(batch, cut.blocks * cut.each - k)
@@ -242,6 +242,12 @@ def lowered(signals: Signals, decimation: Fir) -> Any_:
         x = _cut_out(signals, cut, start, count, room)
         out[:, start // q : (start + count * cut.hop) // q] = _decimated(_spectra(x, cut, count), cut, gain)
     return out[:, : -(-n // q)]
+
+
+def _together(cut: Segments, ch: int, count: int) -> int:
+    """How many of `count` segments of `ch` channels are transformed at a time, in parts as equal as may be."""
+    most = int(np.clip(AT_ONCE // (ch * cut.size), 1, MANY))
+    return -(-count // -(-count // most))
 
 
 def _cut_out(signals: Signals, cut: Segments, start: int, count: int, room: Any_) -> Any_:
