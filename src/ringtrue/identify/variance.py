@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import next_fast_len, rfft
 from scipy.linalg import solve_triangular
 
 from ringtrue.core.arrays import Any_, Complex, Float
@@ -59,21 +59,43 @@ def deviations(r: Any_, weights: Float) -> tuple[Float, Any_]:
 
 
 def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations:
-    """Perturbations by the deviations `dr` (block, lag, ch, ref); `u` left vectors, `vs` = V S⁻¹, `q` of O's QR."""
-    ch, nb, n = dr.shape[2], dr.shape[0], vs.shape[1]
+    """Perturbations by the deviations `dr` (block, lag, ch, ref); `u` left vectors, `vs` = V S⁻¹, `q` of O's QR.
+
+    A Hankel matrix times another is a convolution, a product of transforms; only products of it with `q` are needed,
+    which are taken of the transforms, too (Parseval), but for the first and the last block row.
+    """
+    nb, _, ch, ref = dr.shape
+    n, size = vs.shape[1], int(next_fast_len(2 * rows - 1, real=True))
     # a standard deviation needs no more than single precision, which halves the time
-    vs32, q32, r32, last32 = (x.astype(np.float32) for x in (vs, q.T, (q.T @ u[:-ch]).T, u[-ch:].T))
-    size = int(next_fast_len(2 * rows - 1, real=True))
-    by = rfft(vs32.reshape(rows, -1, n), size, axis=0).conj()
-    t: Any_ = np.empty((nb, rows, ch, n), dtype=np.float32)
-    for k in range(0, nb, TOGETHER):  # a Hankel matrix times another is a convolution
-        part = rfft(dr[k : k + TOGETHER, 1 : 2 * rows].astype(np.float32), size, axis=1).transpose(1, 0, 2, 3)
-        product = irfft(part.reshape(len(by), -1, by.shape[1]) @ by, size, axis=0)[:rows]
-        t[k : k + TOGETHER] = product.reshape(rows, -1, ch, n).transpose(1, 0, 2, 3)
-    t = t.reshape(nb, rows * ch, n)
-    up = q32 @ t[:, :-ch]
-    inner = r32 @ up + last32 @ t[:, -ch:]  # Uᵀ ΔO, as U without its last block row is Q R
-    return Perturbations(up, q32 @ t[:, ch:], t[:, :ch].copy(), inner)
+    d, v = dr[:, 1 : 2 * rows].astype(np.float32), vs.astype(np.float32).reshape(rows, ref, n)
+    by = rfft(v, size, axis=0).conj()
+    by = np.concatenate([_apart(by), _apart(1j * by)], axis=1)
+    left = _spectral(q.reshape(-1, ch, n), size)
+    both = np.empty((nb, 2 * n, n), dtype=np.float32)
+    for k in range(0, nb, TOGETHER):
+        t = _apart(rfft(d[k : k + TOGETHER], size, axis=1)) @ by  # (block, freq, ch, order): real, then imaginary parts
+        both[k : k + TOGETHER] = left @ t.reshape(len(t), -1, n)
+    first, last = (np.tensordot(d[:, k : k + rows], v, ((1, 3), (0, 1))) for k in (0, rows - 1))
+    # Uᵀ ΔO, as U without its last block row is Q R
+    inner = (q.T @ u[:-ch]).T.astype(np.float32) @ both[:, :n] + u[-ch:].T.astype(np.float32) @ last
+    return Perturbations(both[:, :n], both[:, n:], first, inner)
+
+
+def _apart(z: Any_) -> Any_:
+    """Real parts beside imaginary ones, along the last axis."""
+    return np.concatenate([z.real, z.imag], axis=-1)
+
+
+def _spectral(q: Float, size: int) -> Any_:
+    """(2 order, freq·ch·2) float32: what times the transforms (freq, ch, part) of x (size, ch) is Σ q_i x_i and, below,
+    Σ q_i x_{i+1}, for `q` (row, ch, order).
+    """
+    spectrum = rfft(q, size, axis=0)
+    line = np.arange(len(spectrum))
+    spectrum *= np.where((line == 0) | (2 * line == size), 1, 2)[:, None, None] / size
+    late = spectrum * np.exp(-2j * np.pi * line / size)[:, None, None]
+    both = np.concatenate([spectrum, late], axis=2)
+    return np.stack([both.real, both.imag], axis=2).reshape(-1, both.shape[2]).T.astype(np.float32)
 
 
 def _bilinear(left: Complex, mid: Any_, right: Complex) -> Complex:
