@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from itertools import zip_longest
 
@@ -23,7 +22,6 @@ KIND: dict[str, Kind] = {
     **dict.fromkeys(("CONM2", "PMASS", "CMASS2", "CMASS4"), "mass"),
 }
 MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"}
-BOTH = re.compile(r"T\d*|A|AB|OD")
 SMALL = 160  # vectors of the model that a proposal searches with
 DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
 MATE, MATES = 0.7, 2  # share of the best fall of J from which on a candidate may be meant in place of the best
@@ -127,21 +125,17 @@ def of_parameter(model: Model, parameter: Parameter) -> Candidate:
 
 
 def conflicts(model: Model, candidates: Sequence[Candidate]) -> Bool:
-    """Pairs (p, p) that modes hardly tell apart: both scale the same field, or a product.
-
-    A material and a section of one element make a product where both touch its stiffness, or both its mass.
-    """
+    """Pairs (p, p) that scale the same field of an element, or one of them its stiffness as a whole."""
     members = membership(model, candidates)
     overlap = (members @ members.T).toarray() > 0
     fields = [{t.field for t in c.parameter.targets} for c in candidates]
     family = [{t.card.startswith("MAT") for t in c.parameter.targets} for c in candidates]
-    mass = [any(f in MASS_ONLY or BOTH.fullmatch(f) for f in fs) for fs in fields]
     stiff = [any(f not in MASS_ONLY for f in fs) or not fs for fs in fields]
     out = np.zeros(overlap.shape, dtype=np.bool_)
     for i, j in np.argwhere(np.triu(overlap, 1)).tolist():  # over candidates, not elements
-        product = (mass[i] and mass[j]) or (stiff[i] and stiff[j])
-        same = bool(fields[i]) and bool(fields[j]) and family[i] == family[j]
-        out[i, j] = out[j, i] = bool(fields[i] & fields[j]) if same else product
+        same = bool(fields[i] & fields[j]) and family[i] == family[j]
+        whole = stiff[i] and stiff[j] and not (fields[i] and fields[j])
+        out[i, j] = out[j, i] = same or whole
     return out
 
 
