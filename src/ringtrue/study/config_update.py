@@ -11,7 +11,7 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 Step = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]
-Discrepancy = Literal["assumed", "evidence"]
+Discrepancy = Literal["found", "assumed", "evidence"]
 Prior = Literal["study", "evidence", "gcv", "l-curve"]
 Robust = Literal["squares", "huber", "tukey"]
 
@@ -41,7 +41,7 @@ class UpdateSection(_Section):
     frequency_error: Positive = 0.01  # relative, that the best model of this form keeps; the test's own is added
     mac_error: Positive = 0.05  # of 1 - MAC
     orthogonality_error: Positive = 0.05  # of a term of the cross-orthogonality
-    discrepancy: Discrepancy = "assumed"  # errors of the kinds of residuals, as given or as likely
+    discrepancy: Discrepancy = "found"  # errors of the kinds of residuals: as left over, as given, or as likely
     prior: Prior = "study"  # rule for the weight of the prior
     loss: Robust = "squares"  # against a wrong mode
     starts: int = Field(default=1, gt=0)  # the first is the deck
@@ -55,10 +55,20 @@ class UpdateSection(_Section):
         return value
 
     @property
+    def sharpened(self) -> bool:
+        """Whether the last part of an updating weighs deviations by what the parts before have left.
+
+        Not where the user gives the errors and does not ask for it, and not with a robust loss: what a few wrong data
+        leave says nothing of the others.
+        """
+        given = self.model_fields_set & {"frequency_error", "mac_error"} and "discrepancy" not in self.model_fields_set
+        return self.discrepancy == "found" and not given and self.loss == "squares" and self.step != "published"
+
+    @property
     def plain(self) -> bool:
         """Whether eigenvalues and shapes are fitted by damped Gauss-Newton from the deck."""
         usual = self.step in ("gauss-newton", "published") and self.loss == "squares"
-        usual = usual and self.prior == "study" and self.discrepancy == "assumed"
+        usual = usual and self.prior == "study" and self.discrepancy != "evidence"
         return usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.starts == 1 and not self.stages
 
 

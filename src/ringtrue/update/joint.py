@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.update.alike import errors_of_shapes
 from ringtrue.update.choose import Choice
 from ringtrue.update.objective import Residual, Weights
 from ringtrue.update.residuals import OF_FREQUENCY, CrossOrthogonality, Mac, Shapes, Term, Weighted
 from ringtrue.update.several import APART, Evaluated, Problem, held_to
 from ringtrue.update.trust import solve
+from ringtrue.update.weights import left_over
 
 
 def joint_residual(problem: Problem, x: Float) -> Residual:
@@ -50,6 +52,14 @@ def weighed(problem: Problem, found: Weights) -> Problem:
     """With discrepancies of frequencies and shapes as found."""
     every = (c.weighed(found.frequency, found.mac, found.independent) for c in problem.configurations)
     return replace(problem, configurations=tuple(every))
+
+
+def sharpened(problem: Problem, at: Evaluated) -> Problem:
+    """With the discrepancies that an updating has left at its end; shapes as in the first configuration."""
+    r, first = joint_residual(problem, at.y), problem.configurations[0].target
+    prior = np.sqrt(np.diag(np.linalg.inv(problem.linked_precision)))
+    many = errors_of_shapes(first, at.points[0].now)
+    return weighed(problem, left_over(first.weights, r, r.slope * prior, first.weights.data, many))
 
 
 def doubting(problem: Problem) -> Problem:

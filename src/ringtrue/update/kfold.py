@@ -225,16 +225,17 @@ def predicted_fold(
 def variance_parts(problem: Problem, at: Evaluated) -> Float:
     """Covariance of the unknowns (3, q, q): a unit of the mean square error of frequencies, one of 1 − MAC, the rest.
 
-    An error of a shape counts as one, as the parameters imitate it best: what the model lacks is smooth.
+    A shape has as many independent errors as the weights say: one, as the parameters imitate it best, if not told.
     """
     terms = [(t, c.target) for c in problem.configurations for t in c.terms]
     n = int(at.kind.max(initial=-1)) + 1
     of_f = np.array(
         [(t.std**2 + np.mean(a.std**2)) ** -0.5 if isinstance(t, OF_FREQUENCY) else 0.0 for t, a in terms][:n]
     )
-    of_s = np.array([t.mac**-0.5 if isinstance(t, Shapes) else 0.0 for t, _ in terms][:n])
+    of_s = np.array([(t.factor / t.mac) ** 0.5 if isinstance(t, Shapes) else 0.0 for t, _ in terms][:n])
+    many = problem.configurations[0].target.weights.independent
     other = np.where((of_f == 0) & (of_s == 0), 1.0, 0.0)
-    none, *each = (laplace(problem, at, k, independent=1.0).covariance for k in (0 * other, of_f, of_s, other))
+    none, *each = (laplace(problem, at, k, independent=many).covariance for k in (0 * other, of_f, of_s, other))
     return np.stack([each[0] - none, each[1] - none, each[2]])
 
 

@@ -14,7 +14,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from scipy.special import gammaln
@@ -28,10 +28,10 @@ from ringtrue.update.objective import Residual, Target, Weights, comparable_crit
 from ringtrue.update.pool import NOISE
 from ringtrue.update.search import Search
 from ringtrue.update.several import Problem
+from ringtrue.update.weights import left_over
 
 TRIALS = 2  # promising sets that are fitted in one round
 AT_ONCE = 20  # Gauss-Newton steps with all candidates free
-TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
 TWICE = 2  # searches with the discrepancy that was found
 NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
 PRICE = 1.0  # γ: 0 follows the noise, 1 finds little that is small
@@ -252,17 +252,6 @@ def _apart(a: Weights, b: Weights) -> float:
 
 def _found(search: Search, c: Choice) -> Weights:
     """With the relative frequency and 1 − MAC that a set leaves, over the data that its parameters have left over."""
-    w, r = search.assumed, search.point(c.x)
-    n = int(r.used.sum())
-    if not n:
-        return replace(w, frequency=LOOSE * w.frequency, mac=LOOSE * w.mac)
-    g = r.slope[:, c.members] * search.prior[c.members]
-    normal = g.T @ g
-    spent = float(np.trace(np.linalg.solve(normal + np.eye(len(normal)), normal)))
-    data = search.target.weights.data * n
-    swell = data / max(data - spent, 1.0)
-    f = float(np.sqrt(np.mean(r.frequency_error[r.used] ** 2) * swell))
-    m = float(np.mean(1 - r.mac[r.used]) * swell)
-    low, high = np.array([TIGHT * w.frequency, TIGHT**2 * w.mac]), LOOSE * np.array([w.frequency, w.mac])
-    f, m = np.clip([f, m], low, high).tolist()
-    return replace(w, frequency=f, mac=m, independent=errors_of_shapes(search.target, search.model.modes(c.x)))
+    g = search.point(c.x).slope[:, c.members] * search.prior[c.members]
+    many = errors_of_shapes(search.target, search.model.modes(c.x))
+    return left_over(search.assumed, search.point(c.x), g, search.target.weights.data, many)

@@ -17,12 +17,14 @@ from scipy.optimize import minimize_scalar
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, InputError, did_you_mean
+from ringtrue.update.objective import Residual, Weights
 from ringtrue.update.several import Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve
 
 Rule = Literal["l-curve", "gcv", "evidence"]
 GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
 SETTLED = 0.1  # relative change of the factor below which it stands
+TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,3 +240,33 @@ def _likelihood(b: Float, inner: Float, variance: Float) -> float:
     factor = linalg.cholesky(np.diag(variance) + inner, lower=True)
     z = linalg.solve_triangular(factor, b, lower=True)
     return float(z @ z + 2 * np.log(np.diag(factor)).sum())
+
+
+def left_over(assumed: Weights, r: Residual, slope: Float, data: float, independent: float) -> Weights:
+    """With the relative frequency and 1 − MAC that an updating leaves, over the data that its parameters have not used.
+
+    Parameters
+    ----------
+    assumed : Weights
+        Before any were found: what is found lies between `TIGHT` and `LOOSE` times these.
+    r : Residual
+        At the end of the updating.
+    slope : (r, k) float64
+        Of `r.value`, in units of the prior, to what was updated.
+    data : float
+        Number of data that a mode gave.
+    independent : float
+        Number of independent errors in a shape (`alike.errors_of_shapes`).
+    """
+    n = int(r.used.sum())
+    if not n:
+        return replace(assumed, frequency=LOOSE * assumed.frequency, mac=LOOSE * assumed.mac)
+    normal = slope.T @ slope
+    spent = float(np.trace(np.linalg.solve(normal + np.eye(len(normal)), normal)))
+    swell = data * n / max(data * n - spent, 1.0)
+    f = float(np.sqrt(np.mean(r.frequency_error[r.used] ** 2) * swell))
+    m = float(np.mean(1 - r.mac[r.used]) * swell)
+    low = np.array([TIGHT * assumed.frequency, TIGHT**2 * assumed.mac])
+    high = LOOSE * np.array([assumed.frequency, assumed.mac])
+    f, m = np.clip([f, m], low, high).tolist()
+    return replace(assumed, frequency=f, mac=m, independent=independent)

@@ -19,6 +19,7 @@ from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, frequency_error
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
+from ringtrue.update.joint import sharpened
 from ringtrue.update.multistart import latin_hypercube, multi_start
 from ringtrue.update.objective import DOUBT, Target, aicc, residual
 from ringtrue.update.residuals import widened
@@ -174,7 +175,7 @@ def settled(
     near = solve(doubting, method, start=start, iterations=u.iterations, progress=told)
     path += near.history[1:] if path else near.history
     firm = _aimed(problem, [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)])
-    weighed = _weighed(firm, near.end) if u.discrepancy == "evidence" else firm
+    weighed = _weighed(firm, near.end, u)
     if u.prior != "study":
         done = regularised(weighed, u.prior, method, start=near.y).solution
     else:
@@ -184,8 +185,12 @@ def settled(
     return done, [*path, *done.history[1:]]
 
 
-def _weighed(problem: Problem, at: Evaluated) -> Problem:
-    """The problem with the errors of each kind of residuals that make the data most likely."""
+def _weighed(problem: Problem, at: Evaluated, u: UpdateSection) -> Problem:
+    """The problem with the errors that were left over there, or those that make the data most likely."""
+    if u.sharpened:
+        return sharpened(problem, at)
+    if u.discrepancy != "evidence":
+        return problem
     found = zip(np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True)
     by, kinds = dict(found), count()  # a kind may have no row: all its modes are lost
     parts = [

@@ -18,6 +18,7 @@ from ringtrue.study.parametric import AtChannels, frequency_error
 from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import as_delivered, others_at
+from ringtrue.study.stages.update import weights_at
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.alike import effective_freedom, energy_shares, errors_of_shapes, likeness
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
@@ -61,6 +62,9 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     small = _near(desk, model, x, best.std, np.random.default_rng([desk.config.study.seed, 6]))
     first = Configuration(small, paired, terms_of(desk, OWN, small, desk.config.update))
     others = _others(desk, best, rng=np.random.default_rng([desk.config.study.seed, 8]), progress=progress)
+    if desk.config.update.sharpened:
+        w = weights_at(paired, model, x)
+        first, others = _weighed(first, w), tuple(_weighed(c, w) for c in others)
     likely, held = with_discrepancy(
         first,
         folds_of(paired.used, min(asked.folds, count)),
@@ -84,6 +88,10 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     problem = Problem(tuple(_likelihood(c.weighed(w.frequency, w.mac), many) for c in (likely, *others)))
     chains = _sampled(problem, posterior, asked.samples, rng, part(progress, 0.8, 1.0))
     return _with_draws(told, chains, posterior.parameters)
+
+
+def _weighed(c: Configuration, w: Weights) -> Configuration:
+    return c.weighed(w.frequency, w.mac, w.independent)
 
 
 def _same(desk: Workbench, model: AtChannels, final: FinalStage, x: Float) -> bool:
@@ -132,7 +140,7 @@ def _posterior(
 ) -> tuple[Posterior, Float]:
     """About the delivered point, with errors as found, where the candidates that were not chosen may be off, too.
 
-    Those that scale a field of a chosen one, or a product with it, are held: it stands for them. The errors of the
+    Those that scale a field of a chosen one are held: it stands for them. The errors of the
     other configurations are taken to be like those of the first, the deck of the study.
 
     Returns

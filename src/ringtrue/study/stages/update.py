@@ -17,11 +17,13 @@ from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import percent, spared, together, told_data
 from ringtrue.study.workbench import Workbench
+from ringtrue.update.alike import errors_of_shapes
 from ringtrue.update.candidates import elements_of
 from ringtrue.update.choose import criterion
 from ringtrue.update.gauss_newton import State, UpdateResult, update
-from ringtrue.update.objective import Target
+from ringtrue.update.objective import Target, Weights, objective, residual
 from ringtrue.update.pool import of_parameter
+from ringtrue.update.weights import left_over
 
 WHY = (
     "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost their partner among "
@@ -147,8 +149,22 @@ def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | No
     near = update(active, aim.doubting(), iterations=limit, start=start, published=published)
     states += near.history[1:] if states else near.history
     last = aim.settled(active.linearise(near.x))
-    result = update(active, last, iterations=limit, start=near.x, published=published)
+    if not desk.config.update.sharpened:
+        result = update(active, last, iterations=limit, start=near.x, published=published)
+        return result, [*states, *result.history[1:]]
+    found = replace(last, weights=weights_at(last, active, near.x))
+    result = update(active, found, iterations=limit, start=near.x, published=published)
+    r = residual(last, active.linearise(result.x))  # J as all sets have it
+    end = replace(result.history[-1], residual=r, value=objective(last, r, result.x, active.parameters.std()))
+    result = replace(result, history=(*result.history[:-1], end))
     return result, [*states, *result.history[1:]]
+
+
+def weights_at(aim: Target, model: AtChannels, x: Float) -> Weights:
+    """The weights with the discrepancy that an updating of all parameters of a model has left at x."""
+    now = model.linearise(x)
+    r = residual(aim, now)
+    return left_over(aim.weights, r, r.slope * model.parameters.std(), aim.weights.data, errors_of_shapes(aim, now))
 
 
 def _summary(
