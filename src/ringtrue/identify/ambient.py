@@ -70,6 +70,7 @@ from ringtrue.identify.wander import wander, widened
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.lines import with_feet, without_lines
+from ringtrue.signal.locked import locked
 from ringtrue.signal.preprocess import Band, Harmonic, block_weights, harmonics, uncut, usable
 from ringtrue.signal.threads import abreast
 
@@ -373,8 +374,14 @@ def _assemble(
     known = [h.frequency for h in lines]
     machines = steady_amplitudes(whole, f_all, z_all, known) if whole else ("",) * len(rows)
     edges = filter_edges(history, f_all, z_all)
-    for (b, i), f, z, unsteady, edge in zip(rows, f_all, z_all, machines, edges, strict=True):
-        if h := machine(f, z, lines, resolution, history.duration):
+    standing = [machine(f, z, lines, resolution, history.duration) for f, z in zip(f_all, z_all, strict=True)]
+    running = [bool(h or why) for h, why in zip(standing, machines, strict=True)]
+    if whole:
+        every, wide = np.append(f_all, known), np.append(z_all, np.zeros(len(known)))
+        kin = locked(whole, every, wide, running + [True] * len(known))
+        machines = tuple(x or y for x, y in zip(machines, kin[: len(rows)], strict=True))
+    for (b, i), f, z, h, unsteady, edge in zip(rows, f_all, z_all, standing, machines, edges, strict=True):
+        if h:
             left_out.append(f"pole at {f:.4g} Hz left out: {h.why}{BESIDE}")
         elif z < LEAST_DAMPING:
             left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")

@@ -110,23 +110,27 @@ def steady_amplitudes(
     duration = samples / history.rate
     width = np.maximum(6 * z * f, 20 / duration)
     cycles = 2 * np.pi * z * f * duration
-    known = np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf) - 120 / duration
-    room = np.minimum(0.9 * np.minimum(f, history.rate / 2 - f), known / 0.75)
-    try_at = (z < _WIDEST) & (cycles > 40) & (width < room)
+    apart = np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf) - 120 / duration
+    edge = 0.9 * np.minimum(f, history.rate / 2 - f)
     out = [""] * f.size
-    if not try_at.any():
+    if not ((z < _WIDEST) & (cycles > 40) & (width < np.minimum(edge, apart / 0.75))).any():
         return tuple(out)
     n = int(next_fast_len(samples, real=True))
     x = Signals.of(history.data).part(0, samples, eyes)  # single precision without what it stands on
     spectrum = rfft(detrended(x).data, n, axis=1)
-    for k in np.flatnonzero(try_at).tolist():  # a few poles
-        widths = [float(w) for w in width[k] * np.array([1.0, 2.0, 4.0]) if w < room[k]]
+    for k in np.argsort(z, kind="stable").tolist():  # a few poles, sharp lines first
+        room = min(edge[k], apart[k] / 0.75)
+        if not (z[k] < _WIDEST and cycles[k] > 40 and width[k] < room):
+            continue
+        widths = [float(w) for w in width[k] * np.array([1.0, 2.0, 4.0]) if w < room]
         bands = [_narrow(spectrum, n, samples, history.rate, float(f[k]), w) for w in widths]
         kurtosis = min(kurtosis for kurtosis, power in bands if power < bands[0][1] / _NEAR)
         if kurtosis < _BETWEEN and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
             out[k] = (
                 f"a machine of unsteady speed: steady amplitude (kurtosis {kurtosis:.2f}, a mode has 3, a sine 1.5)"
             )
+            beside = np.abs(f - f[k])
+            apart = np.minimum(apart, np.where(beside > width[k], beside - width[k] / 2, np.inf))
     return tuple(out)
 
 
