@@ -181,6 +181,8 @@ def test_unsupported_cards_stop_the_reader_and_are_listed_by_survey(tmp_path: Pa
         ("PCOMPS,1", "MAT9, or shells with PCOMP"),
         ("PBMSECT,1,1,CP", "PBEAML"),
         ("CFLUID2,1,2,3", "fluids"),
+        ("CQUAD1,1,1,1,2,3,4", "old NASTRAN: give CQUAD4"),
+        ("CIHEX1,1,1,1,2,3,4", "old NASTRAN: give CQUAD4"),
     ],
 )
 def test_cards_that_are_not_read_say_what_to_do(tmp_path: Path, line: str, why: str) -> None:

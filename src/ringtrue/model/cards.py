@@ -193,6 +193,9 @@ _REASONS = (  # what cards have in common that are not read, and how their names
     ("beams of three nodes: give two CBEAM", ("CBEAM3", "PBEAM3", "CBAR3")),
     ("layered solids: give PSOLID with the mean of the layers as MAT9, or shells with PCOMP", ("PCOMPS", "PCOMPLS")),
     ("preload: the modes are those of the unloaded structure; take STATSUB out to have them", PRELOADS),
+    ("elements of old NASTRAN: give CQUAD4, CTRIA3, CSHEAR, CHEXA, CPENTA or CTETRA",
+     ("CQUAD1", "CQUAD2", "CTRIA1", "CTRIA2", "CTRBSC", "CTRPLT", "CTRSHL", "CQDPLT", "CQDMEM", "CTRMEM", "CTRIM6",
+      "CTWIST", "CWEDGE", "CHEXA1", "CHEXA2", "CIHEX", "CIS2D8", "CELBOW", "CTRIARG", "CTRAPRG", "CTORDRG")),
     ("sections by their outline: give PBEAM, or PBEAML with one of the sections", ("PBMSECT", "PBRSECT")),
 )  # fmt: skip
 TABLES = ("PBUSHT", "PDAMPT", "PELAST")  # kept: tables over frequency or for nonlinear solutions; nominal values count
@@ -200,7 +203,7 @@ NONSTRUCTURAL = ("NSM", "NSM1", "NSML", "NSML1", "NSMADD")
 UNSUPPORTED = frozenset(_CARRYING.split())
 _HARMLESS_C = (  # names that begin like an element but connect nothing
     "CAERO", "CASE", "CBARAO", "CORD", "CMETHOD", "CSET", "CSCHD", "CSSCHD", "CYJOIN", "CYSYM",
-    "CYAX", "CYSUP", "CLOAD", "CREEP", "CON", "CHBDY", "CCRSFIL",
+    "CYAX", "CYSUP", "CLOAD", "CREEP", "CON", "CHBDY", "CCRSFIL", "CNGRNT",
 )  # fmt: skip
 
 
