@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import small_study
 
+from ringtrue.errors import DataError
 from ringtrue.io.records import read_record, write_history
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.identify import IdentifyStage
@@ -70,3 +72,39 @@ def test_records_of_a_few_seconds_are_shown(tmp_path: Path) -> None:
         assert shown.duration == pytest.approx(12.0)
         assert shown.psd.size
         assert np.isfinite(shown.psd).all()
+
+
+def without_names(study: Path, names: Callable[[list[str]], list[str]]) -> list[str]:
+    """The ambient record as `.npy`, which has neither names nor rate; the log tells them."""
+    folder = study.parent / "data"
+    record = read_record(folder / "ambient.h5")
+    np.save(folder / "ambient.npy", np.vstack([record.data, np.zeros((1, record.data.shape[1]))]).T)  # one is not used
+    log = json.loads((folder / "campaign.json").read_text())
+    (entry,) = log["tests"][0]["records"]
+    ids = [c.id for c in record.channels]
+    entry |= {"file": "ambient.npy", "rate_hz": record.rate, "channels": names([*ids, ""])}
+    (folder / "campaign.json").write_text(json.dumps(log))
+    return ids
+
+
+def test_the_log_names_the_channels_of_files_without_names(tmp_path: Path) -> None:
+    study = small_study.write_study(tmp_path, STUDY, hammer=False)
+    told = identified(study).ambient
+    ids = without_names(study, lambda names: names)
+    found = identified(study).ambient
+    assert list(found.channels) == ids
+    np.testing.assert_allclose(found.frequencies, told.frequencies, rtol=2e-3)  # the unit is not known: other weights
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (lambda names: names[:-1], "`channels` must name all"),
+        (lambda names: [names[1], *names[1:]], r"`channels` names 101\+Y twice"),
+    ],
+)
+def test_wrong_names_in_the_log_are_refused(tmp_path: Path, names: Callable[[list[str]], list[str]], told: str) -> None:
+    study = small_study.write_study(tmp_path, STUDY, hammer=False)
+    without_names(study, names)
+    with pytest.raises(DataError, match=told):
+        identified(study)

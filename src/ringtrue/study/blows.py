@@ -37,6 +37,8 @@ class BlowFiles:
         Where the files have none.
     group : str
         The group of a `.tdms` or HDF5 file that is meant.
+    channels : sequence of str
+        Names in place of those of the file (`renamed`).
     """
 
     force: str = ""
@@ -45,6 +47,27 @@ class BlowFiles:
     quantity: str = ""
     rate: float | None = None
     group: str = ""
+    channels: Sequence[str] = ()
+
+
+def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHistory:
+    """The channels by other names, in their order in the file; those with an empty name are left out.
+
+    Raises
+    ------
+    DataError
+        If there are not as many names as channels, or one comes twice.
+    """
+    if not names:
+        return history
+    old = [c.id for c in history.channels]
+    if isinstance(names, str) or len(names) != len(old) or not all(isinstance(n, str) for n in names):
+        raise DataError(f"{path}: `channels` must name all {len(old)} in their order: {' '.join(old[:40])}")
+    given = [n for n in names if n]
+    if twice := sorted({n for n in given if given.count(n) > 1}):
+        raise DataError(f"{path}: `channels` names {' '.join(twice)} twice")
+    kept = history.pick([i for i, name in zip(old, names, strict=True) if name])
+    return replace(kept, channels=tuple(replace(c, id=n) for c, n in zip(kept.channels, given, strict=True)))
 
 
 def full_scale(path: Path) -> dict[str, float]:
@@ -136,6 +159,7 @@ def read_file(path: Path, how: BlowFiles | None = None) -> tuple[tuple[TimeHisto
 def _ready(
     path: Path, run: TimeHistory, how: BlowFiles, point: str, shakers: bool
 ) -> tuple[TimeHistory, Sequence[str]]:
+    run = renamed(run, how.channels, path)
     kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
     record, notes = _prepared(kept, how, point, shakers)
     refuse_bad_samples(record, path)

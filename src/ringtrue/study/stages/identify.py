@@ -23,7 +23,7 @@ from ringtrue.identify.local import told_apart
 from ringtrue.identify.merge import Contribution, merge_modes
 from ringtrue.identify.peaks import cmif
 from ringtrue.io.choices import read_choice
-from ringtrue.io.records import read_record
+from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
@@ -33,7 +33,7 @@ from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
-from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows
+from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows, renamed
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
 from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, on_sheet, supplied_frfs, supplied_modes
@@ -108,16 +108,16 @@ def _check_sheet(path: Path, channels: Sequence[Channel], sheet: TestModel) -> N
     on_sheet([c.id for c in channels if c.quantity != "force"], sheet, path)
 
 
-def _history(path: Path, sheet: TestModel, lost: Sequence[str], *, gaps: bool = False) -> TimeHistory:
+def _history(record: Logged, sheet: TestModel, lost: Sequence[str], *, gaps: bool = False) -> TimeHistory:
     """A record without the channels `lost`; the others are checked and must be on the sheet.
 
     With `gaps` samples may be missing.
     """
-    keep = None
-    if lost:
-        keep = [c.id for c in read_record(path, check=False, gaps=gaps).channels if c.id not in set(lost)]
-    history = read_record(path, channels=keep, gaps=gaps)
-    _check_sheet(path, history.channels, sheet)
+    history = read_record(record.path, record.details.get("rate_hz"), check=False, gaps=gaps)
+    history = renamed(history, record.details.get("channels", ()), record.path)
+    history = history.pick([c.id for c in history.channels if c.id not in set(lost)])
+    refuse_bad_samples(history, record.path, gaps=gaps)
+    _check_sheet(record.path, history.channels, sheet)
     return history
 
 
@@ -226,7 +226,7 @@ def ambient(
     found, shown = [], []
     for i, record in enumerate(records):
         progress(i / max(len(records), 1), f"ambient modes: {record.name}")
-        raw, gaps = bridged(_history(record.path, sheet, lost, gaps=True))
+        raw, gaps = bridged(_history(record, sheet, lost, gaps=True))
         history, low, note = corrected(raw, sensors)
         fmin = max(low, settings.ambient_fmin or 0.0) or None
         with about(record.path):
@@ -260,8 +260,14 @@ def struck(
 
 def _blows(record: Logged, sheet: TestModel, lost: Sequence[str]) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
     """The acquisitions of a hammer record, and what is to be said of them."""
-    point, force = record.details.get("reference", ""), record.details.get("force_channel", "")
-    how = BlowFiles(force=force, struck=(point,) if point else (), leave_out=tuple(lost))
+    told = record.details
+    how = BlowFiles(
+        force=told.get("force_channel", ""),
+        struck=(told["reference"],) if told.get("reference") else (),
+        leave_out=tuple(lost),
+        rate=told.get("rate_hz"),
+        channels=told.get("channels", ()),
+    )
     runs, notes = read_file(record.path, how)
     for run in runs:
         _check_sheet(record.path, run.channels, sheet)
