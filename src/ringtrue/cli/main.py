@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import sys
 from collections.abc import Sequence
 from errno import EDQUOT, ENOSPC
 from importlib import import_module
+from importlib.resources import files
 from signal import SIGTERM, default_int_handler, signal
 from typing import NoReturn
 
@@ -48,7 +50,7 @@ def _root(
 
 
 def application(arguments: Sequence[str]) -> typer.Typer:
-    """With the command that is asked for: the others take seconds to import. With all for help and a wrong name."""
+    """With the command that is asked for: the others take seconds to import, and show their words in the help only."""
     app = typer.Typer(
         help="Finite element model validation: from a deck and vibration signals to a model that rings true.",
         no_args_is_help=True,
@@ -57,10 +59,24 @@ def application(arguments: Sequence[str]) -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback()(_root)
-    for name in [a for a in arguments[:1] if a in COMMANDS] or COMMANDS:
-        module, function = COMMANDS[name]
-        app.command(name)(getattr(import_module(f"ringtrue.cli.{module}"), function))
+    asked = [a for a in arguments if a != "--"][:1]  # behind other options stands none: they show something and end
+    for name, (module, function) in COMMANDS.items():
+        if name in asked:
+            app.command(name)(getattr(import_module(f"ringtrue.cli.{module}"), function))
+        elif not COMMANDS.keys() & asked:
+            app.command(name, help=_words(module, function))(_nothing)
     return app
+
+
+def _words(module: str, function: str) -> str:
+    """The docstring of a function of `ringtrue.cli`, without what its module imports."""
+    tree = ast.parse(files("ringtrue.cli").joinpath(f"{module}.py").read_text("utf-8"))
+    (found,) = (f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == function)
+    return ast.get_docstring(found) or ""
+
+
+def _nothing() -> None:
+    """In the place of a command that is not asked for."""
 
 
 def run(arguments: list[str] | None = None) -> int:

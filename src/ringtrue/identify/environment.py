@@ -17,8 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import kstwobign
-from scipy.stats import t as student
+from scipy.special import kolmogorov, stdtr
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.errors import InputError
@@ -266,7 +265,7 @@ def _excursion(y: Float, sd: Float, x: Float, order: Int, part: slice) -> tuple[
     sums = np.cumsum(e - e.mean())[:-1]
     fitted = x.shape[1] + 1
     spread = (left**2).sum() / max(n - fitted, 1) * _inflation(_memory(left, order[part], fitted), 1.0)
-    return at, float(kstwobign.sf(np.abs(sums).max() / np.sqrt(spread * n)))
+    return at, float(kolmogorov(np.abs(sums).max() / np.sqrt(spread * n)))
 
 
 def _calm(e: Float) -> Float:
@@ -289,7 +288,7 @@ def _outliers(y: Float, sd: Float, x: Float, use: Bool) -> Bool:
         spread = float((fit.residual**2).sum())
         outer = inner * np.sqrt(dof / np.maximum(spread - inner**2, 1e-300))
         k = int(np.argmax(np.abs(outer)))
-        if 2 * student.sf(abs(outer[k]), dof) * at.size > LEVEL:
+        if 2 * stdtr(dof, -abs(outer[k])) * at.size > LEVEL:
             break
         out[at[k]] = True
     return out
@@ -313,7 +312,7 @@ def _report(
     slope, std, chance = (np.full(ok.size, np.nan) for _ in range(3))
     slope[ok], std[ok] = fit.beta[1 : 1 + p], se[1 : 1 + p]
     dof = max(int(good.sum()) - x.shape[1], 1)
-    chance[ok] = 2 * student.sf(np.abs(slope[ok]) / np.maximum(std[ok], 1e-300), dof)
+    chance[ok] = 2 * stdtr(dof, -np.abs(slope[ok]) / np.maximum(std[ok], 1e-300))
     known = good | outlier
     weight = 1 / (sd**2 + fit.scatter**2)
     residual = np.where(known, (y - x @ fit.beta) * np.sqrt(weight), np.nan)

@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.optimize import least_squares
-from scipy.signal import find_peaks
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import ModeSet
@@ -147,6 +146,8 @@ def _near(freqs: Float, level: Float, near: Sequence[float]) -> Int:
 
 def _peaks(spectra: Csd, vector: Complex, level: Float, s: FddSettings) -> Int:
     """Lines of peaks that stand eight standard deviations out of their surroundings, steady in their vector."""
+    from scipy.signal import find_peaks  # slow to import, and few commands need it
+
     # a singular value averaged over K segments scatters by 1/sqrt(K) of itself
     found, _ = find_peaks(np.log(np.maximum(level, 1e-300)), prominence=8 / np.sqrt(spectra.segments))
     f = spectra.freqs

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modal import ModalModel
@@ -53,6 +52,8 @@ def cmif(data: Complex) -> Float:
 
 def count_peaks(curve: Float) -> Int:
     """Positions of the peaks of the first two singular values that stand 2 dB above their surroundings."""
+    from scipy.signal import find_peaks  # slow to import, and few commands need it
+
     level = 20 * np.log10(np.maximum(curve[:, :2], curve.max() * 1e-9))
     kernel = np.ones(3) / 3
     found = [find_peaks(np.convolve(c, kernel, "same"), prominence=2.0)[0] for c in level.T]
@@ -103,6 +104,8 @@ def _size(model: ModalModel, frfs: FrfSet) -> Float:
 
 def _peaks(curve: Float, settings: CmifPeaks) -> list[tuple[int, int]]:
     """(singular value, line) of the peaks, the first singular value first."""
+    from scipy.signal import find_peaks  # slow to import, and few commands need it
+
     level = 20 * np.log10(np.maximum(curve, curve.max() * 1e-12))
     tops = [find_peaks(c, prominence=settings.depth, height=level.max() + settings.level)[0] for c in level.T]
     return [(rank, int(at)) for rank, top in enumerate(tops) for at in top]

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import firwin, kaiserord, oaconvolve
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
@@ -53,6 +52,8 @@ def high_passer(corner: float, rate: float) -> Fir:
 
 def _low_pass(start: float, stop: float) -> Float:
     """Taps of a low-pass with its edge from `start` to `stop`, in cycles per sample."""
+    from scipy.signal import firwin, kaiserord  # slow to import, and few commands need it
+
     count, beta = kaiserord(_STOP, 2 * (stop - start))
     taps = firwin(count | 1, start + stop, window=("kaiser", beta), scale=True)
     return np.asarray(taps, dtype=np.float64)
@@ -102,6 +103,8 @@ def filtered(blocks: Iterable[TimeHistory], fir: Fir) -> Iterator[TimeHistory]:
 
 def _given(held: Any_, begin: int, wanted: int, fir: Fir) -> tuple[Float, int]:
     """The outputs whose inputs are all there, and the next sample of the record to give out."""
+    from scipy.signal import oaconvolve  # slow to import, and few commands need it
+
     half = fir.taps.size // 2
     end = begin + held.shape[1] - half  # outputs before this one are complete
     if end <= wanted:

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import maximum_filter1d
-from scipy.signal import oaconvolve
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import TimeHistory
@@ -72,6 +71,8 @@ def _strokes(some: Any_) -> Int:
 
 def _unforeseen(x: Any_) -> Any_:
     """Error (sample,) of the linear prediction of a signal (sample,) from what went before (Yule and Walker)."""
+    from scipy.signal import oaconvolve  # slow to import, and few commands need it
+
     frames = x[: x.size // FRAME * FRAME].reshape(-1, FRAME)
     spectra = rfft(frames, 2 * FRAME, axis=1)
     r = irfft((spectra.real**2 + spectra.imag**2).sum(axis=0, dtype=np.float64))[: ORDER + 1]

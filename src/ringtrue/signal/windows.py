@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.signal import get_window
 
 from ringtrue.core.arrays import Float
 
@@ -14,6 +13,8 @@ WindowName = Literal["hann", "hamming", "blackmanharris", "flattop", "boxcar"]
 
 def window(name: WindowName, samples: int) -> Float:
     """(sample,) float64 periodic window of unit mean square, so that a periodogram keeps its power."""
+    from scipy.signal import get_window  # slow to import, and few commands need it
+
     w = np.asarray(get_window(name, samples, fftbins=True), dtype=np.float64)
     return np.asarray(w / np.sqrt(np.mean(w**2)))
 
