@@ -29,6 +29,7 @@ CHANCE = 1.5  # of that, reached by chance
 BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is not believed
 ITERATIONS = 80
 HALVINGS = 8
+DECAYED = 40.0  # time constants in a record, after which nothing is left of a motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,13 +135,20 @@ class _Curve:
 
 
 def _finite(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]) -> Float:
-    """Factor on the spectrum of a mode for the finite length; `windows`: weights, and lengths in periods of f_start."""
-    rate = 2 * np.pi * (zeta * nu0 + 1j * (nu - nu0 * np.sqrt(1 - min(zeta, 0.9) ** 2)))
+    """Factor on the spectrum of a mode for the finite length; `windows`: weights, and lengths in periods of f_start.
+
+    For each window 1 − Re[(1 − e⁻ᑫ)/q²] / Re[1/q], q = a + ib = length · (iω − s) of the pole s.
+    """
+    decay = 2 * np.pi * zeta * nu0
+    off = 2 * np.pi * (nu - nu0 * np.sqrt(1 - min(zeta, 0.9) ** 2))
     factor = np.zeros(nu.shape)
     for weight, turns in windows:
-        q = turns * rate
-        u = 1 / q
-        factor += weight * (1 - (u * u * (1 - np.exp(-q))).real / u.real)
+        a, b = turns * decay, turns * off
+        size = a * a + b * b
+        part = (a * a - b * b) / size
+        if a < DECAYED:
+            part -= np.exp(-a) * (part * np.cos(b) - 2 * a * b / size * np.sin(b))
+        factor += weight * (1 - part / a)
     return factor
 
 
@@ -263,7 +271,11 @@ def _filter(b: SpectralBins, at: Int, half: float, psi: Complex, i: int, others:
     q = u[:, s > INDEPENDENT * s[0]]
     off = at[np.abs(b.freqs[at] - f[i]) > 2.5 * half]
     parts = np.array_split(off if off.size > 20 else at, 3)
-    r = np.stack([b.cross[k].mean(0, dtype=np.complex128) for k in parts])
+    first, share = at[0], np.zeros((3, at[-1] + 1 - at[0]), dtype=np.float32)
+    for row, k in zip(share, parts, strict=True):
+        row[k - first] = 1 / k.size
+    flat = np.ascontiguousarray(b.cross[first : at[-1] + 1]).reshape(share.shape[1], -1).view(np.float32)
+    r = (share @ flat).view(np.complex64).reshape(3, len(psi), -1).astype(np.complex128)
     out = np.eye(len(psi)) - q @ q.conj().T
     seen = np.einsum("ca,pab,bc->pc", out, r, out).real
     floor = 1e-6 * np.trace(r, axis1=1, axis2=2).real[:, None] / len(psi)
@@ -339,7 +351,8 @@ def _prepare(b: SpectralBins, i: int, f: Float, z: Float, psi: Complex, slope: t
     own = _filter(b, at, half, psi, i, others, near, f)
     # single precision, that of the spectra: to make them double takes longer than all else
     w = own.weights.astype(np.complex64)
-    power = np.maximum(((b.cross[at[0] : at[-1] + 1] @ w) @ w.conj()).real.astype(np.float64), 1e-300)
+    passed = (b.cross[at[0] : at[-1] + 1].reshape(-1, w.size) @ w).reshape(-1, w.size) @ w.conj()
+    power = np.maximum(passed.real.astype(np.float64), 1e-300)
     peak = np.median(power[np.argsort(np.abs(nu - 1))[: max(few, 5)]])
     known = np.isfinite(own.noise)
     ends = np.where(known, own.noise, np.array([np.median(power[:few]), np.median(power[-few:])]) / 2)
