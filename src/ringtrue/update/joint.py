@@ -54,12 +54,12 @@ def weighed(problem: Problem, found: Weights) -> Problem:
     return replace(problem, configurations=tuple(every))
 
 
-def sharpened(problem: Problem, at: Evaluated) -> Problem:
-    """With the discrepancies that an updating has left at its end; shapes as in the first configuration."""
-    r, first = joint_residual(problem, at.y), problem.configurations[0].target
-    prior = np.sqrt(np.diag(np.linalg.inv(problem.linked_precision)))
+def left_at(problem: Problem, y: Float) -> Weights:
+    """The weights with the discrepancies that an updating has left at y (q,); shapes as in the first configuration."""
+    at, first = problem.evaluate(y), problem.configurations[0].target
+    r, prior = joint_residual(problem, y), np.sqrt(np.diag(np.linalg.inv(problem.linked_precision)))
     many = errors_of_shapes(first, at.points[0].now)
-    return weighed(problem, left_over(first.weights, r, r.slope * prior, first.weights.data, many))
+    return left_over(first.weights, r, at.slope * prior, first.weights.data, many)
 
 
 def doubting(problem: Problem) -> Problem:

@@ -14,7 +14,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaln
@@ -28,7 +28,7 @@ from ringtrue.update.objective import Residual, Target, Weights, comparable_crit
 from ringtrue.update.pool import NOISE
 from ringtrue.update.search import Search
 from ringtrue.update.several import Problem
-from ringtrue.update.weights import left_over
+from ringtrue.update.weights import distance, left_over
 
 TRIALS = 2  # promising sets that are fitted in one round
 AT_ONCE = 20  # Gauss-Newton steps with all candidates free
@@ -111,7 +111,7 @@ def subsets(
         path = _path(search, most, none, [search.refitted(c) for c in sets], part(told, 0.6, 1.0))
         best = _best(search, path)
         better = _found(search, best)
-        if search.point(best.x).used.sum() < count or _apart(better, found) < NEAR:
+        if search.point(best.x).used.sum() < count or distance(better, found) < NEAR:
             break
         found, sets = better, path[1:]
     path.append(_pruned(search, _parted(search, best, most)))
@@ -243,11 +243,6 @@ def aicc(search: Search, path: Sequence[Choice]) -> Float:
 def _best(search: Search, sets: Sequence[Choice]) -> Choice:
     """The set of the lowest criterion."""
     return sets[int(np.argmin(_criteria(search, sets)))]
-
-
-def _apart(a: Weights, b: Weights) -> float:
-    """The largest change of the logarithm of a weight."""
-    return max(abs(float(np.log(p / q))) for p, q in zip(astuple(a), astuple(b), strict=True) if q)
 
 
 def _found(search: Search, c: Choice) -> Weights:

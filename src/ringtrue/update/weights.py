@@ -7,7 +7,7 @@ min ‖r + Gx₀ − Gx‖² + γ xᵀW_p x, and `regularised` repeats choice an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -24,6 +24,7 @@ from ringtrue.update.trust import Method, Solution, solve
 Rule = Literal["l-curve", "gcv", "evidence"]
 GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
 SETTLED = 0.1  # relative change of the factor below which it stands
+TURNS = 8  # updatings with the discrepancy found, at most
 TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
 
 
@@ -270,3 +271,8 @@ def left_over(assumed: Weights, r: Residual, slope: Float, data: float, independ
     high = LOOSE * np.array([assumed.frequency, assumed.mac])
     f, m = np.clip([f, m], low, high).tolist()
     return replace(assumed, frequency=f, mac=m, independent=independent)
+
+
+def distance(a: Weights, b: Weights) -> float:
+    """The largest change of the logarithm of a weight."""
+    return max(abs(float(np.log(p / q))) for p, q in zip(astuple(a), astuple(b), strict=True) if q)

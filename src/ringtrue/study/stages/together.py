@@ -19,13 +19,13 @@ from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, frequency_error
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
-from ringtrue.update.joint import sharpened
+from ringtrue.update import joint
 from ringtrue.update.multistart import latin_hypercube, multi_start
 from ringtrue.update.objective import DOUBT, Target, aicc, residual
 from ringtrue.update.residuals import widened
 from ringtrue.update.several import Configuration, Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve, staged
-from ringtrue.update.weights import discrepancy_by_evidence, regularised
+from ringtrue.update.weights import SETTLED, TURNS, discrepancy_by_evidence, distance, regularised
 
 
 def together(
@@ -175,22 +175,35 @@ def settled(
     near = solve(doubting, method, start=start, iterations=u.iterations, progress=told)
     path += near.history[1:] if path else near.history
     firm = _aimed(problem, [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)])
-    weighed = _weighed(firm, near.end, u)
-    if u.prior != "study":
-        done = regularised(weighed, u.prior, method, start=near.y).solution
+    if u.sharpened:
+        weighed, done = _sharpened(firm, near.y, lambda p, y: _solved(p, u, method, y, told))
     else:
-        done = solve(weighed, method, start=near.y, iterations=u.iterations, progress=told)
+        weighed = _weighed(firm, near.end) if u.discrepancy == "evidence" else firm
+        done = _solved(weighed, u, method, near.y, told)
     if weighed is not firm:  # J as all sets have it
         done = replace(done, history=(*done.history[:-1], firm.evaluate(done.y, done.end)))
     return done, [*path, *done.history[1:]]
 
 
-def _weighed(problem: Problem, at: Evaluated, u: UpdateSection) -> Problem:
-    """The problem with the errors that were left over there, or those that make the data most likely."""
-    if u.sharpened:
-        return sharpened(problem, at)
-    if u.discrepancy != "evidence":
-        return problem
+def _solved(problem: Problem, u: UpdateSection, method: Method, start: Float, told: Progress | None) -> Solution:
+    if u.prior != "study":
+        return regularised(problem, u.prior, method, start=start).solution
+    return solve(problem, method, start=start, iterations=u.iterations, progress=told)
+
+
+def _sharpened(problem: Problem, y: Float, solved: Callable[[Problem, Float], Solution]) -> tuple[Problem, Solution]:
+    """Updated with the discrepancy that is left over, until that stands."""
+    w = joint.left_at(problem, y)
+    for _ in range(TURNS):
+        done = solved(sharp := joint.weighed(problem, w), y)
+        before, w, y = w, joint.left_at(problem, done.y), done.y
+        if distance(before, w) < SETTLED:
+            break
+    return sharp, done
+
+
+def _weighed(problem: Problem, at: Evaluated) -> Problem:
+    """The problem with the errors of each kind of residuals that make the data most likely."""
     found = zip(np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True)
     by, kinds = dict(found), count()  # a kind may have no row: all its modes are lost
     parts = [

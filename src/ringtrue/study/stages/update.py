@@ -23,7 +23,7 @@ from ringtrue.update.choose import criterion
 from ringtrue.update.gauss_newton import State, UpdateResult, update
 from ringtrue.update.objective import Target, Weights, objective, residual
 from ringtrue.update.pool import of_parameter
-from ringtrue.update.weights import left_over
+from ringtrue.update.weights import SETTLED, TURNS, distance, left_over
 
 WHY = (
     "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost their partner among "
@@ -149,15 +149,24 @@ def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | No
     near = update(active, aim.doubting(), iterations=limit, start=start, published=published)
     states += near.history[1:] if states else near.history
     last = aim.settled(active.linearise(near.x))
-    if not desk.config.update.sharpened:
+    if desk.config.update.sharpened:
+        result = _sharpened(active, last, near.x, limit)
+    else:
         result = update(active, last, iterations=limit, start=near.x, published=published)
-        return result, [*states, *result.history[1:]]
-    found = replace(last, weights=weights_at(last, active, near.x))
-    result = update(active, found, iterations=limit, start=near.x, published=published)
-    r = residual(last, active.linearise(result.x))  # J as all sets have it
-    end = replace(result.history[-1], residual=r, value=objective(last, r, result.x, active.parameters.std()))
-    result = replace(result, history=(*result.history[:-1], end))
     return result, [*states, *result.history[1:]]
+
+
+def _sharpened(active: AtChannels, aim: Target, x: Float, limit: int) -> UpdateResult:
+    """Updated with the discrepancy that is left over, until that stands; J at the end is as all sets have it."""
+    w = weights_at(aim, active, x)
+    for _ in range(TURNS):
+        done = update(active, replace(aim, weights=w), iterations=limit, start=x)
+        before, w, x = w, weights_at(aim, active, done.x), done.x
+        if distance(before, w) < SETTLED:
+            break
+    r = residual(aim, active.linearise(x))
+    end = replace(done.history[-1], residual=r, value=objective(aim, r, x, active.parameters.std()))
+    return replace(done, history=(*done.history[:1], end))
 
 
 def weights_at(aim: Target, model: AtChannels, x: Float) -> Weights:
