@@ -31,6 +31,7 @@ _BLOCKS = 36  # a negative value here: the pattern is stored as blocks that are 
 FILLED = 80
 ENTRIES = 300_000  # of the triangle, from which on blocks pay: small solids lose a few per cent of time by them
 PADDING = 1.3  # memory that a factor by blocks takes while it is made, against what its analysis says (measured)
+PIVOT, SAFE_PIVOT = 1e-6, 0.1  # share of the largest of its column that a pivot of SuperLU on the diagonal must have
 _REAL, _COMPLEX = -2, 6  # PARDISO's matrix types: real and complex symmetric
 
 
@@ -156,36 +157,57 @@ class Dense:
 
 
 class SuperLu:
-    """SciPy's own: slower, larger, without inertia."""
+    """SciPy's own: slower and larger.
 
-    negatives = -1
+    Scaled, nearly all matrices are factorised without an exchange of rows; LU is then LDLᵀ with D the diagonal of U.
+    """
+
     bytes = 0
     weak: Int = np.empty(0, dtype=np.int64)
 
     def __init__(self, pattern: Pattern, values: Any_) -> None:
-        self._pattern, self._dtype = pattern, values.dtype
+        self._pattern, self._dtype, self._pivot = pattern, values.dtype, PIVOT
         self.refactor(values)
 
     def refactor(self, values: Any_) -> None:
         """Other values on the same pattern."""
         upper = self._pattern.matrix(values)
         full = sparse.csc_array(upper + sparse.triu(upper, 1).T)
+        size = np.sqrt(abs(full).max(axis=0).toarray().ravel())
+        self._scale = 1 / np.where(size > 0, size, 1.0)
+        scale = sparse.diags_array(self._scale)
+        full = sparse.csc_array(scale @ full @ scale)
         self.singular, self._lu = False, None  # the old factor goes first
+        self._negatives: int | None = None
         try:
-            self._lu = splu(full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.1, options={"SymmetricMode": True})
+            self._lu = splu(
+                full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=self._pivot, options={"SymmetricMode": True}
+            )
         except RuntimeError:  # "Factor is exactly singular"
             self.singular = True
         except MemoryError as e:
             raise OutOfMemory(f"SuperLU of {self._pattern.size} rows: out of memory; install py-mkl-pardiso") from e
 
+    @property
+    def negatives(self) -> int:
+        """Negative eigenvalues by inertia (Sylvester); -1 if rows were exchanged."""
+        if self._negatives is None:
+            lu, self._negatives = self._lu, -1
+            if lu is not None and self._dtype.kind != "c" and np.array_equal(lu.perm_r, lu.perm_c):
+                self._negatives = int((lu.U.diagonal() < 0).sum())
+        return self._negatives
+
     def strengthen(self, values: Any_) -> bool:
-        """There is no other pivoting."""
-        return False
+        """With larger pivots, for which more rows are exchanged."""
+        self._pivot = SAFE_PIVOT
+        self.refactor(values)
+        return True
 
     def solve(self, rhs: Any_) -> Any_:
         """A⁻¹ rhs."""
         assert self._lu is not None
-        return np.asarray(self._lu.solve(np.ascontiguousarray(rhs, dtype=self._dtype)))
+        d = self._scale if rhs.ndim == 1 else self._scale[:, None]
+        return np.asarray(d * self._lu.solve(np.ascontiguousarray(d * rhs, dtype=self._dtype)))
 
     def close(self) -> None:
         """Free the memory."""

@@ -1,7 +1,7 @@
 """The pencil K − σM: one sparsity pattern, one factorisation with inertia that moves with the shift.
 
 PARDISO's LDLᵀ is the engine, rslab's where there is no MKL; a dense one serves small matrices; SuperLU is the last
-resort (no inertia). `engines` holds them.
+resort. `engines` holds them.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Pencil:
             raise InputError(f"stiffness {self.stiffness.shape} and mass {self.mass.shape} differ in size")
         self.method, self._limit = choose(method, self.size), limit
         if self.method == "superlu":
-            log.warning("neither pymklpardiso nor rslab is used: SuperLU is slower and cannot prove completeness")
+            log.warning("neither pymklpardiso nor rslab is used: SuperLU is slower and takes more memory")
         self.labels: Labels = labels or named_rows
         self._pattern = Pattern(self.stiffness, self.mass)
         self._m = self._pattern.entries(self.mass)
