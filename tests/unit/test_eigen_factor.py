@@ -10,7 +10,7 @@ from ringtrue.eigen import engines, memory
 from ringtrue.eigen.engines import installed
 from ringtrue.eigen.factor import Pencil, factorise
 from ringtrue.eigen.solve import solve_modes
-from ringtrue.errors import InputError, OutOfMemory, SingularModel
+from ringtrue.errors import InputError, NumericalError, OutOfMemory, SingularModel
 
 ENGINES = installed()
 COUNTING = ENGINES
@@ -129,3 +129,21 @@ def test_auto_takes_the_first_that_is_installed(monkeypatch, missing, then):
     if missing:
         with pytest.raises(InputError, match="needs the package pymklpardiso"):
             engines.choose("pardiso", 1000)
+
+
+@pytest.mark.parametrize(("n", "size"), [(60, 1e9), (500, 3.0)])
+@pytest.mark.parametrize("pair", [False, True])
+def test_negative_mass_is_named(n, size, pair):
+    """One negative mass, or two rows of a negative minor: Lanczos would go on for ever."""
+    m = sparse.eye_array(n, format="lil")
+    m[[7], [7]] = 1.0 if pair else -size
+    m[[7, 9], [9, 7]] = size if pair else 0.0
+    with pytest.raises(NumericalError, match=r"negative in some direction at row 7( row 9)?: check"):
+        solve_modes(Pencil(chain(n), sparse.csr_array(m)), 4)
+
+
+def test_a_singular_mass_of_full_blocks_is_not_called_negative():
+    """A point mass on arms: all minors of two rows are zero but for rounding, with entries of many decades."""
+    arm = np.array([1.0, 1e3, 1e-4, 0.3, 1e-7])
+    m = sparse.csr_array(sparse.block_diag([0.7 * np.outer(arm, arm)] * 100))
+    assert solve_modes(Pencil(chain(500), m), 3).residuals.max() < 1e-6

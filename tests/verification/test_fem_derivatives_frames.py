@@ -70,3 +70,11 @@ def test_corner_thickness_of_a_curved_shell(tmp_path: Path, field: str) -> None:
     rest = "PSHELL,1,1,.005,1,,1\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123456,1,2\nPARAM,SNORM,30.\n"
     m = _read(tmp_path, "SOL 103\nCEND\nSPC = 1\nBEGIN BULK\n" + grids + quads + rest)
     check_slopes(m, Parameter("p", (Target("CQUAD4", 1, field),)))
+
+
+def test_thickness_of_the_beam_that_a_spline_is(tmp_path: Path) -> None:
+    """D/L of an RSPLINE sets how it turns between its ends: only the constraint changes."""
+    spline = "RSPLINE,9,.1,1,5,123,3\nGRID,5,,1.2,.4,.3\nCONM2,10,5,,3.\n"
+    beams = BEAM[: BEAM.index("RBE2")] + spline + "SPC1,1,123456,1\nCONM2,11,4,,1.\nCBAR,3,1,3,4,0.,0.,1.\n"
+    m = _read(tmp_path, beams.replace("K2GG = KX\nM2GG = MX\nB2GG = BX\n", ""))
+    check_slopes(m, Parameter("p", (Target("RSPLINE", 9, "DL"),)))

@@ -8,13 +8,15 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.errors import SingularModel
+from ringtrue.errors import NumericalError, SingularModel
 
 Labels = Callable[[Int], list[str]]
 HINT = "look for a mechanism without mass or a DOF without stiffness there, and hold it or give it inertia"
 LOOSE = f"a motion has neither stiffness nor mass (a mechanism): {HINT}"
 MASSLESS = 1e-9  # share of the usual mass of a DOF under which a motion counts as without mass
 NO_ENERGY = 1e-13  # of the energy that its DOFs would have alone: a motion is without stiffness
+NEGATIVE = 1e-6  # share of the usual mass of a DOF beyond which less than nothing is not rounding
+PIECE = 100_000  # rows looked at in one piece
 DENSE_SIZE = 400  # rows up to which the dense solution is used
 
 
@@ -45,6 +47,8 @@ def spectrum(
     ------
     SingularModel
         If K − σM is not positive definite, or is so by rounding only; the rows that move most are named.
+    NumericalError
+        If that is so because the mass is negative.
     """
     k, m = stiffness.toarray(), mass.toarray()
     a = k - shift * m
@@ -53,6 +57,7 @@ def spectrum(
     try:
         theta, y = linalg.eigh(m * scale, a * scale)
     except linalg.LinAlgError:
+        refuse_negative_mass(mass, labels)
         why = f"K - ({shift:.3g}) M is not positive definite: {HINT}"
         raise SingularModel(labels(_loose(a * scale, d)), why) from None
     moved = d[:, None] * y  # of unit energy: long where there is next to none
@@ -83,3 +88,27 @@ def usual_mass(mass: sparse.csr_array) -> float:
     """The median mass of the DOFs that have one; 0 if there are none."""
     m = mass.diagonal()
     return float(np.median(m[m > 0])) if (m > 0).any() else 0.0
+
+
+def refuse_negative_mass(mass: sparse.csr_array, labels: Labels) -> None:
+    """A mass matrix with a negative entry on its diagonal, or a negative minor of two rows, has no modes.
+
+    In pieces of rows: what is made of all entries would be larger than the matrix.
+
+    Raises
+    ------
+    NumericalError
+        With the rows.
+    """
+    m, usual = mass.diagonal(), NEGATIVE * usual_mass(mass)
+    found = [np.flatnonzero(m < -usual)]
+    size = np.clip(m, 0.0, None)
+    for first in range(0, m.size, PIECE):
+        block = mass[first : first + PIECE].tocoo()
+        i, j = block.row + first, block.col
+        wrong = (i < j) & (block.data**2 > (1 + NEGATIVE) * size[i] * size[j] + usual**2)
+        found += [i[wrong], j[wrong]]
+    rows = np.unique(np.concatenate(found)).astype(np.int64)
+    if rows.size:
+        names = " ".join(labels(rows[:6]))
+        raise NumericalError(f"mass or inertia is negative in some direction at {names}: check its signs")

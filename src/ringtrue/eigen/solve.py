@@ -10,7 +10,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.progress import Progress
 from ringtrue.eigen import lanczos
-from ringtrue.eigen.dense import DENSE_SIZE, spectrum
+from ringtrue.eigen.dense import DENSE_SIZE, refuse_negative_mass, spectrum
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes, eigenvalue, frequencies, polish
 from ringtrue.eigen.still import rayleigh_ritz, still_modes
@@ -62,6 +62,8 @@ def solve_modes(
         On a count below 1 or an empty band.
     SingularModel
         If K − σM is singular: a mechanism without mass.
+    NumericalError
+        If the mass is negative in some direction.
     NotConverged
         If Lanczos does not converge.
     """
@@ -73,6 +75,7 @@ def solve_modes(
         raise InputError("the mass matrix is zero: check densities and mass elements")
     if pencil.size <= DENSE_SIZE:
         return _dense(pencil, count, band)
+    refuse_negative_mass(pencil.mass, pencil.labels)
     if band is not None:
         return _band(pencil, band, shift, progress)
     return _lowest(pencil, count, shift, progress)

@@ -27,7 +27,9 @@ CENTRAL = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))  # eighth order
 SPAN = 512  # elements of a chunk, whose matrices stay in the cache
 _NONE = np.empty((0, 0, 0))
 _PLACES = frozenset(["X1", "X2", "X3", "W1A", "W2A", "W3A", "W1B", "W2B", "W3B"])
-_SIZES = frozenset([("PFAST", "D"), ("PWELD", "D")])  # of the square that finds the shells which carry an end
+_SIZES = frozenset(  # of the square that finds the shells which carry an end; of the beam that a spline is
+    [("PFAST", "D"), ("PWELD", "D"), ("RSPLINE", "DL")]
+)
 _SECTION_PLACES = frozenset(["CONM2", "CONM1"])  # X1-X3 there are an arm, generic in dtype
 
 
