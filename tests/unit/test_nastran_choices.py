@@ -135,6 +135,7 @@ def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
         ("M2GG = MX", "DMIG,KX,0,6,1,0\nDMIG,KX,1,3,,1,3,5.", "DMIG KX: it adds nothing"),
         ("SPC = 5", "GRID,9,,1.,0.,0.,,,2", "GRID 9: SEID kept, not applied"),
         ("SPC = 5", "ROTORG,1,1,2", "ROTORG: kept, not applied: the modes are those at rest"),
+        ("SPC = 5", "CYSYM,6,ROT", "CYSYM: kept, not applied: the modes are those of this segment alone"),
         ("SPC = 5", "PARAM,ALPHA1,.5", "PARAM,ALPHA1: not applied"),
     ],
 )

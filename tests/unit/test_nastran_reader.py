@@ -182,6 +182,10 @@ def test_unsupported_cards_stop_the_reader_and_are_listed_by_survey(tmp_path: Pa
         ("PBMSECT,1,1,CP", "PBEAML"),
         ("CFLUID2,1,2,3", "fluids"),
         ("CQUAD1,1,1,1,2,3,4", "old NASTRAN: give CQUAD4"),
+        ("TIE,1,2,3", "contact and glue"),
+        ("CONTACT,1,FREEZE,2,3", "contact and glue"),
+        ("BSCONP,1,2,3,2", "contact and glue"),
+        ("JOINTG,1,UNIVERSL,2,3", "RJOINT"),
         ("CIHEX1,1,1,1,2,3,4", "old NASTRAN: give CQUAD4"),
     ],
 )

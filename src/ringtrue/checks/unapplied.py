@@ -11,6 +11,7 @@ from ringtrue.model.cards import TABLES
 from ringtrue.model.model import Model
 
 _WHOLE = "kept, not applied: the modes here are those of the full model, not of the condensed one"
+_SEGMENT = "kept, not applied: the modes are those of this segment alone, not of the whole; give all segments"
 _KEPT = (  # cards that are kept and what becomes of them
     (("ASET", "ASET1", "OMIT", "OMIT1"), _WHOLE),
     (TABLES, "kept, not applied: the nominal stiffness and damping hold at all frequencies, as in SOL 103"),
@@ -18,6 +19,7 @@ _KEPT = (  # cards that are kept and what becomes of them
         ("ROTORG", "ROTORD", "ROTORAX", "ROTORSE"),
         "kept, not applied: the modes are those at rest, without gyroscopic terms",
     ),
+    (("CYAX", "CYJOIN", "CYSYM"), _SEGMENT),
     (("TF",), "kept, not applied: transfer functions act in the solutions of responses only"),
 )
 RECTANGULAR = 9  # form of DMIG that are loads
