@@ -17,7 +17,7 @@ from ringtrue.identify.ambient import AmbientSettings, bands_for
 from ringtrue.identify.ambient_verdict import settled, without_echoes
 from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.merge import merge_modes
-from ringtrue.identify.ssi import SsiCov, decompose, hankel_gram, ssi_cov
+from ringtrue.identify.ssi import SsiCov, decompose, hankel_gram, squared_hankel, ssi_cov
 from ringtrue.identify.stabilise import Candidates
 from ringtrue.identify.variance import frequency_damping, hankel, perturb
 from ringtrue.shapes.mac import mac
@@ -189,9 +189,10 @@ def test_two_poor_shapes_are_no_exchanged_channels():
 
 
 @pytest.mark.parametrize("rows", [7, 12])
-def test_the_gram_matrix_of_a_hankel_matrix_by_convolution(rows: int):
+def test_the_gram_matrix_of_a_hankel_matrix_by_convolution_and_along_its_diagonals(rows: int):
     r = np.random.default_rng(8).standard_normal((2 * rows, 3, 2))
     h = hankel(r, rows)
+    assert squared_hankel(h, 3, 2) == pytest.approx(h.T @ h, rel=1e-12, abs=1e-12)
     assert hankel_gram(r, rows) @ np.eye(2 * rows) == pytest.approx(h.T @ h, rel=1e-12, abs=1e-12)
 
 

@@ -106,7 +106,7 @@ class BandPoles:
     perturbations: var.Perturbations
 
 
-def decompose(h: Float, order: int, gram: LinearOperator | None = None) -> tuple[Float, Float, Float]:
+def decompose(h: Float, order: int, gram: Float | LinearOperator | None = None) -> tuple[Float, Float, Float]:
     """Leading singular triplets U (i, order), s, V (j, order) of `h` from hᵀh (`gram`, if there is a faster way to it).
 
     A Rayleigh-Ritz step follows where the square of a singular value comes near the rounding of the largest.
@@ -125,6 +125,19 @@ def decompose(h: Float, order: int, gram: LinearOperator | None = None) -> tuple
     basis, _ = qr(h @ v, mode="economic")
     u, s, vt = svd(basis.T @ h, full_matrices=False)
     return basis @ u[:, :order], s[:order], vt[:order].T
+
+
+def squared_hankel(h: Float, ch: int, ref: int) -> Float:
+    """HᵀH of a block-Hankel matrix with blocks (ch, ref): each block from the one before it on its diagonal."""
+    rows = h.shape[1] // ref
+    first, last = h[:ch, :-ref], h[-ch:, ref:]
+    gain = (last.T @ last - first.T @ first).reshape(rows - 1, ref, rows - 1, ref)
+    out = np.empty((rows, ref, rows, ref))
+    out[0] = (h[:, :ref].T @ h).reshape(ref, rows, ref)
+    for j in range(1, rows):
+        out[j, :, 0] = out[0, :, j].T
+        out[j, :, 1:] = out[j - 1, :, :-1] + gain[j - 1]
+    return out.reshape(rows * ref, rows * ref)
 
 
 def hankel_gram(r: Float, rows: int) -> LinearOperator:
@@ -148,7 +161,7 @@ def subspace(r: Float, rows: int, order: int, rate: float, turn: Complex | None 
     """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank ends."""
     ch = r.shape[1]
     h = var.hankel(r, rows)
-    gram = hankel_gram(r, rows) if h.shape[1] > WIDE else None
+    gram = hankel_gram(r, rows) if h.shape[1] > WIDE else squared_hankel(h, ch, r.shape[2])
     u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), gram)
     n = int((s > 1e-12 * s[0]).sum())
     return _factored(u[:, :n], s[:n], v[:, :n] / s[:n], ch, rate, turn)
