@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.signal import hilbert, lfilter
+from scipy.signal import butter, hilbert, lfilter, sosfilt
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import identify_ambient
@@ -108,6 +108,17 @@ def test_two_sensors_at_one_place_are_not_odd_where_no_phases_are_clear(seed):
     quarter = np.imag(hilbert(y - y.mean(axis=1, keepdims=True), axis=1))
     y += 0.2 * rng.standard_normal((7, 7)) @ quarter / np.sqrt(7)
     y[6] = y[5] + 0.05 * y[5].std() * rng.standard_normal(y.shape[1])
+    assert not channel_phases(record(y), [2] * 7).odd.any()
+
+
+@pytest.mark.parametrize("seed", [1, 4, 5, 6])
+def test_waves_that_push_all_modes_turn_no_channel(seed):
+    """Below the modes all of them answer one force, each with a lag of its own."""
+    rng = np.random.default_rng(seed)
+    n = motion().shape[1]
+    wave = sosfilt(butter(2, [0.8, 1.6], btype="band", fs=RATE, output="sos"), rng.standard_normal(n))
+    lagged = np.stack([np.roll(wave, k) for k in range(0, 15, 3)])
+    y = motion() + 2 * motion().std() / wave.std() * (PHI @ (rng.standard_normal((5, 1)) * lagged))
     assert not channel_phases(record(y), [2] * 7).odd.any()
 
 

@@ -133,7 +133,10 @@ def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, Bool]:
 
 
 def _apart(agreed: Any_, coherence: Any_, tried: Int, root: int) -> Bool:
-    """Channels (ch,) in phase with another one that is, as they are, not in phase with the root."""
+    """Channels (ch,) in phase with another one that is, as they are, not in phase with the root, if all others are.
+
+    A force that the modes share (waves, a machine) spreads the phases of all channels; a filter turns some.
+    """
     weight = np.where(coherence > COHERENT, coherence**2, 0.0)
     total = weight.sum(axis=0)
     j = np.where(total > LINES, (weight * agreed).sum(axis=0) / np.maximum(total, LINES), np.nan)
@@ -142,10 +145,8 @@ def _apart(agreed: Any_, coherence: Any_, tried: Int, root: int) -> Bool:
     both[tried, np.arange(tried.size)] = False
     out: Bool = np.asarray(both.any(axis=1))
     out[tried] |= np.asarray(both.any(axis=0))
-    out |= (j[:, out[tried]] > TOGETHER).any(axis=1)
-    rest = j[~out, root]
-    clear = np.isfinite(rest).any() and float(np.nanmedian(rest)) > TOGETHER
-    return out if clear else np.zeros_like(out)
+    out = np.asarray(out | (j[:, out[tried]] > TOGETHER).any(axis=1))
+    return np.asarray(out & ~(j[~out, root] <= TOGETHER).any())
 
 
 def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
