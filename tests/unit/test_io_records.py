@@ -118,7 +118,7 @@ def test_missing_rows_and_samples_are_told_with_what_to_do(tmp_path: Path) -> No
     assert np.isnan(read_record(path, gaps=True).data).sum() == 1
 
 
-@pytest.mark.parametrize("form", ["clock", "array"])
+@pytest.mark.parametrize("form", ["clock", "array", "mat", "hdf5"])
 def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path, form: str) -> None:
     k = np.r_[0:3000, 6400:9000, 9001:10000]
     if form == "clock":
@@ -127,6 +127,13 @@ def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path,
         rows = [f"{s};{np.sin(i):.5f};{np.cos(i):.5f}" for s, i in zip(stamps, k, strict=True)]
         path = tmp_path / "r.csv"
         path.write_text("\n".join(["Timestamp;a;b", *rows]))
+    elif form == "mat":
+        path = tmp_path / "r.mat"
+        savemat(path, {"t": k / 125.0, "y": np.stack([np.sin(k), np.cos(k)], axis=1)})
+    elif form == "hdf5":
+        path = tmp_path / "r.h5"
+        with h5py.File(path, "w") as file:
+            file["time"], file["y"] = k / 125.0, np.stack([np.sin(k), np.cos(k)])
     else:
         path = tmp_path / "r.npy"
         np.save(path, np.stack([k / 125.0, np.sin(k), np.cos(k)], axis=1))

@@ -18,7 +18,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.mat5 import is_mat5, read_mat5
-from ringtrue.io.plain import RawTable, columns_first, h5_values, is_time, named_rate, numbered, time_rate, without_time
+from ringtrue.io.plain import RawTable, columns_first, h5_values, is_time, named_rate, numbered, time_grid, without_time
 from ringtrue.io.si import known
 
 _SIZE_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of level 4, by its precision
@@ -47,15 +47,17 @@ def read_mat(path: Path) -> RawTable:
     short = {k.rpartition(".")[2]: v for k, v in values.items()}
     largest = max(arrays, key=lambda a: a.size)
     place = next(k for k, v in values.items() if v is largest)
-    samples, rate = max(largest.shape), named_rate(short)
-    rate = time_rate(short, samples, path) if rate is None else rate
+    samples, rate, rows = max(largest.shape), named_rate(short), None
+    if rate is None:
+        rate, rows = time_grid(short, samples, path)
     if min(largest.shape) == 1 and len(vectors := _vectors(values, samples)) > 1:
         table = numbered(np.stack([np.ravel(v).astype(np.float64) for v in vectors.values()]), rate)
+        table = replace(table, rows=rows)
         told = tuple(_beside(values, k, _NAME) or k for k in vectors)
         table = replace(table, names=told if len(set(told)) == len(told) else tuple(vectors))
         table = replace(table, units=tuple(_beside(values, k, _UNIT) for k in vectors))
     else:
-        table = without_time(numbered(columns_first(largest, path), rate), path)
+        table = without_time(replace(numbered(columns_first(largest, path), rate), rows=rows), path)
         table = replace(table, units=(_beside(values, place, _UNIT),) * len(table.units))
     names = texts(values, _NAMES, table.data.shape[0]) or table.names
     units = tuple(known(u) for u in texts(values, _UNITS, table.data.shape[0]) or table.units)

@@ -99,8 +99,8 @@ def is_time(name: str) -> bool:
     return name.strip().lower() in TIME_NAMES or re.search(r"(^|_)time(_|$)", name.lower()) is not None
 
 
-def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None]:
-    """The 2-D data set of samples of an HDF5 file of others, unread, and the rate.
+def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, Int | None]:
+    """The 2-D data set of samples of an HDF5 file of others, unread, the rate, and places as of `even_grid`.
 
     It is the only long one, or the first where none is long.
 
@@ -121,12 +121,12 @@ def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None]:
     check_stored(data, path)
     attrs = {k.lower(): v for o in (file.file, file, data.parent, data) for k, v in o.attrs.items()}
     scalars = {k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1}
-    rate = named_rate({**scalars, **attrs})
+    rate, rows = named_rate({**scalars, **attrs}), None
     if rate is None:
         beside = {k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name}
         times = {k: v[()] for k, v in beside.items() if v.size == max(data.shape) and is_time(k)}
-        rate = time_rate(times, max(data.shape), path)
-    return data, rate
+        rate, rows = time_grid(times, max(data.shape), path)
+    return data, rate, rows
 
 
 def read_h5_table(file: h5py.Group, path: Path, group: str = "") -> RawTable:
@@ -138,8 +138,8 @@ def read_h5_table(file: h5py.Group, path: Path, group: str = "") -> RawTable:
         return _h5_part(file, path, group)
     if (table := _h5_vectors(file, path)) is not None:
         return table
-    data, rate = h5_table(file, path)
-    return without_time(numbered(columns_first(data[()], path), rate), path)
+    data, rate, rows = h5_table(file, path)
+    return without_time(replace(numbered(columns_first(data[()], path), rate), rows=rows), path)
 
 
 def _h5_part(file: h5py.Group, path: Path, group: str) -> RawTable:
@@ -168,13 +168,14 @@ def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
     short = {k.rpartition("/")[2]: v[()] for k, v in one.items() if v.size == samples}
     attrs = {k.lower(): v for o in (file, *one.values()) for k, v in o.attrs.items()}
     scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1}
-    rate = named_rate({**scalars, **attrs})
-    rate = time_rate(short, samples, path) if rate is None else rate
+    rate, rows = named_rate({**scalars, **attrs}), None
+    if rate is None:
+        rate, rows = time_grid(short, samples, path)
     signals = {k: v for k, v in one.items() if v.size == samples and not is_time(k.rpartition("/")[2])}
     if not signals:
         return None
     table = numbered(np.stack([v[()].astype(np.float64) for v in signals.values()]), rate)
-    return replace(table, names=tuple(k.replace("/", ".") for k in signals))
+    return replace(table, names=tuple(k.replace("/", ".") for k in signals), rows=rows)
 
 
 def h5_values(path: Path, value: Callable[[str, h5py.Dataset], Any], kind: str = "HDF5") -> dict[str, Any]:
@@ -326,9 +327,9 @@ def without_time(table: RawTable, path: Path) -> RawTable:
     return rest
 
 
-def time_rate(values: Mapping[str, Any], samples: int, path: Path) -> float | None:
-    """The rate (Hz) by a vector of so many times among named arrays (`t`, `time`), None if there is none."""
+def time_grid(values: Mapping[str, Any], samples: int, path: Path) -> tuple[float | None, Int | None]:
+    """`even_grid` of a vector of so many times among named arrays (`t`, `time`); None, None if there is none."""
     for name, v in values.items():
         if is_time(name) and _is_real(v) and np.size(v) == samples:
-            return even_rate(np.ravel(v).astype(np.float64), True, path)
-    return None
+            return even_grid(np.ravel(v).astype(np.float64), True, path)
+    return None, None

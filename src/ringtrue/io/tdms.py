@@ -15,7 +15,7 @@ from nptdms import TdmsFile
 
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.plain import RawTable, is_time, named_rate, time_rate
+from ringtrue.io.plain import RawTable, is_time, named_rate, time_grid
 from ringtrue.io.si import known
 
 _TAGS = (b"TDSm", b"TDSh")
@@ -66,13 +66,13 @@ def _signals(file: TdmsFile, path: Path) -> list[Any]:
 
 def _table(found: list[Any], path: Path) -> RawTable:
     _check_alike(found, path)
-    rate = next((r for c in found if (r := _rate(c)) is not None), None)
+    rate, rows = next((r for c in found if (r := _rate(c)) is not None), None), None
     if rate is None and (times := [c for c in found if is_time(c.name)]) and len(times) < len(found):
-        rate = time_rate({"time": _values(times[0])}, len(times[0]), path)
+        rate, rows = time_grid({"time": _values(times[0])}, len(times[0]), path)
         found = [c for c in found if not is_time(c.name)]
     data = np.stack([_values(c) for c in found])
     units = tuple(_unit(c.properties) for c in found)
-    return RawTable(data, rate, _names(found), units, ("",) * len(found))
+    return RawTable(data, rate, _names(found), units, ("",) * len(found), rows)
 
 
 def _check_alike(found: list[Any], path: Path) -> None:
