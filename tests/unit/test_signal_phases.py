@@ -111,6 +111,16 @@ def test_two_sensors_at_one_place_are_not_odd_where_no_phases_are_clear(seed):
     assert not channel_phases(record(y), [2] * 7).odd.any()
 
 
+def test_a_channel_in_phase_with_a_sound_one_is_not_odd():
+    """Waves turn one channel by much, and another, that follows it by half, by less."""
+    y, rng = motion().copy(), np.random.default_rng(10)
+    quarter = np.imag(hilbert(y - y.mean(axis=1, keepdims=True), axis=1))
+    turned = int(rng.integers(7))
+    y[turned] += 0.9 * rng.standard_normal(7) @ quarter
+    y[(turned + 3) % 7] = 0.5 * (y[turned] + motion()[(turned + 3) % 7])
+    assert not channel_phases(record(y), [2] * 7).odd.any()
+
+
 @pytest.mark.parametrize("seed", [1, 4, 5, 6])
 def test_waves_that_push_all_modes_turn_no_channel(seed):
     """Below the modes all of them answer one force, each with a lag of its own."""

@@ -61,6 +61,14 @@ class Phases:
     odd: Bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Company:
+    """Channels (ch,) in phase among themselves, but not with the rest; and those in phase with one that is not odd."""
+
+    apart: Bool
+    held: Bool
+
+
 def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     """Delays and drifts of channels against most of the others, and channels out of phase with the rest.
 
@@ -77,11 +85,11 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
         return nothing
     order, starts = np.asarray(derivatives), np.linspace(0, samples - length, SEGMENTS).astype(np.int64)
     lines = _lines(history.data, length, starts)
-    root, turned, coherence, apart = _against_one(lines, order)
+    root, turned, coherence, company = _against_one(lines, order)
     gain = gained(lines, root, order, starts)
     if gain.any():  # twice, as a large one smears the parts
         gain = shared(gain + gained(turned_back(lines, gain, starts), root, order, starts), NEAR)
-        root, turned, coherence, apart = _against_one(turned_back(lines, gain, starts), order)
+        root, turned, coherence, company = _against_one(turned_back(lines, gain, starts), order)
     weight = np.where(coherence > COHERENT, coherence**2, 0.0)
     total = weight.sum(axis=1)
     known = (total > LINES) & (np.arange(m) != root)
@@ -99,7 +107,7 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     gain[seen] -= _usual(gain[seen], NEAR)
     moved = np.zeros(m, np.bool_)
     moved[known] = told
-    odd = (agree < ODD) & sound | (apart & ~moved)
+    odd = (agree < ODD) & sound & ~company.held | (company.apart & ~moved)
     return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & odd))
 
 
@@ -113,10 +121,9 @@ def _lines(data: Any_, length: int, starts: Int) -> Any_:
     return out
 
 
-def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, Bool]:
+def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, _Company]:
     """The channel, of eight, that most others are coherent and in phase with; squared phase factors of all against it,
-    as of one motion, and squared coherences less the bias of few segments, both (ch, freq); channels (ch,) in phase
-    with another one but not with this one.
+    as of one motion, and squared coherences less the bias of few segments, both (ch, freq); who else is in phase.
     """
     tried = np.unique(np.linspace(0, lines.shape[2] - 1, ROOTS).astype(np.int64))
     cross = lines.transpose(0, 2, 1) @ lines[:, :, tried].conj()
@@ -128,25 +135,28 @@ def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, Bool]:
     quarters = ((-1.0) ** (order[:, None] - order[tried])).astype(np.float32)
     turned = cross * cross * (quarters / np.maximum(square, np.finfo(np.float32).tiny))
     k = int((coherence * turned.real).sum(axis=(0, 1)).argmax())
-    apart = _apart(turned.real, coherence, tried, k)
-    return int(tried[k]), turned[:, :, k].T, np.asarray(coherence[:, :, k].T, dtype=np.float64), apart
+    company = _company(turned.real, coherence, tried, k)
+    return int(tried[k]), turned[:, :, k].T, np.asarray(coherence[:, :, k].T, dtype=np.float64), company
 
 
-def _apart(agreed: Any_, coherence: Any_, tried: Int, root: int) -> Bool:
-    """Channels (ch,) in phase with another one that is, as they are, not in phase with the root, if all others are.
+def _company(agreed: Any_, coherence: Any_, tried: Int, root: int) -> _Company:
+    """From the squared phase factors (freq, ch, tried) of all channels against those `tried`.
 
     A force that the modes share (waves, a machine) spreads the phases of all channels; a filter turns some.
     """
     weight = np.where(coherence > COHERENT, coherence**2, 0.0)
     total = weight.sum(axis=0)
     j = np.where(total > LINES, (weight * agreed).sum(axis=0) / np.maximum(total, LINES), np.nan)
+    j[tried, np.arange(tried.size)] = np.nan
+    sound = j[:, root] > ODD
+    sound[tried[root]] = True
     off = j[:, root] < OFF
     both = (j > TOGETHER) & off[:, None] & off[tried]
-    both[tried, np.arange(tried.size)] = False
     out: Bool = np.asarray(both.any(axis=1))
     out[tried] |= np.asarray(both.any(axis=0))
-    out = np.asarray(out | (j[:, out[tried]] > TOGETHER).any(axis=1))
-    return np.asarray(out & ~(j[~out, root] <= TOGETHER).any())
+    out |= np.asarray((j[:, out[tried]] > TOGETHER).any(axis=1))
+    clear = not (j[~out, root] <= TOGETHER).any()
+    return _Company(np.asarray(out & clear), np.asarray((j[:, sound[tried]] > OFF).any(axis=1)))
 
 
 def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
