@@ -171,7 +171,7 @@ def identify_hammer(
         prepare(used, sigma), sound_pairs(used), settings, [d.poles for d in diagrams], used.window_decay, frfs.source
     )
     fit, rejected = _fit(search, candidates, tell)
-    tell(0.95, "verdict")
+    tell(0.95, "confidence and standard deviations of the modes")
     for _ in range(1 if np.isinf(used.kept) else RINGING_TURNS):
         before = fit.refined.poles
         search, fit, why = _reweighed(search, used, fit)

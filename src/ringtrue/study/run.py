@@ -190,7 +190,7 @@ def run_study(
         if timings:
             _sign(desk, inputs, study, timings)
         raise
-    progress(1.0, "done")
+    progress(1.0, f"{todo[-1].title}: done")
     results = {s.name: desk.get(s.name) for s in todo}
     made = _sign(desk, inputs, study, timings)
     return StudyRun(folder, desk, results | {"provenance": made}, made.timings, tuple(loaded))

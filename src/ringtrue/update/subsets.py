@@ -157,7 +157,7 @@ def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: 
         more = [c for c in few if k < c.members.size <= most]
         if k >= LATER and np.argmin(_criteria(search, [*path, *more])) <= k - LATER:  # more parameters do not pay
             break
-        told(k / most, f"{k} parameters: {', '.join(names[i] for i in path[-1].members.tolist())}")
+        told(k / most, f"best {k}: {', '.join(names[i] for i in path[-1].members.tolist())}")
     return path
 
 

@@ -185,7 +185,7 @@ def tune(
         if not any(_same(model, tests, end, choice, other, c) for other, c in found):
             found.append((end, choice))
         if progress is not None:
-            progress((i + 1) / min(keep, len(order)), f"assignment {i + 1}")
+            progress((i + 1) / min(keep, len(order)), f"assignment {i + 1} of the rigid-body modes")
     if not found:
         raise NotConverged("no assignment of rigid-body modes can be solved: look at bounds and start")
     return Suspended(model.parameters, _weighed(model, target, tests, labels, found), considered)
