@@ -19,7 +19,7 @@ LENGTH = MappingProxyType({"SI": 1.0, "mm-t-s": 1e-3, "mm-kg-ms": 1e-3, "in-lbf-
 # quantity -> prior standard deviation of ln(factor), largest factor
 SPREAD: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        "length": (0.1, 1.5),
+        "length": (0.2, 2.0),
         "area": (0.2, 2.0),
         "inertia": (0.3, 3.0),
         "modulus": (0.3, 3.0),
