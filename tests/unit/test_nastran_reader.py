@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.io.nastran.bulk import write_bulk
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.io.nastran.reader import read_deck, survey
 from ringtrue.model.edit import FieldChange
@@ -458,3 +459,11 @@ def test_a_fluid_is_told_as_such(tmp_path: Path) -> None:
     solid = "CHEXA,1,1,11,12,13,14,15,16\n+,17,18\nPSOLID,1,10,,,,,PFLUID\nMAT10,10,2.+9,1000.\n"
     with pytest.raises(DeckError, match=r"MAT10 makes a fluid \(fluids: give their mass"):
         read(tmp_path, corners + solid)
+
+
+def test_ids_of_more_than_eight_digits_are_written_in_large_fields(tmp_path: Path) -> None:
+    rod = "GRID,123456789012,,1.,0.,0.\nCONROD,7,1,123456789012,1,.5\nMAT1,1,1.,,.3\n"
+    model = read(tmp_path, NODES + rod)
+    again = read(tmp_path, write_bulk(model))
+    assert again["CONROD"]["G2"].tolist() == [123456789012]
+    assert again["GRID"].ids.tolist() == model["GRID"].ids.tolist()

@@ -16,6 +16,7 @@ from ringtrue.model.cards import CARDS, FieldSpec, columns
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Table
 
+TOO_LONG = 10**8  # an id of more than eight characters
 NOT_MODEL = frozenset(("EIGRL", "EIGR"))  # the caller's choice, not the model's
 Text = NDArray[np.str_]
 
@@ -116,8 +117,10 @@ def _either(table: Table, specs: Sequence[FieldSpec], made: list[Text]) -> list[
 
 
 def _exact(table: Table, specs: Sequence[FieldSpec], small: Text) -> bool:
-    """Whether all reals keep their value in eight characters."""
+    """Whether all numbers keep their value in eight characters."""
     for j, spec in enumerate(specs):
+        if spec.kind == "i" and not spec.blank and table[spec.name].max(initial=0) >= TOO_LONG:
+            return False
         if spec.kind == "f" and not spec.blank:
             text, first = np.unique(small[:, j], return_index=True)
             given = text != ""
