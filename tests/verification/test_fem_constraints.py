@@ -106,6 +106,12 @@ def test_contradictions_are_named(tables: tuple[object, ...], message: str) -> N
         assemble(model(*NODES, *tables, spc=1))
 
 
+def test_an_equation_that_names_its_dependent_dof_twice_is_named() -> None:
+    twice = cards("MPC", SID=[5], G=ragged([3, 3, 4]), C=ragged([1, 1, 1]), A=ragged([1.0, 1.0, -1.0]))
+    with pytest.raises(DeckError, match="circle: MPC 5;"):
+        assemble(model(*NODES, rbe2(1, 1, [2]), twice, mpc=5))
+
+
 def test_autospc_holds_what_has_no_stiffness() -> None:
     """A rod along x leaves y, z and the bending rotations; drilling is held in a plate without K6ROT."""
     rod = (cards("CROD", EID=[1], PID=1, G1=1, G2=2), cards("PROD", PID=[1], MID=1, A=1.0, J=1.0))

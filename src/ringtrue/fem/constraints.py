@@ -110,10 +110,10 @@ def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:
     full = sparse.csr_array((eq.value, (eq.row, eq.column)), shape=(k, n))
     chain = sparse.csr_array(full[:, eq.dependent])
     chain.eliminate_zeros()
-    if connected_components(chain, connection="strong")[0] < k or chain.diagonal().any():
-        _, label = connected_components(chain, connection="strong")
-        loop = np.flatnonzero(np.bincount(label)[label] > 1)
-        names = sorted({eq.owner[i] for i in loop.tolist()}) or [eq.owner[0]]
+    _, label = connected_components(chain, connection="strong")
+    loop = np.flatnonzero((np.bincount(label)[label] > 1) | (chain.diagonal() != 0))
+    if loop.size:
+        names = sorted({eq.owner[i] for i in loop.tolist()})
         raise DeckError(f"dependencies run in a circle: {', '.join(names[:6])}; make one end independent")
     rows = total = sparse.csr_array(full[:, free])
     while rows.nnz and chain.nnz:  # as often as the longest chain is long
