@@ -79,7 +79,7 @@ def _by_parts(lines: Any_, root: int, order: Int) -> tuple[Complex, Float]:
     x = lines.reshape(len(lines), PARTS, -1, lines.shape[2])
     y = x[:, :, :, root]
     cross = np.einsum("fpsc,fps->fpc", x, y.conj())
-    power = (x.real**2 + x.imag**2).sum(axis=2)
+    power = summed_power(x)
     tiny = np.finfo(np.float32).tiny
     square = cross.real**2 + cross.imag**2
     coherence = square / np.maximum(power * power[:, :, [root]], tiny) - 2 / x.shape[2]
@@ -87,6 +87,13 @@ def _by_parts(lines: Any_, root: int, order: Int) -> tuple[Complex, Float]:
     quarters = ((-1.0) ** (order - order[root])).astype(np.float32)
     weight = np.where(coherence > COHERENT, coherence**2, 0.0)
     return cross * cross * (quarters / np.maximum(square, tiny)), weight
+
+
+def summed_power(x: Any_) -> Any_:
+    """(..., ch) float32 squared moduli of complex64 (..., segment, ch), summed over the segments."""
+    parts = x.view(np.float32)
+    both = np.einsum("...sk,...sk->...k", parts, parts)
+    return np.asarray(both[..., ::2] + both[..., 1::2])
 
 
 def _along(z: Complex, length: int) -> Float:

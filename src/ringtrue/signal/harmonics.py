@@ -80,7 +80,8 @@ def _narrow(
     skirt = int(np.ceil(m * step_f / width))
     power = power[:, skirt : m * samples // n - skirt]
     mean = power.mean(axis=1, dtype=np.float64)
-    each = ((power / np.maximum(mean, 1e-300)[:, None]) ** 2).mean(axis=1, dtype=np.float64) * mean
+    power *= (1 / np.maximum(mean, np.finfo(power.dtype).tiny)).astype(power.dtype)[:, None]
+    each = np.einsum("cs,cs->c", power, power) / power.shape[1] * mean
     return float(1.5 * each.sum() / max(mean.sum(), 1e-300)), float(mean.sum())
 
 

@@ -20,7 +20,7 @@ from scipy.fft import irfft, rfft
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.align import at_positions
-from ringtrue.signal.drifts import gained, shared, turned_back
+from ringtrue.signal.drifts import gained, shared, summed_power, turned_back
 from ringtrue.signal.windows import window
 
 SEGMENTS, ROOTS = 64, 8  # of the record that are looked at, and channels that the others are held against
@@ -127,7 +127,7 @@ def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, _Company
     """
     tried = np.unique(np.linspace(0, lines.shape[2] - 1, ROOTS).astype(np.int64))
     cross = lines.transpose(0, 2, 1) @ lines[:, :, tried].conj()
-    power = (lines.real**2 + lines.imag**2).sum(axis=1)
+    power = summed_power(lines)
     size = np.maximum(power[:, :, None] * power[:, None, tried], np.finfo(np.float32).tiny)
     square = cross.real**2 + cross.imag**2
     coherence = np.clip(square / size - 2 / lines.shape[1], 0, 1)
