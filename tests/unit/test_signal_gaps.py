@@ -140,6 +140,25 @@ def test_many_short_losses_do_not_raise_the_damping():
     assert (r.modes.damping / Z).mean() < 1.12  # five modes known to 15 % each
 
 
+@pytest.mark.parametrize("held", [False, True])
+def test_radio_links_that_lose_packets_of_their_own_keep_the_rest_of_the_record(held):
+    """Of each channel 5 %, 0.5 s at a time: 30 % of the record without some channel."""
+    y, rng = motion().copy(), np.random.default_rng(8)
+    for x in y:
+        for a in rng.integers(0, x.size - 50, 60):
+            x[a : a + 50] = x[a] if held else np.nan
+    y[:, 20000:22000] = np.nan
+    whole, gaps = bridged(record(y))
+    assert gaps.lost[20000:22000].all()
+    assert gaps.lost.sum() < 2200  # by chance most are lost together
+    assert np.isfinite(whole.data).all()
+    assert any("7 channels lost parts at times of their own" in n for n in gaps.notes)
+    r = identify_ambient(record(y))
+    assert len(r.modes) == 5, r.notes
+    assert (np.abs(r.modes.damping - Z) < 3 * r.uncertainty.damping).all()
+    assert np.diag(mac(r.modes.shapes, PHI.astype(complex))).min() > 0.99
+
+
 def test_a_channel_lost_for_most_of_the_record_is_left_out():
     y = motion().copy()
     y[2, 10000:40000] = y[2, 10000]

@@ -19,6 +19,7 @@ HELD, TYPICAL = 16, 20.0  # samples, and more than these times the runs of the r
 BESIDE = 8  # runs, to each side: in the rest between events all are long in a coarse record
 LEAP = 8.0  # median differences, by which a lost stretch leaves an extreme of the record; a clipped one does not
 SHORT = 5  # missing samples in a row that are interpolated
+SCATTERED, EACH = 0.1, 2.0  # share of the record that single channels lose, and that over what one of them does
 MOST = 0.3  # of the record: a channel that others do not follow is left out beyond
 
 
@@ -77,8 +78,11 @@ def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     )
     if len(keep) < len(share):
         history = history.pick(keep)
-    for i in held.keys() & set(keep):
-        lost |= held[i]
+    held = {i: held[i] for i in keep if i in held}
+    lost = np.any([lost, *held.values()], axis=0)
+    history, common, said = _each_by_itself(history, held, lost)
+    if said:
+        lost, held, notes = common, {i: h & common for i, h in held.items() if (h & common).any()}, (*notes, said)
     if not lost.any() or lost.all():
         return history, Gaps(np.zeros(size, dtype=bool), notes)
     names = [i for i in keep if i in held]
@@ -90,6 +94,28 @@ def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
         f"{np.count_nonzero(lost) / history.rate:.3g} s in all; left out in all channels"
     )
     return replace(history, data=_over(history.data, lost)), Gaps(lost, notes, told)
+
+
+def _each_by_itself(history: TimeHistory, held: dict[str, Bool], lost: Bool) -> tuple[TimeHistory, Bool, str]:
+    """The record, what most channels lost, and a note where others lost parts at times of their own (radio links).
+
+    To leave these out in all channels would leave little: each has a straight line there by itself.
+    """
+    common = np.sum(list(held.values()), axis=0) * 2 > len(history.channels) if held else lost
+    alone = {i: h & ~common for i, h in held.items()}
+    most = max((float(h.mean()) for h in alone.values()), default=0.0)
+    if (lost & ~common).mean() < max(SCATTERED, EACH * most):
+        return history, lost, ""
+    data = np.array(history.data)
+    for k, c in enumerate(history.channels):
+        if c.id in alone and alone[c.id].any():
+            data[k] = _over(data[k : k + 1], alone[c.id])[0]
+    count = sum(bool(h.any()) for h in alone.values())
+    told = (
+        f"{count} channels lost parts at times of their own, {100 * most:.2g} % of one at most: straight lines there "
+        "in each by itself"
+    )
+    return replace(history, data=data), common, told
 
 
 def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[str, ...]]:
