@@ -84,8 +84,9 @@ def proposal(store: Store, seed: int) -> dict[str, Any]:
     ratio["frame members"] = float(np.mean([ratio[k] for k in FRAME]))
     sensitivity, members = store.load("sensitivity"), store.load("localise").proposal.members
     named = {n for m in members for n in (m.name, *m.alike, *m.rivals)}
-    wrong, table = {}, store.load("correlate").remodelled
+    table = store.load("correlate").remodelled
     seen = np.isin(sensitivity.fe_modes, table.pairing.b[table.used])
+    wrong = {}
     for name, slope in zip(sensitivity.names, sensitivity.d_frequency.T, strict=True):
         factor = ratio.get(name, 1.0) * thick.get(name, 1.0)
         shift = np.abs(100 * slope * np.log(factor))
