@@ -144,6 +144,16 @@ def test_what_is_kept_and_left_out_is_told(tmp_path: Path, case: str, bulk: str,
     assert any(told in f.text for f in check_deck(model).findings)
 
 
+@pytest.mark.parametrize(("card", "told"), [("EIGRL,7,,,9", False), ("EIGR,7,LAN,,,,9", False), ("EIGRL,8,,,9", True)])
+def test_a_method_that_is_not_there_is_told(
+    tmp_path: Path, card: str, told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    model = read_deck(write(tmp_path, f"CEND\nMETHOD = 7\nBEGIN BULK\n{SPRING}{card}\n"))
+    text = "case control asks for METHOD = 7: the deck has no EIGRL or EIGR of that number"
+    assert any(text in f.text for f in check_deck(model).findings) == told
+    assert (text in caplog.text) == told
+
+
 def test_matrices_that_are_chosen_or_loads_are_not_called_idle(tmp_path: Path) -> None:
     bulk = "DMIG,KX,0,6,1,0\nDMIG,KX,1,3,,1,3,5.\nDMIG,P,0,9,1,0,,,1\nDMIG,P,1,,,1,3,5."
     model = read_deck(write(tmp_path, f"CEND\nK2GG = KX\nBEGIN BULK\n{SPRING}{bulk}\n"))
