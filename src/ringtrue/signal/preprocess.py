@@ -215,7 +215,7 @@ def _level(std: float, peers: Sequence[float]) -> str:
 
 def _twin(data: Any_, i: int, ids: Sequence[str]) -> str:
     """The first earlier channel with the same samples."""
-    first = data[:i, :_LOOK] == data[i, :_LOOK]
+    first = data[:i, :_FEW] == data[i, :_FEW]
     same = [k for k in np.flatnonzero(first.all(1)).tolist() if np.array_equal(data[k], data[i])]
     return f"the same samples as {ids[same[0]]}" if same else ""
 
