@@ -298,7 +298,7 @@ def _uneven(step: Float) -> str:
         more = f" and {gaps.size - 3} more" if gaps.size > 3 else ""
         return (
             f"samples are missing: {rows}{more}, where a step is {usual:g} s. Cut the file there, each part with its "
-            "header: the parts are records of their own, of an ambient test in the log as well"
+            "header: the parts are records of their own. An ambient record may lack up to half of its rows (gaps=True)"
         )
     at = int(np.abs(step - step.mean()).argmax())
     return f"the time column has uneven steps: {step[at]:g} s at row {at + 1}, mean {step.mean():g} s"
