@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress, part
+from ringtrue.errors import NumericalError
 from ringtrue.model.edit import field_value
 from ringtrue.study.iterates import Iterates
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
@@ -25,6 +28,10 @@ from ringtrue.update.objective import Target, Weights, objective, residual
 from ringtrue.update.pool import of_parameter
 from ringtrue.update.weights import SETTLED, TURNS, distance, left_over
 
+STARTS = 8  # where one leaves modes without partner
+
+_log = logging.getLogger(__name__)
+
 WHY = (
     "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost their partner among "
     "them, against the number of parameters and does not look at the modes left out"
@@ -40,6 +47,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     found: CorrelateStage = desk.get("correlate")
     named = {s.name: s for s in desk.config.set}
     kept, results, runs = Iterates.of(desk, aim), list[SetResult](), 0
+    lost = dict[str, int]()  # used modes without partner
     for i, (name, members) in enumerate(sets.sets.items()):
         told = part(progress, i / len(sets.sets), (i + 1) / len(sets.sets))
         told(0.0, f"updating: {name}")
@@ -59,10 +67,14 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         elif desk.config.joint:
             results.append(together(desk, name, members, progress, kept))
         else:
-            results.append(_one(desk, aim, name, members, progress, kept))
-    kept.done()
+            done, lost[name] = _one(desk, aim, name, members, progress, kept)
+            results.append(done)
     alike = [r.name not in named or named[r.name].comparable(desk.config.update) for r in results]
-    chosen = int(np.argmin([r.criterion if good else np.inf for r, good in zip(results, alike, strict=True)]))
+    chosen = _least(results, alike)
+    if lost.get(results[chosen].name):
+        results = _with_further_starts(desk, results, chosen, progress, kept)
+        chosen = _least(results, alike)
+    kept.done()
     best = results[chosen]
     parameters = desk.parameters.take([sets.names.index(n) for n in best.parameters])
     before = dict(zip(best.parameters, _values(desk, best, np.ones(len(parameters))), strict=True))
@@ -102,12 +114,41 @@ def regions(desk: Workbench, name: str) -> tuple[int, ...]:
     return tuple(i for i, g in enumerate(desk.get("model").scene.groups) if g in touched or g == name)
 
 
+def _least(results: Sequence[SetResult], alike: Sequence[bool]) -> int:
+    """The set of lowest AICc among those that weigh the data as the study does."""
+    return int(np.argmin([r.criterion if good else np.inf for r, good in zip(results, alike, strict=True)]))
+
+
+def _with_further_starts(
+    desk: Workbench, results: list[SetResult], chosen: int, progress: Progress, kept: Iterates
+) -> list[SetResult]:
+    """The sets, the one to be chosen from further starts as well where these end in a lower J.
+
+    Modes that change places between the deck and the structure make minima in which each is paired with its neighbour,
+    and some without partner.
+    """
+    best, u = results[chosen], desk.config.update
+    if u.step == "published":
+        return results
+    progress(0.9, f"{best.name}: modes without partner, further starts")
+    name, more = f"{best.name}, further starts", u.model_copy(update={"starts": STARTS})
+    try:
+        other = together(desk, name, best.parameters, progress, kept, more)
+    except NumericalError as e:  # the end from the deck stands
+        _log.info("%s: %s", name, e)
+        return results
+    if not other.criterion < best.criterion:
+        return results
+    return [replace(other, name=r.name) if r.parameters == best.parameters and not r.settings else r for r in results]
+
+
 def _one(
     desk: Workbench, aim: Target, name: str, members: tuple[str, ...], progress: Progress, kept: Iterates
-) -> SetResult:
+) -> tuple[SetResult, int]:
     """Update on the reduced model until the full one agrees at the end point.
 
     By Gauss-Newton on one deck's modes alone. `together` ends at the same minimum, factors within 1e-6, by other steps.
+    Beside it the number of used modes without partner.
     """
     model = desk.candidates(progress)
     every = model.parameters.names
@@ -131,7 +172,8 @@ def _one(
     active = model.with_parameters(at, np.zeros(len(every)))
     final, path = _settled(desk, active, aim, start)
     blind = spared((aim,), (active.linearise(final.x),))
-    return _summary(desk, aim, name, members, final, [*states, *path[1:]], blind)
+    done = _summary(desk, aim, name, members, final, [*states, *path[1:]], blind)
+    return done, int(aim.used.sum()) - int(final.residual.used.sum())
 
 
 def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | None) -> tuple[UpdateResult, list[State]]:

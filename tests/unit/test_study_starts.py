@@ -1,0 +1,49 @@
+"""Further starts: where the updating from the deck leaves a used mode without partner, others are tried."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import small_study
+
+from ringtrue.study.results import SetResult
+from ringtrue.study.run import StudyRun, run_study
+from ringtrue.study.stages import update
+
+
+def poor(lost: int) -> Any:
+    """The updating from the deck, as if it had ended there with `lost` modes without partner."""
+    well = update._one
+
+    def ended(*given: Any) -> tuple[SetResult, int]:
+        done, _ = well(*given)
+        return replace(done, factor=np.ones(len(done.parameters)), criterion=done.criterion + 50.0), lost
+
+    return ended
+
+
+def updated(folder: Path) -> StudyRun:
+    return run_study(small_study.write_study(folder, ambient=False), until="update")
+
+
+def test_a_lower_end_of_further_starts_takes_the_place_of_one_that_lost_modes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(update, "_one", poor(lost=2))
+    done = updated(tmp_path)
+    stage = done.results["update"]
+    best = stage.sets[stage.chosen]
+    assert set(best.parameters) == {f"columns {k}" for k in small_study.TRUTH}
+    for name, factor in zip(best.parameters, best.factor.tolist(), strict=True):
+        assert factor == pytest.approx(small_study.TRUTH[int(name.split()[1])], rel=0.02)  # noise of the signals
+    assert not (done.folder / "update.iterates.json").exists()
+
+
+def test_an_end_with_all_partners_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(update, "_one", poor(lost=0))
+    stage = updated(tmp_path).results["update"]
+    np.testing.assert_array_equal(stage.sets[stage.chosen].factor, 1.0)
