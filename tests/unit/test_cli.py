@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 import small_study
+from typer.main import get_command
 
 from ringtrue.cli import show
-from ringtrue.cli.main import COMMANDS, run
+from ringtrue.cli.main import COMMANDS, application, run
 from ringtrue.cli.show import listed, rows
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import NotConverged
@@ -123,6 +124,14 @@ def test_version_and_usage(capsys: Capture) -> None:
     assert "mods" in err
     assert call(capsys, "modes")[0] == 2
     assert call(capsys, "modes", "x.bdf", "-n", "0")[0] == 2
+
+
+def test_the_help_of_all_commands_has_the_words_of_each_without_its_imports(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = {name: get_command(application([name])).commands[name] for name in COMMANDS}  # type: ignore[attr-defined]
+    monkeypatch.setattr("ringtrue.cli.main.import_module", None)
+    short = get_command(application(["--help", "modes"])).commands  # type: ignore[attr-defined]
+    assert list(short) == list(COMMANDS)
+    assert all(short[name].get_short_help_str(400) == whole[name].get_short_help_str(400) != "" for name in COMMANDS)
 
 
 # --- decks
