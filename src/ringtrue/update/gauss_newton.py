@@ -203,7 +203,7 @@ def _result(method: GaussNewton, states: tuple[State, ...], outcome: Outcome, la
     parameters = method.model.parameters
     g, prior = last.residual.slope, parameters.std()
     # the expected size of a weighted residual is 1; a larger one is model discrepancy that W did not foresee
-    spread = _spread(last.residual, g.T @ g, prior)
+    spread = _spread(last.residual, g.T @ g, prior, method.target.weights.data)
     covariance: Float = np.asarray(np.linalg.inv(g.T @ g / spread + np.diag(1 / prior**2)), dtype=np.float64)
     scaled = g / np.maximum(np.linalg.norm(g, axis=0), 1e-300)
     start = float(np.linalg.norm(method.gradient(states[0]))) or 1.0
@@ -219,13 +219,12 @@ def _result(method: GaussNewton, states: tuple[State, ...], outcome: Outcome, la
     )
 
 
-def _spread(r: Residual, normal: Float, prior: Float) -> float:
+def _spread(r: Residual, normal: Float, prior: Float, each: float) -> float:
     """Mean square of the weighted residuals over what the parameters have not used up; not below the expected 1.
 
-    A shape counts as one datum, however many channels it has. The parameters use up the trace of the hat matrix.
+    A mode gives as many data as `each`. The parameters use up the trace of the hat matrix.
     """
-    pairs = int(r.used.sum())
-    data = pairs if r.value.size == pairs else 2 * pairs
+    data = each * int(r.used.sum())
     spent = float(np.trace(np.linalg.solve(normal + np.diag(1 / prior**2), normal)))
     return max(1.0, float(r.value @ r.value) / max(data - spent, 1.0))
 
