@@ -171,7 +171,7 @@ def test_each_limit_is_held_and_missed(done: StudyRun) -> None:
     for name, good, bad in (
         ("accept_pairs", len(table), len(table) + 1),
         ("accept_mean_percent", 1.01 * table.mean_deviation(), 0.99 * table.mean_deviation()),
-        ("accept_mean_mac", table.mean_mac() - 1e-4, table.mean_mac() + 1e-4),
+        ("accept_mean_mac", table.mean_mac() - 1e-6, table.mean_mac() + 1e-6),
         ("accept_off_diagonal", 10.0, 10.0),
     ):
         assert stated(done, **{name: good})[0] == [True]
