@@ -80,13 +80,8 @@ def _by_parts(lines: Any_, root: int, order: Int) -> tuple[Complex, Float]:
     y = x[:, :, :, root]
     cross = np.einsum("fpsc,fps->fpc", x, y.conj())
     power = summed_power(x)
-    tiny = np.finfo(np.float32).tiny
-    square = cross.real**2 + cross.imag**2
-    coherence = square / np.maximum(power * power[:, :, [root]], tiny) - 2 / x.shape[2]
-    coherence[:2] = coherence[-2:] = 0.0
-    quarters = ((-1.0) ** (order - order[root])).astype(np.float32)
-    weight = np.where(coherence > COHERENT, coherence**2, 0.0)
-    return cross * cross * (quarters / np.maximum(square, tiny)), weight
+    turned, coherence = in_one_motion(cross, power * power[:, :, [root]], x.shape[2], order - order[root])
+    return turned, np.where(coherence > COHERENT, coherence**2, 0.0)
 
 
 def summed_power(x: Any_) -> Any_:
@@ -94,6 +89,26 @@ def summed_power(x: Any_) -> Any_:
     parts = x.view(np.float32)
     both = np.einsum("...sk,...sk->...k", parts, parts)
     return np.asarray(both[..., ::2] + both[..., 1::2])
+
+
+def in_one_motion(cross: Any_, powers: Any_, segments: int, apart: Int) -> tuple[Any_, Any_]:
+    """Squared phase factors as of one motion, and squared coherences less the bias of few segments, (freq, ...) each.
+
+    Parameters
+    ----------
+    cross : (freq, ...) complex64
+        Sums over so many segments.
+    powers : (freq, ...) float32
+        Products of both powers.
+    apart : (...) int
+        By how many derivatives the two motions are apart.
+    """
+    tiny = np.finfo(np.float32).tiny
+    square = cross.real**2 + cross.imag**2
+    coherence = np.clip(square / np.maximum(powers, tiny) - 2 / segments, 0, 1)
+    coherence[:2] = coherence[-2:] = 0.0
+    quarters = ((-1.0) ** apart).astype(np.float32)
+    return cross * cross * (quarters / np.maximum(square, tiny)), coherence
 
 
 def _along(z: Complex, length: int) -> Float:

@@ -63,13 +63,13 @@ class Gaps:
 def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     """The record with straight lines over what is lost, the same in all channels, without those that lost too much."""
     history, missing, notes = _filled(history)
-    size = history.data.shape[1]
-    lost, held = np.zeros(size, dtype=bool), dict(missing)
+    size, held = history.data.shape[1], dict(missing)
+    nothing = np.zeros(size, dtype=bool)
     for c, x in zip(history.channels, history.data, strict=True):
         if (h := _held(np.asarray(x))) is not None and h.any():
             held[c.id] = h | missing[c.id] if c.id in missing else h
     if not held:
-        return history, Gaps(lost, notes)
+        return history, Gaps(nothing, notes)
     share = {c.id: np.count_nonzero(held[c.id]) / size if c.id in held else 0.0 for c in history.channels}
     typical = float(np.median(list(share.values())))
     keep = [i for i, part in share.items() if part <= typical + MOST]
@@ -79,12 +79,12 @@ def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     if len(keep) < len(share):
         history = history.pick(keep)
     held = {i: held[i] for i in keep if i in held}
-    lost = np.any([lost, *held.values()], axis=0)
+    lost = np.any([nothing, *held.values()], axis=0)
     history, common, said = _each_by_itself(history, held, lost)
     if said:
         lost, held, notes = common, {i: h & common for i, h in held.items() if (h & common).any()}, (*notes, said)
     if not lost.any() or lost.all():
-        return history, Gaps(np.zeros(size, dtype=bool), notes)
+        return history, Gaps(nothing, notes)
     names = [i for i in keep if i in held]
     parts, first = len(runs(lost)), int(np.flatnonzero(lost)[0]) / history.rate
     why = [w for w, some in (("samples are missing", missing), ("a value is held", held.keys() - missing)) if some]
@@ -93,7 +93,10 @@ def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
         f"time{'s' if parts > 1 else ''} ({', '.join(why)}), the first at {first:.4g} s, "
         f"{np.count_nonzero(lost) / history.rate:.3g} s in all; left out in all channels"
     )
-    return replace(history, data=_over(history.data, lost)), Gaps(lost, notes, told)
+    data = np.array(history.data)
+    for x in data:
+        _bridge(x, lost)
+    return replace(history, data=data), Gaps(lost, notes, told)
 
 
 def _each_by_itself(history: TimeHistory, held: dict[str, Bool], lost: Bool) -> tuple[TimeHistory, Bool, str]:
@@ -108,8 +111,8 @@ def _each_by_itself(history: TimeHistory, held: dict[str, Bool], lost: Bool) -> 
         return history, lost, ""
     data = np.array(history.data)
     for k, c in enumerate(history.channels):
-        if c.id in alone and alone[c.id].any():
-            data[k] = _over(data[k : k + 1], alone[c.id])[0]
+        if c.id in alone:
+            _bridge(data[k], alone[c.id])
     count = sum(bool(h.any()) for h in alone.values())
     told = (
         f"{count} channels lost parts at times of their own, {100 * most:.2g} % of one at most: straight lines there "
@@ -128,14 +131,13 @@ def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[s
     notes: list[str] = []
     for i in bad:
         none, name = ~np.isfinite(data[i]), history.channels[i].id
-        at, known = np.flatnonzero(none), np.flatnonzero(~none)
-        data[i, at] = np.interp(at, known, data[i, known]) if known.size else 0.0
+        _bridge(data[i], none)
         long = none.copy()
         for a, b in runs(none):
             long[a : b + 1] = b - a >= SHORT
         if long.any():
             missing[name] = long
-        if count := at.size - np.count_nonzero(long):
+        if count := np.count_nonzero(none & ~long):
             notes.append(f"channel {name}: {count} missing sample{'s' if count > 1 else ''} interpolated")
     return replace(history, data=data), missing, tuple(notes)
 
@@ -158,10 +160,7 @@ def _held(x: Any_) -> Bool | None:
     return np.asarray(np.repeat(long & (~extreme | (into & out)), length))
 
 
-def _over(data: Any_, lost: Bool) -> Any_:
-    """`data` (ch, sample) with straight lines over the lost samples."""
-    out = np.array(data)
+def _bridge(x: Any_, lost: Bool) -> None:
+    """Lay a straight line over the lost samples of x (sample,); zeros where all are."""
     at, known = np.flatnonzero(lost), np.flatnonzero(~lost)
-    for x in out:
-        x[at] = np.interp(at, known, x[known])
-    return out
+    x[at] = np.interp(at, known, x[known]) if known.size else 0.0

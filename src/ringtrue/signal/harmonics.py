@@ -12,15 +12,14 @@ from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
+from ringtrue.signal.listened import LONGEST, listened_spectrum
 from ringtrue.signal.preprocess import detrend
-from ringtrue.signal.pyramid import Signals, detrended
 from ringtrue.signal.windows import step
 
 _BETWEEN = 2.1  # kurtosis: the geometric mean of 1.5 of a sine and 3 of random response
 _WIDEST = 0.05  # apparent damping of a machine that still has a speed
 _NEAR = 0.4  # share of the power of a band that lies near its pole
 _INSTANTS = 1 << 14  # of an envelope that tell its moments
-_EYES, _LONGEST = 4, 1 << 21  # channels and samples that tell whether an amplitude is steady
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,15 +98,14 @@ def steady_amplitudes(
     Parameters
     ----------
     history : TimeHistory
-        At most `_EYES` channels and `_LONGEST` samples of it are looked at.
+        Some of it is looked at (`listened`).
     frequencies : (k,) float, Hz
     damping : (k,) float
     lines : sequence of float, Hz
         Lines known already: they make any band steady.
     """
     f, z = np.asarray(frequencies, dtype=np.float64), np.asarray(damping, dtype=np.float64)
-    eyes = np.unique(np.linspace(0, len(history.channels) - 1, _EYES).astype(np.int64))
-    samples = min(history.data.shape[1], _LONGEST)
+    samples = min(history.data.shape[1], LONGEST)
     duration = samples / history.rate
     width = np.maximum(6 * z * f, 20 / duration)
     cycles = 2 * np.pi * z * f * duration
@@ -116,9 +114,7 @@ def steady_amplitudes(
     out = [""] * f.size
     if not ((z < _WIDEST) & (cycles > 40) & (width < np.minimum(edge, apart / 0.75))).any():
         return tuple(out)
-    n = int(next_fast_len(samples, real=True))
-    x = Signals.of(history.data).part(0, samples, eyes)  # single precision without what it stands on
-    spectrum = rfft(detrended(x).data, n, axis=1)
+    spectrum, n = listened_spectrum(history)
     for k in np.argsort(z, kind="stable").tolist():  # a few poles, sharp lines first
         room = min(edge[k], apart[k] / 0.75)
         if not (z[k] < _WIDEST and cycles[k] > 40 and width[k] < room):

@@ -19,11 +19,10 @@ from scipy.ndimage import maximum_filter1d
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.signal.listened import LONGEST, listened
 from ringtrue.signal.preprocess import Harmonic, line_name
-from ringtrue.signal.pyramid import Signals
 from ringtrue.signal.windows import window
 
-EYES, LONGEST = 4, 1 << 21  # channels (four transforms go in step) and samples that are looked at
 CYCLES = 3600.0  # in which the least damped structure (0.05 %) spreads over four lines of the periodogram
 ABOVE = 50.0  # times the median around; noise reaches it once in 2^50
 EMPTY = 1e-7  # of the record: no recorder has 140 dB
@@ -86,8 +85,7 @@ def with_feet(history: TimeHistory, frequencies: Sequence[float]) -> tuple[float
 
 def _periodogram(history: TimeHistory) -> tuple[Float, float]:
     """(freq,) of some channels, of unit variance each, and the distance of its lines, Hz."""
-    at = np.unique(np.linspace(0, len(history.channels) - 1, EYES).astype(np.int64))
-    x = Signals.of(history.data).part(0, min(history.data.shape[1], LONGEST), at)
+    x = listened(history)
     scale = np.maximum(x[:, :: max(1, x.shape[1] // 20000)].std(axis=1, dtype=np.float64, keepdims=True), 1e-300)
     x *= (1 / scale).astype(np.float32)
     x *= _taper(x.shape[1])

@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.fft import ifft, next_fast_len, rfft
+from scipy.fft import ifft, next_fast_len
 
 from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.signals import TimeHistory
-from ringtrue.signal.pyramid import Signals, detrended
+from ringtrue.signal.listened import listened_spectrum
 
-EYES, LONGEST = 4, 1 << 21  # channels and samples that are looked at
 NEAR = 0.03  # relative distance from a ratio of whole numbers
 WIDEST, LINES = 0.06, 30.0  # half a band over its frequency at most, and in lines of the record at least
 ORDERS = (1, 2, 3, 4, 6, 8, 9, 12)  # of one line over that of another
@@ -29,7 +28,7 @@ def locked(history: TimeHistory, frequencies: Float, damping: Float, machines: S
     Parameters
     ----------
     history : TimeHistory
-        At most `EYES` channels and `LONGEST` samples of it are looked at.
+        Some of it is looked at (`listened`).
     frequencies : (k,) float64, Hz
     damping : (k,) float64
     machines : sequence of bool
@@ -39,7 +38,8 @@ def locked(history: TimeHistory, frequencies: Float, damping: Float, machines: S
     pairs = [(k, j, *r) for k in np.flatnonzero(~known) for j in np.flatnonzero(known) if (r := _ratio(f[k] / f[j]))]
     if not pairs:
         return tuple(out)
-    spectrum, step = _spectrum(history)
+    spectrum, n = listened_spectrum(history)
+    step = history.rate / n
     for k, j, p, q in pairs:  # a few poles
         if out[k]:
             continue
@@ -62,20 +62,11 @@ def _ratio(x: float) -> tuple[int, int] | None:
     return (p, q) if abs(x * q / p - 1) < NEAR else None
 
 
-def _spectrum(history: TimeHistory) -> tuple[Any_, float]:
-    """Spectrum (ch, line) of some channels, and its step, Hz."""
-    eyes = np.unique(np.linspace(0, len(history.channels) - 1, EYES).astype(np.int64))
-    samples = min(history.data.shape[1], LONGEST)
-    n = int(next_fast_len(samples, real=True))
-    x = Signals.of(history.data).part(0, samples, eyes)
-    return rfft(detrended(x).data, n, axis=1), history.rate / n
-
-
 def _instants(spectrum: Any_, step: float, frequency: float, half: float, count: int) -> Complex:
     """(count,) the one-sided band of a relative half width at instants of the record, of the channel loudest there."""
     first, last = int(frequency * (1 - half) / step), int(np.ceil(frequency * (1 + half) / step))
     own = spectrum[:, first : last + 1]
     loud = own[int((np.abs(own) ** 2).sum(axis=1).argmax())]
-    lines = np.zeros((last // count + 1) * count, dtype=np.complex64)
-    lines[first : first + loud.size] = loud * np.hanning(loud.size)
-    return np.asarray(ifft(lines.reshape(-1, count).sum(axis=0), norm="forward"))
+    band = np.zeros((last // count + 1) * count, dtype=np.complex64)
+    band[first : first + loud.size] = loud * np.hanning(loud.size)
+    return np.asarray(ifft(band.reshape(-1, count).sum(axis=0), norm="forward"))

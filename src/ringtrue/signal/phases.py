@@ -20,7 +20,7 @@ from scipy.fft import irfft, rfft
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.align import at_positions
-from ringtrue.signal.drifts import gained, shared, summed_power, turned_back
+from ringtrue.signal.drifts import gained, in_one_motion, shared, summed_power, turned_back
 from ringtrue.signal.windows import window
 
 SEGMENTS, ROOTS = 64, 8  # of the record that are looked at, and channels that the others are held against
@@ -128,12 +128,8 @@ def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, _Company
     tried = np.unique(np.linspace(0, lines.shape[2] - 1, ROOTS).astype(np.int64))
     cross = lines.transpose(0, 2, 1) @ lines[:, :, tried].conj()
     power = summed_power(lines)
-    size = np.maximum(power[:, :, None] * power[:, None, tried], np.finfo(np.float32).tiny)
-    square = cross.real**2 + cross.imag**2
-    coherence = np.clip(square / size - 2 / lines.shape[1], 0, 1)
-    coherence[:2] = coherence[-2:] = 0.0
-    quarters = ((-1.0) ** (order[:, None] - order[tried])).astype(np.float32)
-    turned = cross * cross * (quarters / np.maximum(square, np.finfo(np.float32).tiny))
+    powers, apart = power[:, :, None] * power[:, None, tried], order[:, None] - order[tried]
+    turned, coherence = in_one_motion(cross, powers, lines.shape[1], apart)
     k = int((coherence * turned.real).sum(axis=(0, 1)).argmax())
     company = _company(turned.real, coherence, tried, k)
     return int(tried[k]), turned[:, :, k].T, np.asarray(coherence[:, :, k].T, dtype=np.float64), company
