@@ -27,10 +27,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
 import localise_twin as twin
 
 from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.io.modes_json import write_modes
-from ringtrue.model.frames import positions
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.results import UncertaintyStage
 from ringtrue.study.run import run_study
@@ -88,13 +84,7 @@ def write(folder: Path, factors: dict[int, float], cards: list[str], rng: np.ran
     f = modes.frequencies * (1 + NOISE * rng.standard_normal(MODES))
     noise = SHAPE_NOISE * np.abs(seen).max(axis=0)
     seen = seen + noise * rng.standard_normal(seen.shape)
-    std = Uncertainty.independent(NOISE * f, np.full(MODES, 1e-3), np.broadcast_to(noise, seen.shape))
-    write_modes(folder / "modes.json", ModeSet(f, np.full(MODES, 0.01), seen, channels.labels()), std)
-    (folder / "frame.bdf").write_text(twin.deck())
-    at = dict(zip(model["GRID"].ids.tolist(), positions(model).tolist(), strict=True))
-    rows = [label.split("+") for label in channels.labels()]
-    sheet = ["point,x,y,z,direction", *(f"{n},{','.join(map(str, at[int(n)]))},{d}" for n, d in rows)]
-    (folder / "sensors.csv").write_text("\n".join(sheet) + "\n")
+    twin.write_test(folder, f, seen, NOISE, noise)
     (folder / "study.toml").write_text(STUDY + candidates())
 
 

@@ -1,40 +1,19 @@
-"""Lost stretches of a record: five modes of 1 to 2 % between 2 and 10 Hz, seven sensors, noise 30 dB below."""
+"""Lost stretches of a record."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from five_modes import PHI, F, Z, motion, record
 
-from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import identify_ambient, identify_stretches
 from ringtrue.identify.ambient_methods import identify_ambient_by
 from ringtrue.identify.whittle import SpectralBins
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.events import NONE
 from ringtrue.signal.gaps import bridged
-
-RATE, SECONDS = 100.0, 600
-F, Z = np.array([2.2, 3.7, 4.1, 6.9, 9.4]), np.array([0.012, 0.008, 0.015, 0.01, 0.02])
-PHI = np.linalg.qr(np.random.default_rng(14).standard_normal((7, 5)))[0]
-
-
-@cache
-def motion() -> np.ndarray:
-    rng = np.random.default_rng(3)
-    y = np.zeros((7, int(RATE * SECONDS)))
-    for phi, f, z in zip(PHI.T, F, Z, strict=True):
-        s = 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2))
-        q = lfilter([1.0], [1.0, -np.exp(s / RATE)], rng.standard_normal(y.shape[1]).astype(complex))
-        y += np.outer(phi, (s * q).imag)
-    return y + 0.03 * y.std() * rng.standard_normal(y.shape)
-
-
-def record(y: np.ndarray) -> TimeHistory:
-    return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made")
 
 
 def lossy() -> np.ndarray:

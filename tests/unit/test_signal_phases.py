@@ -1,40 +1,16 @@
-"""Delays between channels from the phases of their cross spectra, on modes whose shapes are real.
-
-Five modes of 1 to 2 % between 2 and 10 Hz under forces of their own, seven sensors, noise 30 dB below.
-"""
+"""Delays between channels from the phases of their cross spectra, on modes whose shapes are real."""
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
-from scipy.signal import butter, hilbert, lfilter, sosfilt
+from five_modes import PHI, RATE, F, motion, record
+from scipy.signal import butter, hilbert, sosfilt
 
-from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import identify_ambient
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.align import at_positions
 from ringtrue.signal.phases import channel_phases, in_step
-
-RATE, SECONDS = 100.0, 600
-F, Z = np.array([2.2, 3.7, 4.1, 6.9, 9.4]), np.array([0.012, 0.008, 0.015, 0.01, 0.02])
-PHI = np.linalg.qr(np.random.default_rng(14).standard_normal((7, 5)))[0]
-
-
-@cache
-def motion() -> np.ndarray:
-    rng = np.random.default_rng(3)
-    y = np.zeros((7, int(RATE * SECONDS)))
-    for phi, f, z in zip(PHI.T, F, Z, strict=True):
-        s = 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2))
-        q = lfilter([1.0], [1.0, -np.exp(s / RATE)], rng.standard_normal(y.shape[1]).astype(complex))
-        y += np.outer(phi, (s * q).imag)
-    return y + 0.03 * y.std() * rng.standard_normal(y.shape)
-
-
-def record(y: np.ndarray) -> TimeHistory:
-    return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made")
 
 
 def test_channels_of_one_clock_have_no_delay():

@@ -24,8 +24,12 @@ from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
+from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.parametric import BasisOptions, ReducedModel
@@ -157,3 +161,19 @@ def region_elements(region: int) -> set[int]:
     if column == 0:
         return {100 * level + 10 + k for k in range(4)}
     return {100 * level + 2 * (column - 1), 100 * level + 2 * (column - 1) + 1}
+
+
+def write_test(folder: Path, frequencies: Array, shapes: Array, error: float, noise: Array) -> None:
+    """`frame.bdf`, the deck as delivered, `sensors.csv`, and `modes.json`.
+
+    Stated deviations are the relative `error` of all frequencies and the `noise` (m,) of the shapes.
+    """
+    labels, m = channels().labels(), frequencies.size
+    std = Uncertainty.independent(error * frequencies, np.full(m, 1e-3), np.broadcast_to(noise, shapes.shape))
+    write_modes(folder / "modes.json", ModeSet(frequencies, np.full(m, 0.01), shapes, labels), std)
+    (folder / "frame.bdf").write_text(deck())
+    model = read(deck())
+    at = dict(zip(model["GRID"].ids.tolist(), positions(model).tolist(), strict=True))
+    rows = [label.split("+") for label in labels]
+    sheet = ["point,x,y,z,direction", *(f"{n},{','.join(map(str, at[int(n)]))},{axis}" for n, axis in rows)]
+    (folder / "sensors.csv").write_text("\n".join(sheet) + "\n")

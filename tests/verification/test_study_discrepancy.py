@@ -12,10 +12,6 @@ import localise_twin as twin
 import numpy as np
 import pytest
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.io.modes_json import write_modes
-from ringtrue.model.frames import positions
 from ringtrue.study.config import parse_config
 from ringtrue.study.results import UpdateStage
 from ringtrue.study.run import run_study
@@ -40,16 +36,7 @@ CANDIDATES = "".join(
 def changes(folder: Path, extra: str) -> dict[str, float]:
     """Factor found over the true one of each wrong region."""
     aim = twin.measured(WRONG, np.random.default_rng(3))
-    labels, m = twin.channels().labels(), twin.MODES
-    noise = np.broadcast_to(0.01 * np.abs(aim.shapes).max(axis=0), aim.shapes.shape)
-    std = Uncertainty.independent(0.002 * aim.frequencies, np.full(m, 1e-3), noise)
-    write_modes(folder / "modes.json", ModeSet(aim.frequencies, np.full(m, 0.01), aim.shapes, labels), std)
-    (folder / "frame.bdf").write_text(twin.deck())
-    grid = twin.start().model
-    at = dict(zip(grid["GRID"].ids.tolist(), positions(grid).tolist(), strict=True))
-    rows = [(int(n), axis) for n, axis in (c.split("+") for c in labels)]
-    sheet = ["point,x,y,z,direction", *(f"{n},{','.join(map(str, at[n]))},{axis}" for n, axis in rows)]
-    (folder / "sensors.csv").write_text("\n".join(sheet) + "\n")
+    twin.write_test(folder, aim.frequencies, aim.shapes, 0.002, 0.01 * np.abs(aim.shapes).max(axis=0))
     (folder / "study.toml").write_text(STUDY + extra + CANDIDATES)
     done: UpdateStage = run_study(folder / "study.toml", until="update").results["update"]
     best = done.sets[done.chosen]
