@@ -16,7 +16,7 @@ from ringtrue.core.outcome import Outcome
 from ringtrue.core.progress import Progress
 from ringtrue.errors import NumericalError, SolverError
 from ringtrue.model.ports import ObservedModel
-from ringtrue.update.objective import Residual, Target, objective, residual, shared_cost
+from ringtrue.update.objective import Residual, Target, objective, residual, shared_cost, used_up
 
 SAFE = 1e-3  # least eigenvalue, in units of the Gauss-Newton diagonal, of a Hessian with second derivatives
 NEAR = 0.3  # largest change of x over which a secant says something of the Hessian
@@ -222,10 +222,9 @@ def _result(method: GaussNewton, states: tuple[State, ...], outcome: Outcome, la
 def _spread(r: Residual, normal: Float, prior: Float, each: float) -> float:
     """Mean square of the weighted residuals over what the parameters have not used up; not below the expected 1.
 
-    A mode gives as many data as `each`. The parameters use up the trace of the hat matrix.
+    A mode gives as many data as `each`.
     """
-    data = each * int(r.used.sum())
-    spent = float(np.trace(np.linalg.solve(normal + np.diag(1 / prior**2), normal)))
+    data, spent = each * int(r.used.sum()), used_up(normal, np.diag(1 / prior**2))
     return max(1.0, float(r.value @ r.value) / max(data - spent, 1.0))
 
 

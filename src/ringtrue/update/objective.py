@@ -313,6 +313,11 @@ def objective(target: Target, r: Residual, x: Float, prior_std: Float) -> float:
     return float(r.value @ r.value + (x / prior_std) @ (x / prior_std) + target.lost * lost)
 
 
+def used_up(normal: Float, precision: Float) -> float:
+    """How many data the parameters use up: the trace of the hat matrix, of GᵀG (p, p) and that of the prior (p, p)."""
+    return float(np.trace(np.linalg.solve(normal + precision, normal)))
+
+
 def aicc(value: float, n: float, parameters: int) -> float:
     """n ln(J/n) with a penalty on the parameters and the scale of J, J over `n` data; Burnham, Anderson, eq. 7."""
     k = parameters + 1

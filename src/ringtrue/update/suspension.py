@@ -24,7 +24,7 @@ from ringtrue.errors import InputError, NotConverged, NumericalError, SolverErro
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.shapes.mac import mac
 from ringtrue.shapes.subspace import close_groups
-from ringtrue.update.objective import Target, shape_residual
+from ringtrue.update.objective import Target, shape_residual, used_up
 
 MOST = 50_000  # assignments that are ranked
 KEPT = 24  # of these refined at most
@@ -289,8 +289,7 @@ def _weighed(
     w = np.diag(1 / model.parameters.std() ** 2)
     inner = [e.slope.T @ e.slope for e, _ in ends]
     i = int(np.argmin([e.cost for e, _ in ends]))
-    spent = float(np.trace(np.linalg.solve(inner[i] + w, inner[i])))
-    data = (2 if target.weights.shape > 0 else 1) * tests.size
+    data, spent = target.weights.data * tests.size, used_up(inner[i], w)
     s2 = max(1.0, float(ends[i][0].value @ ends[i][0].value) / max(data - spent, 1.0))
     normal = [n / s2 + w for n in inner]
     fit = np.array([e.value @ e.value / s2 + e.x @ w @ e.x for e, _ in ends])

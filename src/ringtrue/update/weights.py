@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from scipy import linalg
@@ -17,10 +17,11 @@ from scipy.optimize import minimize_scalar
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, InputError, did_you_mean
-from ringtrue.update.objective import Residual, Weights
+from ringtrue.update.objective import Residual, Weights, used_up
 from ringtrue.update.several import Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve
 
+End = TypeVar("End")
 Rule = Literal["l-curve", "gcv", "evidence"]
 GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
 SETTLED = 0.1  # relative change of the factor below which it stands
@@ -262,8 +263,7 @@ def left_over(assumed: Weights, r: Residual, slope: Float, data: float, independ
     n = int(r.used.sum())
     if not n:
         return replace(assumed, frequency=LOOSE * assumed.frequency, mac=LOOSE * assumed.mac)
-    normal = slope.T @ slope
-    spent = float(np.trace(np.linalg.solve(normal + np.eye(len(normal)), normal)))
+    spent = used_up(slope.T @ slope, np.eye(slope.shape[1]))
     swell = data * n / max(data * n - spent, 1.0)
     f = float(np.sqrt(np.mean(r.frequency_error[r.used] ** 2) * swell))
     m = float(np.mean(1 - r.mac[r.used]) * swell)
@@ -271,6 +271,28 @@ def left_over(assumed: Weights, r: Residual, slope: Float, data: float, independ
     high = LOOSE * np.array([assumed.frequency, assumed.mac])
     f, m = np.clip([f, m], low, high).tolist()
     return replace(assumed, frequency=f, mac=m, independent=independent)
+
+
+def in_turns(
+    x: Float, updated: Callable[[Weights, Float], tuple[End, Float]], left: Callable[[Float], Weights]
+) -> tuple[End, Weights]:
+    """Updated with the discrepancy that is left over, in turns until that stands: the end, and the weights used there.
+
+    Parameters
+    ----------
+    x : (k,) float64
+        Where the first discrepancy is taken, and the first updating starts.
+    updated : callable (weights, start) -> (end, x there)
+    left : callable (x) -> Weights
+        With the discrepancy that is left over at a point.
+    """
+    w = left(x)
+    for _ in range(TURNS):
+        done, x = updated(w, x)
+        before, w = w, left(x)
+        if distance(before, w) < SETTLED:
+            break
+    return done, before
 
 
 def distance(a: Weights, b: Weights) -> float:

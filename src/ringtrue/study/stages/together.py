@@ -21,11 +21,11 @@ from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
 from ringtrue.update import joint
 from ringtrue.update.multistart import latin_hypercube, multi_start
-from ringtrue.update.objective import DOUBT, Target, aicc, residual
+from ringtrue.update.objective import DOUBT, Target, Weights, aicc, residual
 from ringtrue.update.residuals import widened
 from ringtrue.update.several import Configuration, Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve, staged
-from ringtrue.update.weights import SETTLED, TURNS, discrepancy_by_evidence, distance, regularised
+from ringtrue.update.weights import discrepancy_by_evidence, in_turns, regularised
 
 
 def together(
@@ -193,13 +193,13 @@ def _solved(problem: Problem, u: UpdateSection, method: Method, start: Float, to
 
 def _sharpened(problem: Problem, y: Float, solved: Callable[[Problem, Float], Solution]) -> tuple[Problem, Solution]:
     """Updated with the discrepancy that is left over, until that stands."""
-    w = joint.left_at(problem, y)
-    for _ in range(TURNS):
-        done = solved(sharp := joint.weighed(problem, w), y)
-        before, w, y = w, joint.left_at(problem, done.y), done.y
-        if distance(before, w) < SETTLED:
-            break
-    return sharp, done
+
+    def updated(w: Weights, y: Float) -> tuple[Solution, Float]:
+        done = solved(joint.weighed(problem, w), y)
+        return done, done.y
+
+    done, w = in_turns(y, updated, lambda y: joint.left_at(problem, y))
+    return joint.weighed(problem, w), done
 
 
 def _weighed(problem: Problem, at: Evaluated) -> Problem:

@@ -26,7 +26,7 @@ from ringtrue.update.choose import criterion
 from ringtrue.update.gauss_newton import State, UpdateResult, update
 from ringtrue.update.objective import Target, Weights, objective, residual
 from ringtrue.update.pool import of_parameter
-from ringtrue.update.weights import SETTLED, TURNS, distance, left_over
+from ringtrue.update.weights import in_turns, left_over
 
 STARTS = 8  # where one leaves modes without partner
 
@@ -200,14 +200,14 @@ def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | No
 
 def _sharpened(active: AtChannels, aim: Target, x: Float, limit: int) -> UpdateResult:
     """Updated with the discrepancy that is left over, until that stands; J at the end is as all sets have it."""
-    w = weights_at(aim, active, x)
-    for _ in range(TURNS):
+
+    def updated(w: Weights, x: Float) -> tuple[UpdateResult, Float]:
         done = update(active, replace(aim, weights=w), iterations=limit, start=x)
-        before, w, x = w, weights_at(aim, active, done.x), done.x
-        if distance(before, w) < SETTLED:
-            break
-    r = residual(aim, active.linearise(x))
-    end = replace(done.history[-1], residual=r, value=objective(aim, r, x, active.parameters.std()))
+        return done, done.x
+
+    done, _ = in_turns(x, updated, lambda x: weights_at(aim, active, x))
+    r = residual(aim, active.linearise(done.x))
+    end = replace(done.history[-1], residual=r, value=objective(aim, r, done.x, active.parameters.std()))
     return replace(done, history=(*done.history[:1], end))
 
 
