@@ -26,7 +26,7 @@ from ringtrue.identify.poles import StableDiagram
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.modes_json import modes_to_json
-from ringtrue.io.records import read_record
+from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.plots.picker import picker_page
 from ringtrue.signal.faults import find_faults
 from ringtrue.signal.gaps import bridged
@@ -128,10 +128,11 @@ def check_band(fmin: float | None, fmax: float | None) -> None:
 
 def record_without(path: Path, rate: float | None, lost: Sequence[str], group: str = "") -> TimeHistory:
     """A record without some channels, in which samples may be missing; those that are left are checked."""
-    if not lost:
-        return read_record(path, rate, group=group, gaps=True)
-    every = read_record(path, rate, check=False, group=group, gaps=True).channels
-    return read_record(path, rate, channels=kept_channels(path, every, lost), group=group, gaps=True)
+    history = read_record(path, rate, check=not lost, group=group, gaps=True)
+    if lost:
+        history = history.pick(kept_channels(path, history.channels, lost))
+        refuse_bad_samples(history, path, gaps=True)
+    return history
 
 
 def kept_channels(path: Path, channels: Sequence[Channel], lost: Sequence[str]) -> list[str]:
