@@ -26,7 +26,7 @@ from ringtrue.eigen.residual import residual_vectors
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, SingularModel
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.derivatives import system_derivatives, transform_derivatives
+from ringtrue.fem.derivatives import system_derivatives
 from ringtrue.fem.response import coupled, direct
 from ringtrue.fem.response import frf as superpose
 from ringtrue.fem.spins import without_spins
@@ -105,8 +105,7 @@ class EmbeddedAnalysis:
 
     def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
         """∂λ/∂a (m, p) and ∂φ/∂a (dof, m, p) at a = 1 of modes of this model."""
-        moved = transform_derivatives(self.model, parameters.parameters, self.system)
-        slopes = system_derivatives(self.model, parameters.parameters, self.system, moved)
+        slopes = self.slopes(parameters)
         phi = np.asarray(self.system.local @ modes.shapes)
         top = float(modes.frequencies.max(initial=0.0))
         lowest = self._lowest_up_to(top, len(modes))
@@ -118,9 +117,9 @@ class EmbeddedAnalysis:
         columns = [np.einsum("fm,fm->m", phi, s.stiffness @ phi - (s.mass @ phi) * lam) for s in slopes]
         d_lambda = np.stack(columns, axis=1) if columns else np.zeros((len(modes), 0))
         full = (self.system.transform @ d_phi.reshape(phi.shape[0], -1)).reshape(-1, len(modes), len(slopes))
-        for i, dT in enumerate(moved):  # over parameters, of which few move nodes
-            if dT is not None:
-                full[:, :, i] += dT @ phi
+        for i, s in enumerate(slopes):  # over parameters, of which few move nodes
+            if s.transform is not None:
+                full[:, :, i] += s.transform @ phi
         return d_lambda, full
 
     def _lowest_up_to(self, top: float, count: int) -> EigenModes:

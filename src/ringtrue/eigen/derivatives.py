@@ -29,12 +29,16 @@ STILL = 1e-9  # share of its terms under which the load of a rigid-body mode is 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slope:
-    """K' and M' of one parameter, and D' (viscous) and H' (structural damping) if there are any; (f, f) csr_array."""
+    """K' and M' of one parameter, and D' (viscous) and H' (structural damping) if there are any; (f, f) csr_array.
+
+    `transform` is T', (full, f), of the motions u = T q of all DOFs, where the parameter moves nodes such that T moves.
+    """
 
     stiffness: sparse.csr_array
     mass: sparse.csr_array
     viscous: sparse.csr_array | None = None
     structural: sparse.csr_array | None = None
+    transform: sparse.csr_array | None = None
 
 
 def groups(values: Float, scale: float | None = None) -> Int:

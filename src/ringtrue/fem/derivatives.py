@@ -25,16 +25,11 @@ def matrix_derivatives(model: Model, parameter: Parameter, system: System) -> tu
     return slope.stiffness, slope.mass
 
 
-def system_derivatives(
-    model: Model,
-    parameters: Sequence[Parameter],
-    system: System,
-    moved: Sequence[sparse.csr_array | None] | None = None,
-) -> list[Slope]:
-    """∂K/∂a, ∂M/∂a, ∂D/∂a and ∂H/∂a (structural damping) at a = 1 of each parameter, (f, f) csr.
+def system_derivatives(model: Model, parameters: Sequence[Parameter], system: System) -> list[Slope]:
+    """∂K/∂a, ∂M/∂a, ∂D/∂a, ∂H/∂a (structural damping) and ∂T/∂a at a = 1 of each parameter, csr.
 
     Only the affected elements are computed, for as many parameters at once as do not share one. Where nodes move,
-    rigid elements and displacement frames move along: `moved` are the `transform_derivatives`, if they are known.
+    rigid elements and displacement frames move along.
 
     Raises
     ------
@@ -44,13 +39,13 @@ def system_derivatives(
     m, T = mesh(model), system.transform
     slopes = list(element_slopes(model, parameters))
     Tt, G = sparse.csr_array(T.T), m.model.param("G", 0.0)
-    moved = transform_derivatives(model, parameters, system) if moved is None else moved
+    moved = _transforms(model, parameters, system)
     out = []
     for p, dT, full in zip(parameters, moved, _summed(m, slopes, len(parameters)), strict=True):
         K, M, D, H = (_congruent(T, Tt, A) for A in full)
         if dT is not None:
             K, M, D, H = (A + B for A, B in zip((K, M, D, H), _carried(model, p, system, dT), strict=True))
-        out.append(Slope(K, M, sparse.csr_array(D), sparse.csr_array(H + G * K)))
+        out.append(Slope(K, M, sparse.csr_array(D), sparse.csr_array(H + G * K), dT))
     return out
 
 
@@ -74,9 +69,7 @@ def _summed(m: Mesh, slopes: Sequence[ElementSlopes], count: int) -> list[list[s
     ]
 
 
-def transform_derivatives(
-    model: Model, parameters: Sequence[Parameter], system: System
-) -> list[sparse.csr_array | None]:
+def _transforms(model: Model, parameters: Sequence[Parameter], system: System) -> list[sparse.csr_array | None]:
     """∂T/∂a of `system.transform` at a = 1 of each parameter, (full, f) csr, where its nodes move; None if it is zero.
 
     It is not zero where the arm of a rigid element changes, or a node goes round a cylindrical displacement frame.
@@ -178,7 +171,7 @@ def bilinear(
             if np.any(A):
                 Av = A[:, :, None] * at[0] if A.ndim == 2 else A @ at[0]
                 np.add.at(total, s.owner, np.stack([np.einsum("edm,edm->em", x, Av) for x in at[1:]], axis=1))
-    for i, (p, dT) in enumerate(zip(parameters, transform_derivatives(model, parameters, system), strict=True)):
+    for i, (p, dT) in enumerate(zip(parameters, _transforms(model, parameters, system), strict=True)):
         if dT is not None:
             dK, dM, _, _ = _carried(model, p, system, dT)
             for total, carried in ((K, dK), (M, dM)):
