@@ -3,9 +3,11 @@
     python bench/correlation.py [--modes 200] [--channels 5000]
     python bench/correlation.py --study lsf/study.h5
     python bench/correlation.py --faults 2000 300
+    python bench/correlation.py --groups 30
 
 The second: how far the modes of a finished study's deck are from orthogonal over each mass at its channels. The third:
-alarms in that many healthy tests of a plate, and how many of so many faults of each kind are named.
+alarms in that many healthy tests of a plate, and how many of so many faults of each kind are named. The fourth: pairs
+of so many models and tests whose modes mix, by the largest group of close modes, and how many of them are wrong.
 
 Each job runs in a process of its own, so that its peak memory is its own; it includes what it takes to hold the two
 sets (2 x channels x modes x 8 bytes). Not covered: reading the files, complex shapes, the reduction of a model to the
@@ -15,6 +17,7 @@ channels.
 from __future__ import annotations
 
 import argparse
+import itertools
 import multiprocessing
 import resource
 import sys
@@ -27,9 +30,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "unit"))
 import test_correlate_faults as random_tests
 
+from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.correlate.assign import scores
 from ringtrue.correlate.complete import complete
-from ringtrue.correlate.pairing import pair_modes
+from ringtrue.correlate.pairing import PairingSettings, pair_modes
 from ringtrue.shapes.mac import mac
 from ringtrue.shapes.orthogonality import self_orthogonality
 from ringtrue.study.evidence import channel_mass
@@ -117,6 +122,44 @@ def faults(healthy: int, each: int) -> None:
         print(f"{fault:8s} {100 * share:.0f} % of {each} found, {wrong} other channels named")
 
 
+def mixed(seed: int, channels: int, spacing: float) -> tuple[ModeSet, ModeSet, Float]:
+    """A test of 30 modes, a model whose stiffness is 15 % off at random, and how much of each they share (test, FE)."""
+    rng = np.random.default_rng(seed)
+    modes, beyond = 30, 10
+    f = 20 * np.exp(np.cumsum(rng.exponential(spacing, modes + beyond)))
+    v = rng.standard_normal((f.size, modes // 2)) / np.sqrt(modes // 2)
+    error = np.diag(f) @ (v * rng.uniform(-0.15, 0.15, modes // 2)) @ v.T @ np.diag(f)
+    squared, turn = np.linalg.eigh(np.diag(f**2) + error)
+    phi = rng.standard_normal((channels, f.size))
+    test = phi @ turn[:, :modes]
+    test += 0.1 * rng.standard_normal(test.shape) * np.linalg.norm(test, axis=0) / np.sqrt(channels)
+    names = tuple(f"{i}+Z" for i in range(channels))
+    a = ModeSet(np.sqrt(squared[:modes]), np.zeros(modes), test, names)
+    return a, ModeSet(f, np.zeros(f.size), phi, names, Norm.MASS), turn[:, :modes].T ** 2
+
+
+def groups(count: int) -> None:
+    """Pairs, those whose modes share less than 40 %, mean MAC and mean share, by the largest group."""
+    print("mean distance  channels  largest group  pairs  wrong  MAC %  shared %")
+    for spacing, channels in itertools.product((0.005, 0.015, 0.04), (12, 24, 60, 150)):
+        cases = [mixed(seed, channels, spacing) for seed in range(count)]
+        for largest in (1, 3, 4, 6):
+            settings, macs, shares = PairingSettings(largest_group=largest), list[float](), list[float]()
+            for a, b, share in cases:
+                p = pair_modes(a, b, settings)
+                own = {
+                    j: g for g in scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings).groups_b for j in g
+                }
+                macs += p.mac.tolist()
+                for i, j, turned in zip(p.a.tolist(), p.b.tolist(), p.subspace.tolist(), strict=True):
+                    shares.append(float(share[i, list(own[j]) if turned else j].sum()))
+            wrong = (np.array(shares) < 0.4).sum() / count
+            print(
+                f"{100 * spacing:11.1f} %  {channels:8d}  {largest:13d}  {len(macs) / count:5.1f}  {wrong:5.1f}"
+                f"  {100 * np.mean(macs):5.0f}  {100 * np.mean(shares):8.0f}"
+            )
+
+
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -124,7 +167,11 @@ def main() -> None:
     parser.add_argument("--channels", type=int, default=5000)
     parser.add_argument("--study", type=Path)
     parser.add_argument("--faults", type=int, nargs=2, metavar=("HEALTHY", "EACH"))
+    parser.add_argument("--groups", type=int, metavar="COUNT")
     options = parser.parse_args()
+    if options.groups:
+        groups(options.groups)
+        return
     if options.faults:
         faults(*options.faults)
         return

@@ -48,7 +48,7 @@ class PairingSettings:
     frequency_gate: float = 0.4
     close: float = 0.02
     distinct: float = 0.9
-    largest_group: int = 3
+    largest_group: int = 4
     min_confidence: float = 0.5
     min_visible: float = 0.01
     faint: float = 0.01

@@ -56,7 +56,7 @@ def rotation(a: Any_, b: Any_) -> Any_:
     return np.asarray(u @ vh)
 
 
-def close_groups(frequencies: Float, close: float, largest: int = 3) -> tuple[tuple[int, ...], ...]:
+def close_groups(frequencies: Float, close: float, largest: int = 4) -> tuple[tuple[int, ...], ...]:
     """Positions of modes closer than `close` (relative) to their neighbour, as groups of at most `largest`.
 
     Parameters
