@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import numpy as np
 import typer
 
 from ringtrue.backends.observed import PRINTED, FullModel, reduced
 from ringtrue.backends.registry import EMBEDDED, solver
-from ringtrue.cli.show import err, json_target, out, progress, rows, tell, write_json
+from ringtrue.cli.show import err, json_target, progress, write_json
+from ringtrue.cli.updated import show_summary, summary_of
 from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
@@ -28,7 +30,15 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig, read_config
-from ringtrue.study.config_update import DataResidual, FrfResidual, MassResidual, StaticResidual
+from ringtrue.study.config_update import (
+    DataResidual,
+    Discrepancy,
+    FrfResidual,
+    MassResidual,
+    StaticResidual,
+    UpdateSection,
+)
+from ringtrue.study.course import begun, course_of
 from ringtrue.study.measured import (
     LENGTH,
     Data,
@@ -46,19 +56,18 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.placing import placed
 from ringtrue.study.reference import measured_part
-from ringtrue.update.multistart import latin_hypercube, multi_start
 from ringtrue.update.objective import Target, Weights
-from ringtrue.update.plausible import plausibility
-from ringtrue.update.residuals import Point, Weighted
+from ringtrue.update.residuals import Weighted
+from ringtrue.update.settle import settled
 from ringtrue.update.several import Configuration, Problem
-from ringtrue.update.trust import KINDS, Method, solve
+from ringtrue.update.trust import KINDS, Solution
 from ringtrue.update.verified import Verified, solve_verified
-from ringtrue.update.weights import RULES, regularised
+from ringtrue.update.weights import RULES
 
 ABOVE = 1.5  # modes of the model up to here over the highest test mode
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
-STARTED = 30  # iterations of each of several starts
-SIDES = ("measured", "before", "after")
+DISCREPANCIES = get_args(Discrepancy)
+WORDS = {"step": [*KINDS], "prior": ["study", *RULES], "loss": [*LOSSES], "discrepancy": DISCREPANCIES}
 
 
 Json = Annotated[
@@ -68,15 +77,11 @@ Json = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """The options of the command that say how to update."""
+    """Where the command looks beside the study."""
 
-    method: str
-    prior: str
-    loss: str
-    starts: int
+    solver: str
     seed: int
     checkpoint: Path | None
-    solver: str
 
 
 def update(
@@ -87,9 +92,12 @@ def update(
     ],
     folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where the updated deck goes.")] = None,
     leave_out: Annotated[str, typer.Option(metavar="LIST", help="Test modes to judge by, from 1: 3,7.")] = "",
-    method: Annotated[str, typer.Option(help=f"{', '.join(KINDS)}.")] = "trust-region",
-    prior: Annotated[str, typer.Option(help=f"Weight of the prior: study, {', '.join(RULES)}.")] = "study",
-    loss: Annotated[str, typer.Option(help=f"Against a wrong mode: {', '.join(LOSSES)}.")] = "squares",
+    method: Annotated[str | None, typer.Option(help=f"{', '.join(KINDS)}.")] = None,
+    prior: Annotated[str | None, typer.Option(help=f"Weight of the prior: study, {', '.join(RULES)}.")] = None,
+    loss: Annotated[str | None, typer.Option(help=f"Against a wrong mode: {', '.join(LOSSES)}.")] = None,
+    discrepancy: Annotated[
+        str | None, typer.Option(help=f"Deviations that the best model keeps: {', '.join(DISCREPANCIES)}.")
+    ] = None,
     frequency: Annotated[
         float | None, typer.Option(metavar="%", help="Deviation of a frequency that the best model keeps.", min=1e-3)
     ] = None,
@@ -106,8 +114,10 @@ def update(
         Path | None, typer.Option(metavar="FILE", help="Static tests: CSV with case, channel, load, deflection.")
     ] = None,
     mass: Annotated[float | None, typer.Option(metavar="KG", help="Weighed mass of the structure.", min=0)] = None,
-    starts: Annotated[int, typer.Option(metavar="N", help="Starts; the first is the deck as it is.", min=1)] = 1,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the starts.", min=0)] = 0,
+    starts: Annotated[
+        int | None, typer.Option(metavar="N", help="Starts; the first is the deck as it is.", min=1)
+    ] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Of the starts.", min=0)] = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keep the last iterate here; go on from it if it is there.")
     ] = None,
@@ -124,15 +134,17 @@ def update(
 ) -> int:
     """Update a model to test modes: factors with their uncertainty, deviations before and after, the deck edited.
 
-    What is compared beside modes comes from the residual tables of the study and --frf, --static, --mass.
+    What no option says is as the study updates; what is compared beside modes comes from the residual tables of the
+    study and --frf, --static, --mass.
 
     Example: ringtrue update study.toml modes.json --leave-out 3,7 --out updated
     """
-    config = _settings(read_config(study), residuals, frequency, mac_percent, (frf, static, mass))
+    words = {"step": method, "prior": prior, "loss": loss, "discrepancy": discrepancy, "starts": starts}
+    config = _settings(read_config(study), words, residuals, frequency, mac_percent, (frf, static, mass))
     solver_name = solver_name or (config.model.solver if config.model else EMBEDDED)
-    asked = Asked(method, prior, loss, starts, seed, checkpoint, solver_name)
+    asked = Asked(solver_name, config.study.seed if seed is None else seed, checkpoint)
     engine = solver(solver_name)
-    _check(asked)
+    _check(config.update, asked)
     if config.model is None or not config.candidate:
         raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
     anew = solver_name != EMBEDDED
@@ -149,32 +161,25 @@ def update(
             extra: tuple[Data, ...] = ()
         else:
             problem, extra = _problem(model, config, target, modes, study.parent)
-        before = problem.evaluate(np.zeros(problem.size)).points[0]
-        done = _solved(replace(problem, loss=LOSSES[loss]), asked, part(show, 0.3, 1.0))
+        problem = replace(problem, loss=LOSSES[config.update.loss])
+        done = _solved(problem, config.update, asked, part(show, 0.3, 1.0))
     written = _edited(model, config, done, folder)
-    summary = _summary(config, target, before, done, written, asked) | _measured(extra, before, done)
+    summary = summary_of(config, problem, done, extra, asked.solver) | {"deck": [str(p) for p in written]}
     if json:
         write_json(summary, json)
     if json != "-":
-        _print(study, summary)
+        show_summary(study, summary)
     good = done.solution.outcome.ok and done.error <= AGREE
     if not good:
         err.print(f"not to be trusted: {summary['why']}")
     return 0 if good else 1
 
 
-def _check(asked: Asked) -> None:
+def _check(u: UpdateSection, asked: Asked) -> None:
     """Options before any work."""
-    for name, got, allowed in (
-        ("method", asked.method, list(KINDS)),
-        ("prior", asked.prior, ["study", *RULES]),
-        ("loss", asked.loss, list(LOSSES)),
-    ):
-        if got not in allowed:
-            raise ConfigError(f"--{name} {got!r}{did_you_mean(got, allowed)}")
-    if asked.starts > 1 and asked.checkpoint is not None:
+    if u.starts > 1 and asked.checkpoint is not None:
         raise ConfigError("--checkpoint keeps one iterate: it does not go with --starts")
-    if asked.prior != "study" and asked.checkpoint is not None:
+    if u.prior != "study" and asked.checkpoint is not None:
         raise ConfigError("--checkpoint keeps no weight of the prior: it goes with --prior study only")
 
 
@@ -188,13 +193,17 @@ def _left_out(text: str, count: int) -> list[int]:
 
 def _settings(
     config: StudyConfig,
+    words: Mapping[str, str | int | None],
     residuals: str | None,
     frequency: float | None,
     mac: float | None,
     more: tuple[Path | None, Path | None, float | None],
 ) -> StudyConfig:
     """The study with what the options say in place of it, and files and a mass beside its [[residual]]s."""
-    change: dict[str, Any] = {}
+    change: dict[str, Any] = {n: v for n, v in words.items() if v is not None}
+    for name, got in change.items():
+        if name in WORDS and got not in WORDS[name]:
+            raise ConfigError(f"--{'method' if name == 'step' else name} {got!r}{did_you_mean(got, WORDS[name])}")
     if residuals is not None:
         names = [t.strip() for t in residuals.split(",") if t.strip()]
         for name in names:
@@ -283,24 +292,21 @@ def _by_runs(
     return Problem((Configuration(full, target, terms),), rows=rows, limits=limits)
 
 
-def _solved(problem: Problem, asked: Asked, show: Progress) -> Verified:
-    """Starts and weight of the prior on the model, then the end, on a basis verified by full solutions."""
-    full = problem.configurations[0].model
-    method, start = Method(asked.method), np.zeros(problem.size)  # type: ignore[arg-type]
+def _solved(problem: Problem, u: UpdateSection, asked: Asked, show: Progress) -> Verified:
+    """As a study updates a set of parameters, on a basis verified by full solutions."""
+    full, course = problem.configurations[0].model, course_of(u)
+    each = show if isinstance(full, FullModel) else None
+    if each is not None:
+        course = replace(course, method=replace(course.method, step=PRINTED))
+    start = begun(problem, u, course, asked.seed, show, each, asked.checkpoint).y
+
+    def ended(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
+        end = settled(p, course, start=y, progress=each)
+        return end.solution, end.problem
+
     if isinstance(full, FullModel):
-        method = replace(method, step=PRINTED)
-    if asked.starts > 1:
-        more = latin_hypercube(problem.parameters, asked.starts - 1, np.random.default_rng(asked.seed))
-        found = multi_start(problem, np.vstack([start, more]), method, iterations=STARTED, finish=3, progress=show)
-        start = np.array(found.best.y)
-    if asked.prior != "study":
-        chosen = regularised(problem, asked.prior, method, start=start, progress=show)  # type: ignore[arg-type]
-        problem, start = chosen.problem, np.array(chosen.solution.y)
-    if asked.checkpoint is not None:
-        start = np.array(solve(problem, method, start=start, checkpoint=asked.checkpoint, progress=show).y)
-    if isinstance(full, FullModel):
-        return Verified(solve(problem, method, start=start, progress=show), problem, 0.0, full.ledger.runs)
-    return solve_verified(problem, method, start=start, tolerance=AGREE, progress=show)
+        return Verified(*ended(problem, start), 0.0, full.ledger.runs)
+    return solve_verified(problem, solved=ended, start=start, tolerance=AGREE, progress=show)
 
 
 def _edited(model: Model, config: StudyConfig, done: Verified, folder: Path | None) -> list[Path]:
@@ -311,85 +317,3 @@ def _edited(model: Model, config: StudyConfig, done: Verified, folder: Path | No
     parameters, factors = config.candidates(), done.solution.factors
     moved = [i for i, a in enumerate(factors.tolist()) if a != 1.0]
     return edit_fields(model, field_changes(model, parameters.take(moved), factors[moved]), folder)
-
-
-def _summary(
-    config: StudyConfig, target: Target, before: Point, done: Verified, written: list[Path], asked: Asked
-) -> dict[str, Any]:
-    end, parameters = done.solution, config.candidates()
-    std = end.std * parameters.slope(end.x) / end.factors
-    flags = plausibility(parameters, end.x, end.identifiability)
-    return {
-        "outcome": end.outcome.value,
-        "why": end.why if end.outcome.ok else f"{end.outcome.value} ({end.why})",
-        "objective": [done.solution.history[0].cost, end.cost],
-        "solver": asked.solver,
-        "basis_error": done.error,
-        "full_solutions": done.full_solutions,
-        "parameters": [
-            {"name": n, "factor": float(a), "relative_std": float(s), "posterior_over_prior": float(t)}
-            for n, a, s, t in zip(parameters.names, end.factors, std, end.identifiability, strict=True)
-        ],
-        "flags": [f.text for f in flags],
-        "modes": _modes(target, before, end.end.points[0]),
-        "deck": [str(p) for p in written],
-    }
-
-
-def _measured(data: tuple[Data, ...], before: Point, done: Verified) -> dict[str, Any]:
-    """What was measured beside the modes, by the model before and after."""
-    if not data:
-        return {}
-    after, found = done.solution.end.points[0], []
-    for d in data:
-        columns = (d.measured, d.shown(d.term(before)), d.shown(d.term(after)))
-        for label, unit, *values in zip(d.labels, d.units, *columns, strict=True):
-            told = [None if np.isnan(v) else float(v) for v in values]
-            found.append({"name": d.name, "what": label, "unit": unit} | dict(zip(SIDES, told, strict=True)))
-    return {"measured": found}
-
-
-def _modes(target: Target, before: Point, after: Point) -> list[dict[str, Any]]:
-    """Deviation and MAC of each test mode, before and after; null without a partner."""
-    f, k = target.frequencies, target.frequencies.size
-    found: Float = np.full((4, k), np.nan)
-    for i, at in enumerate((before, after)):
-        t, j = at.every.T
-        found[2 * i, t], found[2 * i + 1, t] = 100 * (at.now.frequencies[j] / f[t] - 1), 100 * at.mac
-    names = ("deviation_before_percent", "mac_before_percent", "deviation_percent", "mac_percent")
-    return [
-        {"frequency_hz": float(f[i]), "used": bool(target.used[i])}
-        | {n: None if np.isnan(v) else float(v) for n, v in zip(names, found[:, i], strict=True)}
-        for i in range(k)
-    ]
-
-
-def _print(study: Path, summary: dict[str, Any]) -> None:
-    body: list[tuple[object, ...]] = [
-        (p["name"], f"{p['factor']:.4f}", f"{100 * p['relative_std']:.1f}", f"{p['posterior_over_prior']:.2f}")
-        for p in summary["parameters"]
-    ]
-    rows(f"{study}: parameters", ("parameter", "factor", "± [%]", "posterior/prior"), body)
-    body = [
-        (i + 1, f"{m['frequency_hz']:.5g}", *(_cell(v) for v in list(m.values())[2:]), "" if m["used"] else "left out")
-        for i, m in enumerate(summary["modes"])
-    ]
-    rows("modes", ("#", "f test [Hz]", "Δf before [%]", "MAC", "Δf after [%]", "MAC", ""), body)
-    if summary.get("measured"):
-        body = [(m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES)) for m in summary["measured"]]
-        rows("beside the modes", ("", "what", "unit", *SIDES), body)
-    tell((summary["why"], *summary["flags"], *(f"deck: {p}" for p in summary["deck"])))
-    if summary["solver"] == EMBEDDED:
-        error = summary["basis_error"]
-        told = f"{summary['full_solutions']} full solutions; the reduced model is off by {error:.1e} at most"
-    else:
-        told = f"{summary['full_solutions']} runs of {summary['solver']}"
-    out.print(told)
-
-
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def _short(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"

@@ -289,6 +289,7 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
                 "condition": s.condition,
                 "aicc": s.criterion,
                 "outcome": s.outcome,
+                "discrepancy_percent": dict(zip(("frequency", "mac"), map(_number, 100 * s.discrepancy), strict=True)),
             }
             | ({"settings": s.settings} if s.settings else {})
             for s in update.sets

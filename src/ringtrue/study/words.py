@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,11 +45,19 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         names = [n for n, open_ in zip(known.parameters.names, known.unproven, strict=True) if open_]
         out.append(f"not proven by the test, may take up an error of the model's form: {', '.join(names)}")
     update, localise = r.get("update"), r.get("localise")
+    if update is not None and (line := weighed_by(update.sets[update.chosen].discrepancy.tolist())):
+        out.append(line)
     alone = update is not None and update.sets[update.chosen].name == "proposal"
     if alone and localise is not None and not localise.proposal.members:
         out.append(NO_CHANGE)
     evidence = final.evidence if final is not None else correlate.evidence if correlate is not None else None
     return (*out, *_suspects(evidence, r.get("compare")))
+
+
+def weighed_by(discrepancy: Sequence[float]) -> str:
+    """What an updating took for the deviations, of a frequency (relative) and of 1 − MAC, that its best model keeps."""
+    parts = [f"{100 * x:.2g} % of {what}" for x, what in zip(discrepancy, ("frequency", "MAC"), strict=True) if x > 0]
+    return f"deviations that the model is taken to keep: {' and '.join(parts)}" if parts else ""
 
 
 def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str]:

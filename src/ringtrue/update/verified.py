@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, Self, runtime_checkable
 
@@ -36,7 +37,7 @@ class Verified:
     solution : Solution
         On the enriched basis.
     problem : Problem
-        With the enriched model in its first configuration.
+        That it solves, with the enriched model in its first configuration.
     error : float
         Largest relative frequency error of the basis, against a full solution at the last but one end.
     full_solutions : int
@@ -52,6 +53,7 @@ def solve_verified(
     problem: Problem,
     method: Method | None = None,
     *,
+    solved: Callable[[Problem, Float | None], tuple[Solution, Problem]] | None = None,
     start: Float | None = None,
     tolerance: float = 1e-4,
     rounds: int = 4,
@@ -66,6 +68,8 @@ def solve_verified(
     problem : Problem
         One configuration with a `ReducedModel`, or another that can be enriched.
     method : Method, optional
+    solved : callable (problem, start) -> (solution, the problem that it solves), optional
+        In place of the method.
     start : (q,) float64, optional
     tolerance : float
         Largest relative frequency error that is accepted, up to the highest test frequency.
@@ -81,7 +85,8 @@ def solve_verified(
     model = only.model
     if len(problem.configurations) != 1 or not isinstance(model, Enriched) or rounds < 1:
         raise InputError("a verified updating needs one configuration, a ReducedModel, and one round or more")
-    done, error, count = solve(problem, method, start=start), np.inf, 0
+    solved = solved or (lambda p, y: (solve(p, method, start=y), p))
+    (done, end), error, count = solved(problem, start), np.inf, 0
     while error > tolerance and count < rounds:
         at = [problem.parameters.names.index(n) for n in model.parameters.names]
         better, truth = model.enrich(done.x[at], sensitivities=True)
@@ -92,7 +97,7 @@ def solve_verified(
         error = float(np.abs(before / truth.frequencies[seen] - 1).max(initial=0.0))
         model, count = better, count + 1
         problem = replace(problem, configurations=(replace(only, model=model),))
-        done = solve(problem, method, start=done.y)
+        done, end = solved(problem, done.y)
         if progress is not None:
             progress(count / rounds, f"full solution {count}: frequencies of the basis off by {error:.1e}")
-    return Verified(done, problem, error, count)
+    return Verified(done, end, error, count)

@@ -24,6 +24,7 @@ from ringtrue.report.parts import (
 from ringtrue.report.sections.correlation import pairs
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import DataResult, SetResult, UpdateStage
+from ringtrue.study.words import weighed_by
 
 
 def section(data: Stages) -> Section | None:
@@ -42,6 +43,7 @@ def section(data: Stages) -> Section | None:
     blocks += [Heading(f"The chosen set: {best.name}"), _parameters(u, best, std)]
     text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. "
     text += f"Outcome: {best.outcome}."
+    text += f" {sentence(line)}" if (line := weighed_by(best.discrepancy.tolist())) else ""
     blocks.append(Plot(plots.path(best), text))
     blocks += [_measured(d) for d in u.data]
     if data.model is not None and u.regions:

@@ -89,6 +89,7 @@ class SetResult:
     path: Float  # (iteration, p) factors
     gradient: float  # norm at the end, relative to the start
     settings: str = ""  # what it does otherwise than [update], in words
+    discrepancy: Float = field(default_factory=lambda: np.full(2, np.nan))  # of f, 1 - MAC: what the end was weighed by
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import count, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,19 +13,18 @@ from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.progress import Progress
 from ringtrue.model.ports import Linearisation
 from ringtrue.study.config_update import UpdateSection
+from ringtrue.study.course import begun, course_of
 from ringtrue.study.iterates import Iterates
 from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
-from ringtrue.update import joint
-from ringtrue.update.multistart import latin_hypercube, multi_start
-from ringtrue.update.objective import DOUBT, Target, Weights, aicc, residual
-from ringtrue.update.residuals import widened
+from ringtrue.update import settle
+from ringtrue.update.objective import DOUBT, Target, aicc, residual
+from ringtrue.update.settle import Settled
 from ringtrue.update.several import Configuration, Evaluated, Problem
-from ringtrue.update.trust import Method, Solution, solve, staged
-from ringtrue.update.weights import discrepancy_by_evidence, in_turns, regularised
+from ringtrue.update.trust import Method, Solution
 
 
 def together(
@@ -51,11 +50,11 @@ def together(
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
-        done, way = settled(desk, u, _problem(desk, u, models, aims, members), start, progress)
-        path += way[1:] if path else way
-        start = done.y
+        end = settled(desk, u, _problem(desk, u, models, aims, members), start, progress)
+        path += end.path[1:] if path else end.path
+        start = end.solution.y
         kept.keep(name, start)
-        models, error = _verified(models, members, done)
+        models, error = _verified(models, members, end.solution)
         if error < CLOSE:
             break
     desk.keep(models[0])
@@ -63,8 +62,8 @@ def together(
     if error >= CLOSE:
         raise not_verified(error)
     problem = _problem(desk, u, models, aims, members)
-    done, way = settled(desk, u, problem, start, progress)
-    return summary(problem, aims, name, done, [*path, *way[1:]])
+    end = settled(desk, u, problem, start, progress)
+    return summary(problem, aims, name, replace(end, path=(*path, *end.path[1:])))
 
 
 def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
@@ -127,33 +126,6 @@ def _problem(
     return problem_of(desk, [_held(m, members) for m in models], aims, u)
 
 
-def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
-    held = zip(problem.configurations, aims, strict=True)
-    return replace(problem, configurations=tuple(replace(c, target=t) for c, t in held))
-
-
-def method_of(u: UpdateSection) -> Method:
-    """As asked for; a trust region where nothing is said."""
-    return Method(u.step if "step" in u.model_fields_set else "trust-region")
-
-
-def _begun(desk: Workbench, u: UpdateSection, problem: Problem, method: Method, progress: Progress) -> Float:
-    """Where to start: the best end of several starts, after sets that grow stage by stage; else the deck."""
-    members = problem.parameters.names
-    start: Float = np.zeros(problem.size)
-    if u.starts > 1:
-        more = latin_hypercube(problem.parameters, u.starts - 1, np.random.default_rng([desk.config.study.seed, 9]))
-        rows, limits = problem.inequalities()
-        more = more[(more @ rows.T <= limits).all(axis=1)]
-        found = multi_start(problem, np.vstack([start, more]), method, iterations=u.iterations, finish=3)
-        start = np.array(found.best.y)
-    grown = [[n for n in stage if n in members] for stage in u.stages]
-    grown = [g for g in grown if g and len(g) < len(members)]
-    if grown and u.starts == 1:
-        start = np.array(staged(problem, grown, method, iterations=u.iterations, progress=progress)[-1].x)
-    return start
-
-
 def settled(
     desk: Workbench,
     u: UpdateSection,
@@ -162,54 +134,14 @@ def settled(
     progress: Progress,
     method: Method | None = None,
     told: Progress | None = None,
-) -> tuple[Solution, list[Evaluated]]:
-    """Gates, then no pair dearer than a lost mode, then these for good, in all configurations (as `stages.update`)."""
-    method = method or method_of(u)
-    path: list[Evaluated] = []
-    if start is None:
-        begin = _begun(desk, u, problem, method, progress)
-        rough = solve(problem, method, start=begin, iterations=u.iterations, progress=told)
-        path, start = list(rough.history), rough.y
-    aims = [c.target for c in problem.configurations]
-    doubting = _aimed(problem, [a.doubting() for a in aims])
-    near = solve(doubting, method, start=start, iterations=u.iterations, progress=told)
-    path += near.history[1:] if path else near.history
-    firm = _aimed(problem, [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)])
-    if u.sharpened:
-        weighed, done = _sharpened(firm, near.y, lambda p, y: _solved(p, u, method, y, told))
-    else:
-        weighed = _weighed(firm, near.end) if u.discrepancy == "evidence" else firm
-        done = _solved(weighed, u, method, near.y, told)
-    if weighed is not firm:  # J as all sets have it
-        done = replace(done, history=(*done.history[:-1], firm.evaluate(done.y, done.end)))
-    return done, [*path, *done.history[1:]]
-
-
-def _solved(problem: Problem, u: UpdateSection, method: Method, start: Float, told: Progress | None) -> Solution:
-    if u.prior != "study":
-        return regularised(problem, u.prior, method, start=start).solution
-    return solve(problem, method, start=start, iterations=u.iterations, progress=told)
-
-
-def _sharpened(problem: Problem, y: Float, solved: Callable[[Problem, Float], Solution]) -> tuple[Problem, Solution]:
-    """Updated with the discrepancy that is left over, until that stands."""
-
-    def updated(w: Weights, y: Float) -> tuple[Solution, Float]:
-        done = solved(joint.weighed(problem, w), y)
-        return done, done.y
-
-    done, w = in_turns(y, updated, lambda y: joint.left_at(problem, y))
-    return joint.weighed(problem, w), done
-
-
-def _weighed(problem: Problem, at: Evaluated) -> Problem:
-    """The problem with the errors of each kind of residuals that make the data most likely."""
-    found = zip(np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True)
-    by, kinds = dict(found), count()  # a kind may have no row: all its modes are lost
-    parts = [
-        replace(c, terms=tuple(widened(t, by.get(next(kinds), 1.0)) for t in c.terms)) for c in problem.configurations
-    ]
-    return replace(problem, configurations=tuple(parts))
+) -> Settled:
+    """The end of an updating from a start that the gates have led to, or from the deck."""
+    course = course_of(u, method)
+    if start is not None:
+        return settle.settled(problem, course, start=start, progress=told)
+    rough = begun(problem, u, course, desk.config.study.seed, progress, told)
+    end = settle.settled(problem, course, start=rough.y, progress=told)
+    return replace(end, path=(*rough.history, *end.path[1:]))
 
 
 def _verified(models: Sequence[AtChannels], members: Sequence[str], done: Solution) -> tuple[list[AtChannels], float]:
@@ -246,10 +178,9 @@ def spared(aims: Sequence[Target], ends: Sequence[Linearisation]) -> float:
     return percent(np.mean, error, np.ones(error.size, dtype=bool))
 
 
-def summary(
-    problem: Problem, aims: Sequence[Target], name: str, done: Solution, path: Sequence[Evaluated]
-) -> SetResult:
+def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -> SetResult:
     """The updated set as it is compared with others."""
+    done, path = end.solution, end.path
     p, told = problem.parameters, [_errors(aims, at) for at in path]
     error, mac, used = told[-1]
     low, high = p.bounds()
@@ -279,4 +210,5 @@ def summary(
         np.array([percent(np.mean, m, u) for _, m, u in told]),
         np.array([p.factors(at.x) for at in path]),
         float(np.linalg.norm(problem.gradient(done.end))) / first,
+        discrepancy=settle.kept(end.problem),
     )

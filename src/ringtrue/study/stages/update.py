@@ -158,7 +158,7 @@ def _one(
     error = np.inf
     for _ in range(ROUNDS):
         active = model.with_parameters(at, np.zeros(len(every)))
-        result, path = _settled(desk, active, aim, start)
+        result, path, _ = _settled(desk, active, aim, start)
         states += path[1:] if states else path
         start = result.x
         kept.keep(name, start)
@@ -170,14 +170,17 @@ def _one(
     if error >= CLOSE:
         raise not_verified(error)
     active = model.with_parameters(at, np.zeros(len(every)))
-    final, path = _settled(desk, active, aim, start)
+    final, path, weights = _settled(desk, active, aim, start)
     blind = spared((aim,), (active.linearise(final.x),))
     done = _summary(desk, aim, name, members, final, [*states, *path[1:]], blind)
+    done = replace(done, discrepancy=np.array([weights.frequency, weights.mac]))
     return done, int(aim.used.sum()) - int(final.residual.used.sum())
 
 
-def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | None) -> tuple[UpdateResult, list[State]]:
-    """One updating in up to three parts: the result and the way there.
+def _settled(
+    desk: Workbench, active: AtChannels, aim: Target, start: Float | None
+) -> tuple[UpdateResult, list[State], Weights]:
+    """One updating in up to three parts: the result, the way there, and what the end was weighed by.
 
     From the deck with the gates of the pairing, which far deviations need; then no pair costs more than a lost mode,
     so that one paired wrongly on the way lets go; then with the pairs made there for good.
@@ -192,23 +195,23 @@ def _settled(desk: Workbench, active: AtChannels, aim: Target, start: Float | No
     states += near.history[1:] if states else near.history
     last = aim.settled(active.linearise(near.x))
     if desk.config.update.sharpened:
-        result = _sharpened(active, last, near.x, limit)
+        result, weights = _sharpened(active, last, near.x, limit)
     else:
-        result = update(active, last, iterations=limit, start=near.x, published=published)
-    return result, [*states, *result.history[1:]]
+        result, weights = update(active, last, iterations=limit, start=near.x, published=published), aim.weights
+    return result, [*states, *result.history[1:]], weights
 
 
-def _sharpened(active: AtChannels, aim: Target, x: Float, limit: int) -> UpdateResult:
+def _sharpened(active: AtChannels, aim: Target, x: Float, limit: int) -> tuple[UpdateResult, Weights]:
     """Updated with the discrepancy that is left over, until that stands; J at the end is as all sets have it."""
 
     def updated(w: Weights, x: Float) -> tuple[UpdateResult, Float]:
         done = update(active, replace(aim, weights=w), iterations=limit, start=x)
         return done, done.x
 
-    done, _ = in_turns(x, updated, lambda x: weights_at(aim, active, x))
+    done, found = in_turns(x, updated, lambda x: weights_at(aim, active, x))
     r = residual(aim, active.linearise(done.x))
     end = replace(done.history[-1], residual=r, value=objective(aim, r, done.x, active.parameters.std()))
-    return replace(done, history=(*done.history[:1], end))
+    return replace(done, history=(*done.history[:1], end)), found
 
 
 def weights_at(aim: Target, model: AtChannels, x: Float) -> Weights:

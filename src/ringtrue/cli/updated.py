@@ -1,0 +1,121 @@
+"""What `update` has found: as JSON and in tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringtrue.backends.registry import EMBEDDED
+from ringtrue.cli.show import out, rows, tell
+from ringtrue.core.arrays import Float
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.measured import Data
+from ringtrue.study.words import weighed_by
+from ringtrue.update.objective import Target
+from ringtrue.update.plausible import plausibility
+from ringtrue.update.residuals import Point
+from ringtrue.update.settle import kept
+from ringtrue.update.several import Evaluated, Problem
+from ringtrue.update.verified import Verified
+
+SIDES = ("measured", "before", "after")
+
+
+def _sides(problem: Problem, done: Verified) -> tuple[Evaluated, Evaluated]:
+    """The deck and the end on the verified model, paired by the gates and weighed as assumed."""
+    model, y = done.problem.configurations[0].model, done.solution.y
+    same = replace(problem, configurations=(replace(problem.configurations[0], model=model),))
+    return same.evaluate(0 * y), same.evaluate(y)
+
+
+def summary_of(
+    config: StudyConfig, problem: Problem, done: Verified, data: Sequence[Data], solver: str
+) -> dict[str, Any]:
+    """The updating of a problem as JSON has it."""
+    sides, end, parameters = _sides(problem, done), done.solution, config.candidates()
+    std = end.std * parameters.slope(end.x) / end.factors
+    flags = plausibility(parameters, end.x, end.identifiability)
+    return {
+        "outcome": end.outcome.value,
+        "why": end.why if end.outcome.ok else f"{end.outcome.value} ({end.why})",
+        "objective": [s.cost for s in sides],
+        "discrepancy_percent": dict(zip(("frequency", "mac"), map(_number, 100 * kept(done.problem)), strict=True)),
+        "solver": solver,
+        "basis_error": done.error,
+        "full_solutions": done.full_solutions,
+        "parameters": [
+            {"name": n, "factor": float(a), "relative_std": float(s), "posterior_over_prior": float(t)}
+            for n, a, s, t in zip(parameters.names, end.factors, std, end.identifiability, strict=True)
+        ],
+        "flags": [f.text for f in flags],
+        "modes": _modes(problem.configurations[0].target, *(s.points[0] for s in sides)),
+    } | _measured(data, sides)
+
+
+def _measured(data: Sequence[Data], sides: tuple[Evaluated, Evaluated]) -> dict[str, Any]:
+    """What was measured beside the modes, by the model before and after."""
+    if not data:
+        return {}
+    (before, after), found = (s.points[0] for s in sides), list[dict[str, Any]]()
+    for d in data:
+        columns = (d.measured, d.shown(d.term(before)), d.shown(d.term(after)))
+        for label, unit, *values in zip(d.labels, d.units, *columns, strict=True):
+            told = map(_number, values)
+            found.append({"name": d.name, "what": label, "unit": unit} | dict(zip(SIDES, told, strict=True)))
+    return {"measured": found}
+
+
+def _modes(target: Target, before: Point, after: Point) -> list[dict[str, Any]]:
+    """Deviation and MAC of each test mode, before and after; null without a partner."""
+    f, k = target.frequencies, target.frequencies.size
+    found: Float = np.full((4, k), np.nan)
+    for i, at in enumerate((before, after)):
+        t, j = at.every.T
+        found[2 * i, t], found[2 * i + 1, t] = 100 * (at.now.frequencies[j] / f[t] - 1), 100 * at.mac
+    names = ("deviation_before_percent", "mac_before_percent", "deviation_percent", "mac_percent")
+    return [
+        {"frequency_hz": float(f[i]), "used": bool(target.used[i])}
+        | dict(zip(names, map(_number, found[:, i].tolist()), strict=True))
+        for i in range(k)
+    ]
+
+
+def show_summary(study: Path, summary: dict[str, Any]) -> None:
+    """Print it."""
+    body: list[tuple[object, ...]] = [
+        (p["name"], f"{p['factor']:.4f}", f"{100 * p['relative_std']:.1f}", f"{p['posterior_over_prior']:.2f}")
+        for p in summary["parameters"]
+    ]
+    rows(f"{study}: parameters", ("parameter", "factor", "± [%]", "posterior/prior"), body)
+    body = [
+        (i + 1, f"{m['frequency_hz']:.5g}", *(_cell(v) for v in list(m.values())[2:]), "" if m["used"] else "left out")
+        for i, m in enumerate(summary["modes"])
+    ]
+    rows("modes", ("#", "f test [Hz]", "Δf before [%]", "MAC", "Δf after [%]", "MAC", ""), body)
+    if summary.get("measured"):
+        body = [(m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES)) for m in summary["measured"]]
+        rows("beside the modes", ("", "what", "unit", *SIDES), body)
+    weighed = weighed_by([(v or 0.0) / 100 for v in summary["discrepancy_percent"].values()])
+    tell((summary["why"], weighed, *summary["flags"], *(f"deck: {p}" for p in summary["deck"])))
+    if summary["solver"] == EMBEDDED:
+        error = summary["basis_error"]
+        told = f"{summary['full_solutions']} full solutions; the reduced model is off by {error:.1e} at most"
+    else:
+        told = f"{summary['full_solutions']} runs of {summary['solver']}"
+    out.print(told)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"

@@ -1,0 +1,122 @@
+"""An updating from where the gates of the pairing lead to its end: pairs that are sure, then for good, weighed anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
+from typing import Literal
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.progress import Progress
+from ringtrue.update import joint
+from ringtrue.update.objective import Target, Weights
+from ringtrue.update.residuals import OF_FREQUENCY, Mac, Shapes, widened
+from ringtrue.update.several import Evaluated, Problem
+from ringtrue.update.trust import Method, Solution, solve
+from ringtrue.update.weights import Rule, discrepancy_by_evidence, in_turns, regularised
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How an updating goes about it.
+
+    Attributes
+    ----------
+    method : Method
+    iterations : int
+        Limit of each part.
+    prior : str
+        Rule for the weight of the prior; "given": as it is.
+    discrepancy : {"found", "assumed", "evidence"}
+        Weights of the last part: with what the parts before have left, as they are, or those that make the data of
+        each kind of residuals most likely.
+    """
+
+    method: Method = field(default_factory=Method)
+    iterations: int = 100
+    prior: Rule | Literal["given"] = "given"
+    discrepancy: Literal["found", "assumed", "evidence"] = "assumed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """The end of an updating.
+
+    Attributes
+    ----------
+    solution : Solution
+        J at its end is by the weights that were given.
+    problem : Problem
+        With the pairs and the weights of the end.
+    path : tuple of Evaluated
+        Accepted points of all parts.
+    """
+
+    solution: Solution
+    problem: Problem
+    path: tuple[Evaluated, ...]
+
+
+def settled(
+    problem: Problem, course: Course | None = None, *, start: Float | None = None, progress: Progress | None = None
+) -> Settled:
+    """Updated with no pair dearer than a lost mode, then with the pairs made there for good, weighed as asked for."""
+    course = course or Course()
+    aims = [c.target for c in problem.configurations]
+    doubting = _aimed(problem, [a.doubting() for a in aims])
+    near = solve(doubting, course.method, start=start, iterations=course.iterations, progress=progress)
+    firm = _aimed(problem, [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)])
+    if course.discrepancy == "found":
+        done, weighed = _sharpened(firm, near.y, lambda p, y: _solved(p, course, y, progress))
+    else:
+        weighed = _likely(firm, near.end) if course.discrepancy == "evidence" else firm
+        done = _solved(weighed, course, near.y, progress)
+    if weighed is not firm:
+        done = replace(done, history=(*done.history[:-1], firm.evaluate(done.y, done.end)))
+    return Settled(done, weighed, (*near.history, *done.history[1:]))
+
+
+def kept(problem: Problem) -> Float:
+    """Deviations that the best model is expected to keep, of a frequency (relative) and of 1 − MAC, (2,).
+
+    Of the first configuration; NaN where it does not compare them by such a deviation.
+    """
+    terms = problem.configurations[0].terms
+    f = [t.std for t in terms if isinstance(t, OF_FREQUENCY)]
+    m = [t.mac if isinstance(t, Shapes) else t.std for t in terms if isinstance(t, Shapes | Mac)]
+    return np.array([v[0] if v else np.nan for v in (f, m)])
+
+
+def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
+    held = zip(problem.configurations, aims, strict=True)
+    return replace(problem, configurations=tuple(replace(c, target=t) for c, t in held))
+
+
+def _solved(problem: Problem, course: Course, start: Float, progress: Progress | None) -> Solution:
+    if course.prior != "given":
+        return regularised(problem, course.prior, course.method, start=start).solution
+    return solve(problem, course.method, start=start, iterations=course.iterations, progress=progress)
+
+
+def _sharpened(problem: Problem, y: Float, solved: Callable[[Problem, Float], Solution]) -> tuple[Solution, Problem]:
+    """Updated with the discrepancy that is left over, until that stands."""
+
+    def updated(w: Weights, y: Float) -> tuple[Solution, Float]:
+        done = solved(joint.weighed(problem, w), y)
+        return done, done.y
+
+    done, w = in_turns(y, updated, lambda y: joint.left_at(problem, y))
+    return done, joint.weighed(problem, w)
+
+
+def _likely(problem: Problem, at: Evaluated) -> Problem:
+    """The problem with the errors of each kind of residuals that make the data most likely."""
+    found = zip(np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True)
+    by, kinds = dict(found), count()  # a kind may have no row: all its modes are lost
+    parts = [
+        replace(c, terms=tuple(widened(t, by.get(next(kinds), 1.0)) for t in c.terms)) for c in problem.configurations
+    ]
+    return replace(problem, configurations=tuple(parts))
