@@ -112,9 +112,9 @@ def test_help_shows_an_example(command: str, capsys: Capture) -> None:
 
 def test_names_in_brackets_are_text(capsys: Capture) -> None:
     rows("at [model]", ("f [hz]", "why"), [(1.0, "from [[residual]]")])
-    show.out.print("as [test] says")
+    show.out.print("as [test] says at wing.bdf:100: GRID")
     shown = capsys.readouterr().out
-    assert all(x in shown for x in ("at [model]", "f [hz]", "from [[residual]]", "as [test] says"))
+    assert all(x in shown for x in ("at [model]", "f [hz]", "from [[residual]]", "as [test] says", "bdf:100: GRID"))
 
 
 def test_version_and_usage(capsys: Capture) -> None:

@@ -104,6 +104,16 @@ def test_a_missing_include_says_where_it_was_looked_for(tmp_path: Path) -> None:
         read(tmp_path, "BEGIN BULK\nINCLUDE 'no.bdf'\n")
 
 
+def test_a_missing_include_of_the_executive_control_is_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    model = read(tmp_path, "SOL 103\ninclude '/site/alter.v9'\nCEND\nMETHOD=1\nBEGIN BULK\nGRID,1\n")
+    assert (model["GRID"].ids.tolist(), model.case.method) == ([1], 1)
+    assert "main.bdf:2: INCLUDE: the included file is not there" in caplog.text
+    with pytest.raises(DeckError, match=r"main\.bdf:3: INCLUDE"):
+        read(tmp_path, "SOL 103\nCEND\nINCLUDE 'case.inc'\nBEGIN BULK\nGRID,1\n")
+
+
 def test_a_file_that_includes_itself(tmp_path: Path) -> None:
     with pytest.raises(DeckError, match="includes itself"):
         read(tmp_path, "INCLUDE 'main.bdf'\n")
@@ -197,8 +207,12 @@ def test_cards_that_are_not_read_say_what_to_do(tmp_path: Path, line: str, why: 
     assert [w for w in survey(path).unsupported.values() if why in w]
 
 
-def test_a_repeated_identical_node_is_allowed_and_kept_once(tmp_path: Path) -> None:
+def test_repeated_identical_nodes_and_frames_are_allowed_and_kept_once(tmp_path: Path) -> None:
     assert read(tmp_path, NODES + "GRID,1,,0.,0.,0.\n")["GRID"].ids.tolist() == [1, 2, 3, 4]
+    frame = "CORD2R,5,,0.,0.,0.,0.,0.,1.,\n,1.,0.,0.\n"
+    assert read(tmp_path, NODES + 2 * frame)["CORD2R"].ids.tolist() == [5]
+    with pytest.raises(DeckError, match="CORD2R: 5 is defined twice"):
+        read(tmp_path, NODES + frame + frame.replace(",1.,0.,0.", ",0.,1.,0."))
 
 
 def test_other_cards_are_counted(tmp_path: Path) -> None:

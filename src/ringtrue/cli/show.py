@@ -19,8 +19,9 @@ from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.update.catalogue import LENGTH
 
-out = Console(markup=False, highlight=False, soft_wrap=True)  # names in brackets stay, lines are the terminal's to wrap
-err = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+# names in brackets and lines like `wing.bdf:100:` stay as they are, lines are the terminal's to wrap
+out = Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
+err = Console(stderr=True, markup=False, emoji=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ import numpy as np
 from ringtrue.core.arrays import Int
 from ringtrue.errors import DeckError
 
+log = logging.getLogger(__name__)
 _INCLUDE = re.compile(rb"(?i)[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?")
 _BEGIN = re.compile(rb"(?i)[ \t]*BEGIN\b[^\r\n$]*")
 _CEND = re.compile(rb"(?i)[ \t]*CEND\b")
@@ -76,12 +78,18 @@ class _Reading:
                 continue
             self._add(number, data, at, begin)
             line = data.count(b"\n", 0, begin) + 1
-            child = self._locate(next(g for g in found.groups() if g is not None), path, line)
+            at = found.end()
+            try:
+                child = self._locate(next(g for g in found.groups() if g is not None), path, line)
+            except DeckError as wrong:
+                if not any(_lines_of(upper, b"CEND", after=at)):
+                    raise
+                log.warning("%s; it is left out, as the executive control above CEND changes no model", wrong)
+                continue
             if child in (*chain, path):
                 raise DeckError(f"{child} includes itself", path=path, line=line, card="INCLUDE")
             if self.read(child, (*chain, path)):
                 return True
-            at = found.end()
         self._add(number, data, at, limit)
         return limit < len(data.rstrip(b"\x1a"))
 
@@ -168,9 +176,9 @@ def load(path: str | Path) -> Deck:
     )
 
 
-def _lines_of(upper: bytes, word: bytes, stop: int | None = None) -> Iterator[int]:
+def _lines_of(upper: bytes, word: bytes, stop: int | None = None, after: int = 0) -> Iterator[int]:
     """Where the lines begin that have nothing but blanks before `word`; a plain search is fast in large decks."""
-    at = upper.find(word, 0, stop)
+    at = upper.find(word, after, stop)
     while at >= 0:
         begin = upper.rfind(b"\n", 0, at) + 1
         if not upper[begin:at].strip(b" \t"):

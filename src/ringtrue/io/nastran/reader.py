@@ -211,7 +211,7 @@ def _without_gaps(tables: Mapping[str, Table], found: Cards) -> Table:
 
 
 def _unique(table: Table, files: tuple[str, ...]) -> Table:
-    """The table; GRID cards that say the same twice are dropped."""
+    """The table; nodes and frames that are said twice alike are dropped, as Nastran does."""
     ids = table.ids
     if (ids[1:] > ids[:-1]).all():
         return table
@@ -219,7 +219,7 @@ def _unique(table: Table, files: tuple[str, ...]) -> Table:
     if first.size == ids.size:
         return table
     again = np.flatnonzero(first[inverse] != np.arange(ids.size))
-    if table.card == "GRID":
+    if table.card.startswith(("GRID", "CORD")):
         again = again[~_same(table, again, first[inverse[again]])]
     if again.size:
         i = int(again[0])
