@@ -239,6 +239,10 @@ def test_refused(tmp_path: Path, deck: bytes, error: type[RingtrueError], messag
         read(tmp_path, deck)
 
 
+def test_the_name_that_optistruct_has_for_a_pyramid(tmp_path: Path) -> None:
+    assert read(tmp_path, FREE + b"CPYRA,9,9,1,2,3,4,5\nGRID,4\nGRID,5\nPSOLID,9,1\n")["CPYRAM"]["G5"].tolist() == [5]
+
+
 def test_temperature_tables_that_nothing_chooses_are_kept(tmp_path: Path) -> None:
     assert dict(read(tmp_path, FREE + b"MATT1,1,7\nTEMPD,4,20.\n").kept) == {"MATT1": 1, "TEMPD": 1}
 

@@ -169,6 +169,8 @@ def columns(card: str) -> tuple[FieldSpec, ...]:
     return tuple(_field(t) for t in (CARDS.get(card) or SPECIAL[card]).split())
 
 
+SYNONYMS = {b"CPYRA": b"CPYRAM"}  # of OptiStruct
+
 # Cards that carry stiffness, mass or constraint (or change what other cards mean) and are not read.
 _CARRYING = """
 CQUAD CQUADX CTRIAX CTRIAX6 CTRAX3 CTRAX6 CQUADX4 CQUADX8 CPYRA5 CHEX8 CHEX20 CBEAM3 CSEAM CBUSH2D CDAMP5 CBAR3 CINTC

@@ -17,7 +17,7 @@ from ringtrue.io.nastran.deck import WIDTH, Deck
 from ringtrue.io.nastran.free import BLOCK, FreeLines, free_lines, upper_slices
 from ringtrue.io.nastran.lexer import cuts
 from ringtrue.io.nastran.replicate import Replication, replicates
-from ringtrue.model.cards import CARDS, SPECIAL
+from ringtrue.model.cards import CARDS, SPECIAL, SYNONYMS
 
 log = logging.getLogger(__name__)
 Names = NDArray[np.bytes_]
@@ -177,6 +177,7 @@ def cards(deck: Deck) -> Cards:
         if not re.fullmatch(rb"[A-Z][A-Z0-9]*|=.*|/", name):
             at = int(keep[head[begin[np.flatnonzero(which == i)[0]]]])
             raise _at(deck, at, f"{name.decode('latin-1')!r} in columns 1-8 is not a card name")
+        plain[i] = SYNONYMS.get(name, name)
     return _replicated(Cards(deck, text, style, keep, head, count, plain[np.repeat(which, size)], lines))
 
 
