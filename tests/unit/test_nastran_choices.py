@@ -136,7 +136,6 @@ def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
         ("SPC = 5", "GRID,9,,1.,0.,0.,,,2", "GRID 9: SEID kept, not applied"),
         ("SPC = 5", "ROTORG,1,1,2", "ROTORG: kept, not applied: the modes are those at rest"),
         ("SPC = 5", "CYSYM,6,ROT", "CYSYM: kept, not applied: the modes are those of this segment alone"),
-        ("SPC = 5", "PARAM,ALPHA1,.5", "PARAM,ALPHA1: not applied"),
     ],
 )
 def test_what_is_kept_and_left_out_is_told(tmp_path: Path, case: str, bulk: str, told: str) -> None:

@@ -10,6 +10,7 @@ from fem_cases import cards, grid, model, modes, ragged, spc, steel
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
+from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import DeckError, SingularModel, UnsupportedCard
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.nastran.reader import read_deck
@@ -93,6 +94,27 @@ def test_a_damped_oscillator_decays_as_it_should() -> None:
     with EmbeddedSolver().open(m) as analysis:
         got = analysis.complex_modes(ModesRequest(1))
     assert got.damping[0] == pytest.approx(4 / (2 * np.sqrt(100)), rel=1e-10)
+
+
+@pytest.mark.parametrize("dashpot", [0.0, 0.4])
+def test_rayleigh_damping(dashpot: float) -> None:
+    """PARAM ALPHA1 = 0.3, ALPHA2 = 0.02: ζ = α/2ω + βω/2, and D' = αM' + βK'; a dashpot adds its own."""
+    springs = cards("CELAS4", EID=[1, 2], K=1.0, S1=[10, 10], S2=[0, 11])
+    masses = cards("CMASS4", EID=[3, 4], M=1.0, S1=[10, 11])
+    damper = cards("CDAMP4", EID=[5], B=dashpot, S1=[10], S2=[11])
+    m = model(grid(XYZ[:1]), springs, masses, damper, ALPHA1=0.3, ALPHA2=0.02)
+    stiffer = ParameterSet((Parameter("k", (Target("CELAS4", 2, "K"),)),))
+    with EmbeddedSolver().open(m) as analysis:
+        got = analysis.complex_modes(ModesRequest(2))
+        slope = analysis.slopes(stiffer)[0]
+        D = analysis.system.viscous.toarray()
+    if not dashpot:
+        w = 2 * np.pi * got.frequencies
+        np.testing.assert_allclose(got.damping, 0.15 / w + 0.01 * w, rtol=1e-10)
+    pair = np.array([[1, -1], [-1, 1]])
+    np.testing.assert_allclose(D, 0.3 * np.eye(2) + 0.02 * (pair + np.diag([1, 0])) + dashpot * pair, atol=EXACT)
+    assert slope.viscous is not None
+    np.testing.assert_allclose(slope.viscous.toarray(), 0.02 * pair, atol=EXACT)
 
 
 def test_conm1_in_a_frame_is_conm2() -> None:

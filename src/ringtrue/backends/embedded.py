@@ -35,6 +35,7 @@ from ringtrue.model.ports import ModesRequest, ModesResult
 
 STILL = 12  # modes that do not oscillate, for which the basis of complex modes is widened
 LOCAL = 200  # DOFs with dashpots, up to which each gets a residual vector
+ROUNDING = 1e-12  # of a row of the damping: less than that is no dashpot beside Rayleigh damping
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 
 
@@ -211,7 +212,10 @@ class EmbeddedAnalysis:
 
     def _damper_loads(self) -> Float:
         """Unit loads (f, k) along the DOFs that dashpots touch, none if they are too many to be local."""
-        touched = np.flatnonzero(np.diff(self.system.viscous.indptr))
+        a, (alpha, beta) = self.system, self.system.rayleigh
+        dashpots = a.viscous - alpha * a.mass - beta * a.stiffness if alpha or beta else a.viscous
+        size, whole = (np.asarray(abs(A).sum(axis=1)).ravel() for A in (dashpots, a.viscous))
+        touched = np.flatnonzero(size > ROUNDING * whole)
         loads = np.zeros((self.pencil.size, touched.size if touched.size <= LOCAL else 0))
         loads[touched[: loads.shape[1]], np.arange(loads.shape[1])] = 1.0
         return loads

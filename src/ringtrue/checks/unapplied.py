@@ -23,7 +23,6 @@ _KEPT = (  # cards that are kept and what becomes of them
     (("TF",), "kept, not applied: transfer functions act in the solutions of responses only"),
 )
 RECTANGULAR = 9  # form of DMIG that are loads
-_RAYLEIGH = ("ALPHA1", "ALPHA2")
 
 
 def unapplied(model: Model) -> Iterator[Finding]:
@@ -38,9 +37,6 @@ def unapplied(model: Model) -> Iterator[Finding]:
         yield Finding(
             "warning", f"case control asks for {command}: it is left out; K2GG, M2GG and B2GG act on the modes"
         )
-    damping = [f"PARAM,{name}" for name in _RAYLEIGH if model.params.get(name, 0.0) != 0]
-    if damping:
-        yield Finding("warning", f"{', '.join(damping)}: not applied; give damping as GE, PARAM,G, dampers or B2GG")
     yield from _idle_matrices(model)
 
 

@@ -28,7 +28,9 @@ class System:
 
     Attributes
     ----------
-    stiffness, mass, viscous : (f, f) csr float64, symmetric, both halves stored
+    stiffness, mass : (f, f) csr float64, symmetric, both halves stored
+    viscous : (f, f) csr float64
+        Dashpots, B2GG and Rayleigh damping.
     structural : (f, f) csr float64
         Imaginary part of the stiffness: Σ g_e K_e + PARAM,G K.
     transform : (full, f) csr float64
@@ -43,6 +45,8 @@ class System:
         DOFs that were held because they have no stiffness, in the displacement frames.
     xyz : (node, 3) float64
         Basic coordinates in the order of the GRID cards.
+    rayleigh : (float, float)
+        ALPHA1, ALPHA2: `viscous` holds ALPHA1 M + ALPHA2 K.
     """
 
     stiffness: sparse.csr_array
@@ -55,6 +59,7 @@ class System:
     free: DofSet
     autospc: DofSet
     xyz: Float
+    rayleigh: tuple[float, float] = (0.0, 0.0)
 
     def expand(self, x: Any_) -> Any_:
         """Motion of all nodes in basic, (full, ...), from that of the free DOFs (f, ...)."""
@@ -191,10 +196,11 @@ def assemble(model: Model) -> System:
     held = DofSet(names.node[free[drop]], names.direction[free[drop]])
     if len(held):
         log.info("AUTOSPC: %d DOFs without stiffness are held", len(held))
+    mass, (alpha, beta) = reduced(T, M), rayleigh(model)
     return System(
         stiffness,
-        reduced(T, M),
-        reduced(T, B),
+        mass,
+        sparse.csr_array(reduced(T, B) + alpha * mass + beta * stiffness) if alpha or beta else reduced(T, B),
         sparse.csr_array(reduced(T, S) + stiffness * g) if (g := m.model.param("G", 0.0)) else reduced(T, S),
         T,
         sparse.csr_array(rotation.T.tocsr()[free[keep]]),
@@ -202,7 +208,13 @@ def assemble(model: Model) -> System:
         DofSet(names.node[free[keep]], names.direction[free[keep]]),
         held,
         m.xyz,
+        (alpha, beta),
     )
+
+
+def rayleigh(model: Model) -> tuple[float, float]:
+    """PARAM ALPHA1 and ALPHA2: D = B + ALPHA1 M + ALPHA2 K."""
+    return model.param("ALPHA1", 0.0), model.param("ALPHA2", 0.0)
 
 
 def _pieces(m: Mesh) -> Iterator[Matrices]:

@@ -10,7 +10,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import Parameter, Target
 from ringtrue.eigen.derivatives import Slope
-from ringtrue.fem.assembly import System, full_matrices, sum_up, turn
+from ringtrue.fem.assembly import System, full_matrices, rayleigh, sum_up, turn
 from ringtrue.fem.constraints import eliminate
 from ringtrue.fem.elements import dmig
 from ringtrue.fem.kinds import batches
@@ -38,14 +38,14 @@ def system_derivatives(model: Model, parameters: Sequence[Parameter], system: Sy
     """
     m, T = mesh(model), system.transform
     slopes = list(element_slopes(model, parameters))
-    Tt, G = sparse.csr_array(T.T), m.model.param("G", 0.0)
+    Tt, G, (alpha, beta) = sparse.csr_array(T.T), m.model.param("G", 0.0), rayleigh(model)
     moved = _transforms(model, parameters, system)
     out = []
     for p, dT, full in zip(parameters, moved, _summed(m, slopes, len(parameters)), strict=True):
         K, M, D, H = (_congruent(T, Tt, A) for A in full)
         if dT is not None:
             K, M, D, H = (A + B for A, B in zip((K, M, D, H), _carried(model, p, system, dT), strict=True))
-        out.append(Slope(K, M, sparse.csr_array(D), sparse.csr_array(H + G * K), dT))
+        out.append(Slope(K, M, sparse.csr_array(D + alpha * M + beta * K), sparse.csr_array(H + G * K), dT))
     return out
 
 
