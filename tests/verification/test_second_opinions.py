@@ -35,9 +35,26 @@ def test_ambient_methods_find_the_modes(method: str) -> None:
         stated = np.isfinite(found.uncertainty.frequency).all()
         assert stated == (method in ("ssi-data", "fdd", "fsdd", "bayes"))
         assert stated != any("no standard deviations:" in n for n in found.notes)
-        assert len(found.reasons) == len(found.modes) <= len(which) + 2  # ERA is judged by its orders alone
+        assert len(found.reasons) == len(found.modes) == len(which)
     with pytest.raises(ConfigError, match="did you mean 'efdd'"):
         identify_ambient_by("effd", ambient.record(0))
+
+
+@pytest.mark.parametrize("method", ["plscf", "era"])
+def test_noise_has_no_modes(method: str) -> None:
+    """Poles of noise are stable over the orders: the halves of the record tell."""
+    for seed in range(3):
+        noise = np.random.default_rng(seed).standard_normal((2 + 2 * seed, 30_000))
+        assert not len(identify_ambient_by(method, ambient.wrap(noise)).modes)
+
+
+def test_refined_half_spectra_are_unbiased_in_damping() -> None:
+    """The mean error of eight records is within 3.5 of its deviation, were each at twice the floor."""
+    error = []
+    for seed in range(8):
+        modes = identify_ambient_by("plscf", ambient.record(seed)).modes
+        error.append(modes.damping[ambient.near(modes)] / ambient.Z - 1)
+    assert (np.abs(np.mean(error, axis=0)) < 3.5 * 2 * ambient.FLOOR_Z / np.sqrt(len(error))).all()
 
 
 @pytest.mark.parametrize("method", ["plscf", "era", "ssi-data"])

@@ -1,8 +1,4 @@
-"""Ambient modes by another method than SSI-cov, in the bands of `identify_ambient`: a second opinion on a record.
-
-The half spectra of pLSCF are those of Peeters and Van der Auweraer (2005), "PolyMAX: a revolution in operational modal
-analysis", IOMAC: the correlations at positive lags under an exponential window, whose decay is taken out of the poles.
-"""
+"""Ambient modes by another method than SSI-cov, in the bands of `identify_ambient`: a second opinion on a record."""
 
 from __future__ import annotations
 
@@ -12,7 +8,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
@@ -24,17 +19,15 @@ from ringtrue.identify.bayes import bayes_fft
 from ringtrue.identify.era import next_era
 from ringtrue.identify.fdd import FddSettings, fdd
 from ringtrue.identify.fdd import Method as FddMethod
+from ringtrue.identify.half_spectra import FEWEST_LAGS, SAMPLES_A_LAG, half_spectra_modes
 from ringtrue.identify.opinion import SecondOpinion
-from ringtrue.identify.pick import modes_of
-from ringtrue.identify.plscf import Plscf, cluster_poles, plscf, pole_shapes
-from ringtrue.identify.poles import PoleSet, unit
-from ringtrue.identify.ssi import SsiCov, choose_references, prepared
+from ringtrue.identify.pick import confirmed, modes_of
+from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.ssi import MAX_REFERENCES, SsiCov, choose_references, prepared
 from ringtrue.identify.ssi_data import ssi_data
-from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.preprocess import Band, band_signals, usable
-from ringtrue.signal.psd import correlations
 
 Method = Literal["plscf", "era", "ssi-data", "fdd", "efdd", "fsdd", "random-decrement", "bayes"]
 METHODS: tuple[str, ...] = get_args(Method)
@@ -60,9 +53,6 @@ _FDD: dict[str, FddMethod] = {
     "efdd": "efdd",
     "random-decrement": "random decrement",
 }
-LAGS, ENDS_AT = 400, 0.01  # of a half spectrum, and what the exponential window leaves at the last of them
-FEWEST_LAGS, SAMPLES_A_LAG = 64, 8
-MOST_REFERENCES = 8
 ORDERS = {"era": 60, "ssi-data": 40}
 SAME_F, SAME_MAC = 0.01, 0.8  # one mode in two overlapping bands
 
@@ -124,7 +114,10 @@ def _reason(method: str, confidence: float) -> str:
     if method == "bayes":
         return "most probable in its band"
     what = "mean MAC over the bell" if method in _FDD else "share of the orders times MPC"
-    return f"{NAMES[method]}: {what} {confidence:.2f}"
+    if method == "plscf":
+        what = "verdict on the fit"
+    also = " and agreement of both halves of the record" if method in ("plscf", "era") else ""
+    return f"{NAMES[method]}: {what}{also} {confidence:.2f}"
 
 
 def _bayes(history: TimeHistory, s: AmbientSettings, near: Sequence[float]) -> tuple[ModeSet, Uncertainty]:
@@ -156,8 +149,13 @@ def _in_bands(
         tell(k / len(bands), f"{NAMES[method]}: {band.low:.3g} .. {band.high:.3g} Hz")
         data, rate = band_signals(history.data, history.rate, (Band(band.low, band.high, band.rate),))[0]
         part = TimeHistory(np.asarray(data, dtype=np.float64), rate, history.channels, history.source)
-        poles = _poles(method, part, band, s)
-        modes, std = _clustered(poles, ids, rate / LAGS) if method == "plscf" else modes_of(poles, ids)
+        if method == "plscf":
+            modes, std = half_spectra_modes(part, (band.low, band.high), s.references or None, s.confidence_min)
+        else:
+            modes, std = modes_of(_poles(method, part, s), ids)
+            if method in NO_STD:  # nothing judged the poles
+                one, two = (_poles(method, replace(part, data=x), s) for x in np.array_split(part.data, 2, axis=1))
+                modes = confirmed(modes, (one, two), part.duration)
         inside = (modes.frequencies >= band.low) & (modes.frequencies <= band.high)
         inside &= modes.confidence >= s.confidence_min
         at = np.flatnonzero(inside)
@@ -169,7 +167,7 @@ def _in_bands(
 
 def _fewest(method: str, channels: int, s: AmbientSettings) -> int:
     """Samples of a band that a method needs, and a few that decimation cuts."""
-    rows, references = _data_rows(channels, s), len(s.references or ()) or min(channels, MOST_REFERENCES)
+    rows, references = _data_rows(channels, s), len(s.references) or min(channels, MAX_REFERENCES)
     needed = {
         "plscf": SAMPLES_A_LAG * FEWEST_LAGS,
         "era": 8 * s.block_rows,
@@ -182,65 +180,14 @@ def _data_rows(channels: int, s: AmbientSettings) -> int:
     return max(4, min(s.block_rows, 400 // max(channels, 1)) // 2)
 
 
-def _poles(method: str, part: TimeHistory, band: Band, s: AmbientSettings) -> PoleSet:
-    references = s.references or None
+def _poles(method: str, part: TimeHistory, s: AmbientSettings) -> PoleSet:
+    """Poles of all orders; by ERA of half a short record with as many block rows as it has samples for."""
     if method == "era":
-        return next_era(part, SsiCov(s.block_rows, ORDERS["era"]), references=references)
-    if method == "ssi-data":
-        rows = _data_rows(len(part.channels), s)
-        chosen = references or [part.channels[i].id for i in _span(part)]
-        return ssi_data(part, SsiCov(rows, ORDERS["ssi-data"]), references=chosen)
-    return half_spectra_poles(part, (band.low, band.high), references)
-
-
-def _clustered(poles: PoleSet, ids: tuple[str, ...], step: float) -> tuple[ModeSet, Uncertainty]:
-    """A mode for each cluster that half of the orders show, from its first on."""
-    c = cluster_poles(poles, step)
-    at = np.flatnonzero(c.support >= 0.5)
-    shape = unit(c.participation[:, at])
-    sure = np.clip(c.support[at] * np.sqrt(mpc(shape)), 0, 1) if at.size else np.zeros(0)
-    pole, none = c.pole[at], np.full(at.size, np.nan)
-    modes = ModeSet(np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=sure)
-    return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
-
-
-def _span(part: TimeHistory) -> Int:
-    data, _ = prepared(part)
-    return choose_references(data, np.ones(len(data)), MOST_REFERENCES)
-
-
-def half_spectra_poles(
-    history: TimeHistory, band: tuple[float, float], references: Sequence[str] | None = None
-) -> PoleSet:
-    """Poles of all orders by poly-reference LSCF on the half spectra of a band (Hz); no standard deviations.
-
-    Raises
-    ------
-    DataError
-        If the record is too short for its lags.
-    """
-    data, scale = prepared(history)
-    lags = min(LAGS, data.shape[1] // SAMPLES_A_LAG)
-    if lags < FEWEST_LAGS:
-        raise DataError(
-            f"{history.source}: {data.shape[1]} samples are too few for half spectra; "
-            f"needed: {SAMPLES_A_LAG * FEWEST_LAGS}"
-        )
-    ids = [c.id for c in history.channels]
-    refs = _span(history) if references is None else np.array([ids.index(r) for r in references], dtype=np.int64)
-    decay = -np.log(ENDS_AT) * history.rate / lags
-    r = correlations(data, refs, lags)[1:] * np.exp(-decay * np.arange(1, lags + 1) / history.rate)[:, None, None]
-    freqs = np.arange(lags // 2 + 1) * history.rate / lags
-    half = np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / history.rate)[:, None, None]  # lag 0, noise, is out
-    at = (freqs >= 0.9 * band[0]) & (freqs <= min(1.1 * band[1], 0.48 * history.rate)) & (freqs > 0)
-    most = 0.2 + decay / (2 * np.pi * freqs[at][0])
-    top = max(6, min(40, 120 // refs.size, int(at.sum()) // 3))
-    poles = plscf(half[at], freqs[at], Plscf(max(2, top // 4), top, most))
-    shape = pole_shapes(poles, half[at], freqs[at], 0)
-    true = poles.pole + decay
-    keep = true.real < 0
-    moved = replace(poles, pole=true, shape=unit(shape * scale[:, None]))
-    return moved.take(keep)
+        rows = min(s.block_rows, part.data.shape[1] // 8)
+        return next_era(part, SsiCov(rows, ORDERS["era"]), references=s.references or None)
+    rows = _data_rows(len(part.channels), s)
+    chosen = s.references or [part.channels[i].id for i in choose_references(*prepared(part))]
+    return ssi_data(part, SsiCov(rows, ORDERS["ssi-data"]), references=chosen)
 
 
 def _joined(found: Sequence[tuple[ModeSet, Uncertainty]]) -> tuple[ModeSet, Uncertainty]:

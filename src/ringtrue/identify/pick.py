@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
@@ -10,6 +12,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify import variance as var
 from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.poles import PoleSet, unit
+from ringtrue.identify.stabilise import seen_in_halves
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
 
@@ -63,6 +66,22 @@ def modes_of(
     modes = ModeSet(rows[:, 0], rows[:, 1], shape, channels, source=source, confidence=confidence)
     std = np.full(shape.shape, np.nan) if shape_std is None else shape_std[:, known][:, at]
     return modes, Uncertainty.independent(rows[:, 2], rows[:, 3], std)
+
+
+def confirmed(modes: ModeSet, halves: tuple[PoleSet, PoleSet], duration: float) -> ModeSet:
+    """The modes of a record of `duration` (s), their confidence times the root of the agreement of its halves."""
+    f, zeta = modes.frequencies, modes.damping
+    seen = seen_in_halves(f, zeta, modes.shapes, least_deviations(f, zeta, duration), halves)
+    return replace(modes, confidence=modes.confidence * np.sqrt(seen))
+
+
+def least_deviations(frequency: Float, damping: Float, duration: float) -> tuple[Float, Float]:
+    """Standard deviations (m,) of frequency (Hz) and damping ratio that no method falls below (Gersch 1974).
+
+    Of modes (m,) without noise in a record of `duration` s.
+    """
+    turns = 2 * np.pi * frequency * duration
+    return frequency * np.sqrt(damping / turns), np.sqrt(damping / turns)
 
 
 def _physical(poles: PoleSet, damping_max: float) -> Bool:

@@ -246,31 +246,45 @@ def _unmixed(c: Candidates, at: Int, mix: Mixing) -> Candidates:
 
 
 def half_agreement(c: Candidates, halves: tuple[PoleSet, PoleSet]) -> Float:
-    """How far the two halves of the record show each mode, (m,) 0..1.
+    """How far the two halves of the record show each mode, (m,) 0..1 (`seen_in_halves`)."""
+    return seen_in_halves(c.frequencies, c.damping, c.shape, c.stds(), halves)
+
+
+def seen_in_halves(
+    frequency: Float, damping: Float, shape: Complex, stds: tuple[Float, Float], halves: tuple[PoleSet, PoleSet]
+) -> Float:
+    """How far the two halves of the record show modes, (m,) 0..1.
 
     The share of orders of the poorer half with a pole within the statistical distance, times the MAC of the halves.
+
+    Parameters
+    ----------
+    frequency, damping : (m,) float64, Hz and ratio
+    shape : (ch, m) complex128
+    stds : two (m,) float64
+        Standard deviations of both.
+    halves : two PoleSet
     """
-    sf, sz = c.stds()
-    found = [_seen(c, h, sf, sz) for h in halves]
-    (share_1, psi_1), (share_2, psi_2) = found
+    (share_1, psi_1), (share_2, psi_2) = (_seen(frequency, damping, shape, stds, h) for h in halves)
     same = np.abs((psi_1.conj() * psi_2).sum(0)) ** 2
     size = (np.abs(psi_1) ** 2).sum(0) * (np.abs(psi_2) ** 2).sum(0)
     return np.asarray(np.minimum(share_1, share_2) * same / np.maximum(size, np.finfo(np.float64).tiny))
 
 
-def _seen(c: Candidates, h: PoleSet, sf: Float, sz: Float) -> tuple[Float, Complex]:
+def _seen(
+    frequency: Float, damping: Float, shape: Complex, stds: tuple[Float, Float], h: PoleSet
+) -> tuple[Float, Complex]:
     """Share of orders of one half that show each mode, and its mean shape there (ch, m)."""
-    df = np.abs(h.frequencies[:, None] - c.frequencies)
-    dz = np.abs(h.damping[:, None] - c.damping)
-    reach = np.maximum(np.maximum(4 * np.sqrt(2) * sf, 0.1 * c.damping * c.frequencies), 2e-4 * c.frequencies)
-    width = np.maximum(np.maximum(5 * np.sqrt(2) * sz, 0.2 * c.damping), 2e-3)
-    shape_like = mac(h.shape, c.shape)
+    df = np.abs(h.frequencies[:, None] - frequency)
+    dz = np.abs(h.damping[:, None] - damping)
+    reach = np.maximum(np.maximum(4 * np.sqrt(2) * stds[0], 0.1 * damping * frequency), 2e-4 * frequency)
+    width = np.maximum(np.maximum(5 * np.sqrt(2) * stds[1], 0.2 * damping), 2e-3)
+    shape_like = mac(h.shape, shape)
     like = (df < reach) & (dz < width) & (shape_like > 0.7)
     if len(h.shape) > 3:  # half a record may split a mode in two; with three channels any shape is like any other
-        reach = np.where(shape_like > 0.99, 2.0, 0.7) * c.damping * c.frequencies
-        like |= (df < reach) & (dz < np.maximum(width, 0.5 * c.damping)) & (shape_like > 0.95)
-    tried = h.orders
-    share = np.array([np.unique(h.order[x]).size for x in like.T]) / max(tried.size, 1)
-    turn = (c.shape.conj().T @ h.shape).T
+        reach = np.where(shape_like > 0.99, 2.0, 0.7) * damping * frequency
+        like |= (df < reach) & (dz < np.maximum(width, 0.5 * damping)) & (shape_like > 0.95)
+    share = np.array([np.unique(h.order[x]).size for x in like.T]) / max(h.orders.size, 1)
+    turn = (shape.conj().T @ h.shape).T
     phase = np.where(like, turn.conj() / np.maximum(np.abs(turn), 1e-300), 0)
     return share, np.asarray(h.shape @ phase)
