@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import localise_twin as twin
 import numpy as np
 import pytest
@@ -9,10 +11,13 @@ from scipy import sparse
 from scipy.optimize import lsq_linear
 
 from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.fem.mesh import mesh
+from ringtrue.io.nastran.edit import unwritable
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.affine import AffineSystem
 from ringtrue.reduce.parametric import reduced_model
@@ -43,6 +48,30 @@ def test_equal_springs_are_one_group_and_each_by_itself() -> None:
     names = {c.name: c.elements for c in generate(model, CandidateSettings(kinds=("spring",)))}
     assert names["PBUSH 900-901 K1"] == (900, 901, 902, 903)
     assert names["PBUSH 901 K1"] == (903,)
+
+
+def test_a_section_given_by_its_dimensions_is_one_candidate_that_can_be_written(tmp_path: Path) -> None:
+    """A PBARL makes a PBAR that has no card of its own; a replicated card has no line of its own."""
+    nodes = [f"GRID,{i},,{i}.,0.,0." for i in range(1, 5)]
+    bars = ["CBAR,1,1,1,2,0.,0.,1.", "CBAR,2,2,2,3,0.,0.,1.", "CBEAM,3,3,3,4,0.,0.,1."]
+    cards = ["PBARL,1,1,,BOX", ",.2,.1,.01,.01,5.", "PBAR,2,1,.01,1.-5,1.-5,2.-5", "PBEAML,3,1,,ROD", ",.1"]
+    cards += ["MAT1,1,2.1+11,,.3,7850."]
+    (tmp_path / "a.bdf").write_text("\n".join(["BEGIN BULK", *nodes, *bars, *cards, "ENDDATA"]))
+    model = read_deck(tmp_path / "a.bdf")
+    found = {c.name: c for c in generate(model, CandidateSettings(kinds=("property",), units="SI"))}
+    assert {n for n in found if n.split()[1] != "2"} == {"PBARL 1 DIM", "PBARL 1 NSM", "PBEAML 3 DIM"}
+    assert [t.field for t in found["PBARL 1 DIM"].parameter.targets] == ["DIM1", "DIM2", "DIM3", "DIM4"]
+    assert found["PBARL 1 DIM"].what == "all dimensions of the BOX section of 1 CBAR"
+    assert found["PBARL 1 NSM"].parameter.targets[0].field == "NSM"
+    one = ParameterSet((found["PBARL 1 DIM"].parameter,))
+    changed = apply_factors(model, one, np.array([1.1]))["PBAR"]
+    ratio = {f: changed[f][changed.ids == 1] / model["PBAR"][f][model["PBAR"].ids == 1] for f in ("A", "I1")}
+    np.testing.assert_allclose([ratio["A"], ratio["I1"]], [[1.1**2], [1.1**4]])
+    every = [t for c in found.values() for t in c.parameter.targets]
+    assert not unwritable(model, every)
+    (why,) = unwritable(model, [*every, Target("PBAR", 1, "A")]).items()
+    assert why[0] == Target("PBAR", 1, "A")
+    assert "it was made from a PBARL" in why[1]
 
 
 def test_what_no_mode_strains_is_left_out_with_a_reason() -> None:

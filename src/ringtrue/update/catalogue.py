@@ -22,6 +22,7 @@ SPREAD: Mapping[str, tuple[float, float]] = MappingProxyType(
         "length": (0.2, 2.0),
         "area": (0.2, 2.0),
         "inertia": (0.3, 3.0),
+        "section": (0.1, 1.5),  # all dimensions; a second moment of area is their fourth power
         "modulus": (0.3, 3.0),
         "density": (0.1, 1.5),
         "stiffness": (1.0, 20.0),

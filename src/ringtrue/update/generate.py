@@ -12,6 +12,7 @@ from ringtrue.core.parameters import Target
 from ringtrue.errors import InputError
 from ringtrue.fem.change import rows_of
 from ringtrue.fem.rows import union
+from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Table
 from ringtrue.update.candidates import (
     Candidate,
@@ -43,7 +44,7 @@ def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[C
     s = settings or CandidateSettings()
     makers: dict[Kind, Callable[[Model, CandidateSettings], Iterator[Candidate]]] = {
         "material": lambda m, s: _fields(m, s, "material", MATERIALS),
-        "property": lambda m, s: chain(_fields(m, s, "property", SECTIONS), _laminates(m, s)),
+        "property": lambda m, s: chain(_fields(m, s, "property", SECTIONS), _laminates(m, s), _outlines(m, s)),
         "region": regions,
         "spring": lambda m, s: _grouped(m, s, "spring", SPRINGS),
         "mass": lambda m, s: _grouped(m, s, "mass", MASSES),
@@ -70,9 +71,10 @@ def _fields(model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue
         if card not in model:
             continue
         table = model[card]
+        made = _made(model, card)
         for row, ident in enumerate(table.ids.tolist()):  # over cards, of which a deck has hundreds, not elements
             rows = rows_of(model, Target(card, ident, ""))
-            if not rows:
+            if not rows or ident in made:
                 continue
             for fields, word, quantity in entries:
                 given = given_fields(table, row, fields)
@@ -101,6 +103,30 @@ def _laminates(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
                 targets = [Target(card, ident, f"T{k + 1}") for k in range(t.size)]
                 what = f"thickness of all {t.size} plies of {counted(rows)}"
                 yield new_candidate(s, "property", f"{card} {ident} T", what, "length", ids_of(model, rows), targets)
+
+
+def _made(model: Model, card: str) -> set[int]:
+    """Ids of the PBAR or PBEAM that the deck gives by the dimensions of a section (`_outlines`)."""
+    return {i for source, made in MADE.items() if made == card and source in model for i in model[source].ids.tolist()}
+
+
+def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
+    """All dimensions of a section by one factor, which leaves it a section, and its non-structural mass."""
+    for card in MADE:
+        for row, ident in enumerate(model[card].ids.tolist() if card in model else []):
+            table, rows = model[card], rows_of(model, Target(card, ident, ""))
+            if not rows:
+                continue
+            kind, where = table["TYPE"][row], ids_of(model, rows)
+            lists = [name for name in ("DIM", "DIMB") if name in table.columns]
+            targets = [Target(card, ident, f"{d}{k + 1}") for d in lists for k in range(table.ragged(d).row(row).size)]
+            what = f"all dimensions of the {kind} section of {counted(rows)}"
+            yield new_candidate(s, "property", f"{card} {ident} DIM", what, "section", where, targets)
+            if given := given_fields(table, row, "NSM+NSMB"):
+                value = amount(float(table[given[0]][row]), "line", s)
+                what = f"non-structural mass {value} of {counted(rows)}"
+                masses = [Target(card, ident, f) for f in given]
+                yield new_candidate(s, "property", f"{card} {ident} {given[0]}", what, "line", where, masses)
 
 
 def _grouped(model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue) -> Iterator[Candidate]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ringtrue.core.parameters import Target
 from ringtrue.errors import DeckError, InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.nastran.deck import load
@@ -19,7 +20,7 @@ from ringtrue.io.nastran.lexer import LineFields, real, split_line
 from ringtrue.io.nastran.places import bush_flag, field_place, inherited
 from ringtrue.io.nastran.writer import format_field
 from ringtrue.model.cards import columns
-from ringtrue.model.edit import BOTH_ENDS, FieldChange, ply_field, resolve_target
+from ringtrue.model.edit import BOTH_ENDS, FieldChange, field_value, ply_field, resolve_target
 from ringtrue.model.model import Model
 
 Place = tuple[int, int]  # file number, line from 1
@@ -42,12 +43,41 @@ def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Pat
         If a change names what is not in the deck, or a field that is no single field of its card. Nothing is
         written then.
     """
+    found, files, contents = _loaded(model)
+    groups: dict[int, list[FieldChange]] = {}
+    find = _finder(model, found)
+    for change in changes:
+        groups.setdefault(find(change), []).append(change)
+    for card, mine in groups.items():
+        _edit_card(found, contents, _Group(card, tuple(mine)))
+    return _write(files, [c.joined() for c in contents], Path(out_dir))
+
+
+def unwritable(model: Model, targets: Sequence[Target]) -> dict[Target, str]:
+    """Which fields `edit_fields` cannot change, and why not: replicated cards, sections made of another card.
+
+    Raises
+    ------
+    InputError
+        If the model was not read from a deck.
+    """
+    found, _, contents = _loaded(model)
+    find = _finder(model, found)
+    why: dict[Target, str] = {}
+    for t in targets:
+        try:
+            change = FieldChange(t.card, t.id, t.field, field_value(model, t))
+            _edit_card(found, contents, _Group(find(change), (change,)))
+        except InputError as e:
+            why[t] = str(e)
+    return why
+
+
+def _loaded(model: Model) -> tuple[Cards, list[Path], list[_File]]:
+    """The cards of the deck, its files, and what is in them."""
     found = cards(load(_main(model)))
     files = [Path(f) for f in found.deck.files]
-    contents = [_File(f.read_bytes()) for f in files]
-    for group in _by_card(model, found, changes):
-        _edit_card(found, contents, group)
-    return _write(files, [c.joined() for c in contents], Path(out_dir))
+    return found, files, [_File(f.read_bytes()) for f in files]
 
 
 def add_cards(model: Model, file: str | Path, text: str, out_dir: str | Path) -> list[Path]:
@@ -141,14 +171,14 @@ class _Group:
     changes: tuple[FieldChange, ...]
 
 
-def _by_card(model: Model, found: Cards, changes: Sequence[FieldChange]) -> list[_Group]:
-    """Changes gathered by the card of the deck that holds them."""
+def _finder(model: Model, found: Cards) -> Callable[[FieldChange], int]:
+    """Which card of the deck holds a change."""
     every = np.arange(found.head.size)
     file, line = found.places(every)
     order = np.lexsort((line, file))
     key = np.stack([file[order], line[order]], axis=1)
-    groups: dict[int, list[FieldChange]] = {}
-    for change in changes:
+
+    def find(change: FieldChange) -> int:
         rows = resolve_target(model, change)
         table = model[change.card]
         if len(rows) > 1:
@@ -162,8 +192,9 @@ def _by_card(model: Model, found: Cards, changes: Sequence[FieldChange]) -> list
             why = "it is written by replication (=), or a replicated card repeats it; write the cards out first"
             path, first = found.place(card)
             raise DeckError(why, path=path, line=first, card=f"{change.card} {change.id}", field=change.field)
-        groups.setdefault(card, []).append(change)
-    return [_Group(card, tuple(c)) for card, c in groups.items()]
+        return card
+
+    return find
 
 
 def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:

@@ -11,6 +11,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
+from ringtrue.io.nastran.edit import unwritable
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.parametric import ReducedModel
@@ -91,13 +92,18 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     """The candidates of the study, or those made from the deck that explain most of the misfit."""
     model, given, asked = desk.remodelled.model, desk.config.candidates(), desk.config.localise
     if len(given):
+        for why in unwritable(model, [t for p in given.parameters for t in p.targets if not t.elements]).values():
+            raise DataError(f"[[candidate]] {why}")
         return _Pool(tuple(of_parameter(model, p) for p in given.parameters))
     if not asked.pool:
         return _Pool(())
     every = generate(model, CandidateSettings(tuple(asked.kinds), desk.deck.units))
     springs = tuple(of_parameter(model, p) for p in desk.config.suspensions().parameters)
     taken = conflicts(model, (*every, *springs))[: len(every), len(every) :]
-    every = tuple(every[i] for i in np.flatnonzero(~np.any(taken, axis=1)).tolist())
+    never = unwritable(model, [t for c in every for t in c.parameter.targets])
+    every = tuple(
+        c for c, held in zip(every, taken, strict=True) if not (held.any() or never.keys() & c.parameter.targets)
+    )
     system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.fmax).modes
     lam, vectors = (2 * np.pi * modes.frequencies) ** 2, np.asarray(system.local @ modes.shapes)
     some, lost = effective(model, system, every, lam, vectors)
