@@ -157,7 +157,7 @@ def test_two_shakers_in_one_file(tmp_path: Path, capsys: Capture) -> None:
     found = ema(capsys, tmp_path / "s.h5", "--shaker", 0.1, "--fmax", 70)
     assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
     with pytest.raises(ConfigError, match="has 2 forces"):
-        read_blows([tmp_path / "s.h5"], BlowFiles(struck=("2+Z",)), shakers=True)
+        read_blows([tmp_path / "s.h5"], BlowFiles(struck=("2+Z",)))
 
 
 def test_refusals(tmp_path: Path) -> None:

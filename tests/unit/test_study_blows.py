@@ -1,4 +1,4 @@
-"""Hammer records as a laboratory hands them over: a universal file for each point struck, its blows one by one."""
+"""Records of hammers and shakers as a laboratory hands them over, the blows of a point in one universal file."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 import small_study
 
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.records import read_record, write_history
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.identify import IdentifyStage
+from ringtrue.virtual.response import simulate
 
 STUDY = small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\n"
 
@@ -72,6 +74,38 @@ def test_records_of_a_few_seconds_are_shown(tmp_path: Path) -> None:
         assert shown.duration == pytest.approx(12.0)
         assert shown.psd.size
         assert np.isfinite(shown.psd).all()
+
+
+def shaken(folder: Path, kind: str) -> None:
+    """In place of the blows two shakers that run together, at random."""
+    rng = np.random.default_rng(8)
+    model = small_study.modal(folder, small_study.test_model())
+    forces = rng.normal(0, 10.0, (2, int(300 * small_study.RATE)))
+    loads = np.zeros((len(model.inputs), forces.shape[1]))
+    loads[[[c.id for c in model.inputs].index(r) for r in small_study.REFERENCES]] = forces
+    motion = simulate(model, loads, small_study.RATE)[:, : forces.shape[1]]
+    motion += rng.normal(0, 0.01 * motion.std(), motion.shape)
+    names = [Channel(f"F:{r}", "force", "N") for r in small_study.REFERENCES]
+    history = TimeHistory(np.vstack([forces, motion]), small_study.RATE, (*names, *model.outputs))
+    write_history(folder / "shaken.uff", history)
+    record = {"file": "shaken.uff", "excitation": "shaker"}
+    log = {"tests": [{"name": "shakers", "kind": kind, "records": [record]}]}
+    (folder / "campaign.json").write_text(json.dumps(log))
+
+
+@pytest.mark.parametrize("kind", ["hammer", "shaker"])
+def test_shakers_that_run_together(tmp_path: Path, kind: str) -> None:
+    study = small_study.write_study(tmp_path, STUDY, ambient=False)
+    blows = identified(study).hammer
+    shaken(tmp_path / "data", kind)
+    found = identified(study)
+    assert blows is not None
+    assert found.hammer is not None
+    assert [c.id for c in found.frfs.inputs] == list(small_study.REFERENCES)
+    np.testing.assert_allclose(found.hammer.frequencies, blows.frequencies, rtol=1e-3)
+    np.testing.assert_allclose(found.hammer.damping, small_study.DAMPING, rtol=0.1)  # noise of 1 %
+    assert any("the force runs all the time" in note for note in found.records[0].notes)
+    assert found.source == f"{kind} test"
 
 
 def without_names(study: Path, names: Callable[[list[str]], list[str]]) -> list[str]:

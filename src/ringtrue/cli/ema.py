@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -32,7 +32,7 @@ from ringtrue.cli.identify import (
 from ringtrue.cli.levels import check_levels, levels_json, print_levels
 from ringtrue.cli.show import progress, tell, write_json
 from ringtrue.core.progress import Progress, part
-from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.core.signals import FrfSet
 from ringtrue.errors import ConfigError, about
 from ringtrue.identify.frf_methods import identify_frfs_by
 from ringtrue.identify.hammer import HammerModes, identify_hammer
@@ -41,13 +41,10 @@ from ringtrue.identify.local import told_apart
 from ringtrue.identify.lsfd import driving_pairs
 from ringtrue.io.frfs import holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
-from ringtrue.signal.frf import estimate_columns, join_frfs, setups_of
+from ringtrue.signal.frf import join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings, HitReport
-from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
-from ringtrue.signal.periodic import period, periodic_frfs
-from ringtrue.signal.psd import Welch
-from ringtrue.signal.spectra import shaker_frfs
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
+from ringtrue.study.forced import forced_frfs
 
 
 class Estimator(StrEnum):
@@ -252,31 +249,11 @@ def _measured(
         frfs = found[0] if len(found) == 1 else join_frfs(found)
         batches = tuple(_frfs_without(f, files[0], how.leave_out) for f in found) if len(found) > 1 else ()
         return _Measured(_frfs_without(frfs, files[0], how.leave_out), batches=batches)
-    records, ranges, notes = read_blows(files, how, shakers=True)
-    if shaker is not None or all(runs_on(r) for r in records):
-        parts = _shaken(records, shaker, want.estimator)
-        step, averages = parts[0].freqs[1] - parts[0].freqs[0], parts[0].averages[0]
-        notes = (*notes, f"the force runs all the time: lines {step:.3g} Hz apart, {averages:.3g} averages at each")
-        return _Measured(join_frfs(parts), (), notes, setups_of(parts))
-    columns, hits = estimate_columns(records, want, full_scale=ranges, progress=part(show, 0.0, 0.05))
-    frfs = join_frfs(columns)
-    return _Measured(frfs, hits, (*notes, *_said(frfs, hits)), setups_of(columns))
-
-
-def _shaken(
-    records: Sequence[TimeHistory], resolution: float | None, estimator: Literal["H1", "H2", "Hv"]
-) -> Sequence[FrfSet]:
-    """FRFs without leakage, on lines of all records, or, where the noise on the force counts, by Welch's spectra.
-
-    A force that repeats itself has the lines of its period.
-    """
-    if resolution is None and estimator == "H1" and (one := period(records[0])) and period(records[-1]) == one:
-        return periodic_frfs(records, one)
-    if resolution is None:
-        resolution = max(spacing(r) for r in records)
-    if estimator == "H1":
-        return local_frfs(records, resolution)
-    return [shaker_frfs(r, Welch(resolution), estimator=estimator).frfs for r in records]
+    records, ranges, notes = read_blows(files, how)
+    found = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
+    frfs = join_frfs(found.columns)
+    said = (found.note,) if found.note else _said(frfs, found.hits)
+    return _Measured(frfs, found.hits, (*notes, *said), setups_of(found.columns))
 
 
 def _said(frfs: FrfSet, hits: Sequence[HitReport]) -> tuple[str, ...]:

@@ -122,8 +122,9 @@ def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
     if len(at) != 1:
         raise DataError(
             f"{record.source}: {len(at)} force channels ({' '.join(ids[i] for i in at) or 'none'}) of "
-            f"{' '.join(ids[:20])}; there must be one, or name it: HammerSettings.force, --force (of a shaken "
-            "base the accelerometer on it)"
+            f"{' '.join(ids[:20])}; there must be one, or name it: HammerSettings.force, --force, "
+            "`force_channel` of a log (of a shaken base the accelerometer on it); several are those of "
+            "shakers that run all the time"
         )
     return at[0]
 

@@ -93,16 +93,14 @@ def kept_blows(hits: Sequence[HitReport]) -> str:
 
 
 def read_blows(
-    paths: Sequence[Path], how: BlowFiles | None = None, *, shakers: bool = False
+    paths: Sequence[Path], how: BlowFiles | None = None
 ) -> tuple[tuple[TimeHistory, ...], dict[str, float], tuple[str, ...]]:
-    """The records of all files, a force channel and motions each, ready for `signal.frf.estimate_frf`.
+    """The records of all files, forces and motions each, ready for `study.forced.forced_frfs`.
 
     Parameters
     ----------
     paths : sequence of Path
     how : BlowFiles, optional
-    shakers : bool
-        The forces run all the time: a record may have several of them.
 
     Returns
     -------
@@ -132,7 +130,7 @@ def read_blows(
     records, notes = [], dict[str, None]()
     for i, path, run in runs:
         point = how.struck[min(i, len(how.struck) - 1)] if how.struck else ""
-        record, said = _ready(path, run, how, point, shakers)
+        record, said = _ready(path, run, how, point)
         records.append(record)
         notes.update(dict.fromkeys(said))
     ranges: dict[str, float] = {}
@@ -152,16 +150,14 @@ def read_file(path: Path, how: BlowFiles | None = None) -> tuple[tuple[TimeHisto
         As `read_blows` does.
     """
     how = how or BlowFiles()
-    ready = [_ready(path, run, how, "".join(how.struck[:1]), False) for run in _runs(path, how)]
+    ready = [_ready(path, run, how, "".join(how.struck[:1])) for run in _runs(path, how)]
     return tuple(r for r, _ in ready), tuple(dict.fromkeys(n for _, notes in ready for n in notes))
 
 
-def _ready(
-    path: Path, run: TimeHistory, how: BlowFiles, point: str, shakers: bool
-) -> tuple[TimeHistory, Sequence[str]]:
+def _ready(path: Path, run: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHistory, Sequence[str]]:
     run = renamed(run, how.channels, path)
     kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
-    record, notes = _prepared(kept, how, point, shakers)
+    record, notes = _prepared(kept, how, point)
     refuse_bad_samples(record, path)
     return record, notes
 
@@ -172,9 +168,9 @@ def _runs(path: Path, how: BlowFiles) -> Iterator[TimeHistory]:
         yield replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}")
 
 
-def _prepared(record: TimeHistory, how: BlowFiles, point: str, shakers: bool) -> tuple[TimeHistory, list[str]]:
-    """The force, named after the point struck, and the motions; several forces where they are `shakers`."""
-    at = [i for i, c in enumerate(record.channels) if c.quantity == "force"] if shakers and not how.force else []
+def _prepared(record: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHistory, list[str]]:
+    """The force, named after the point struck, and the motions; several forces where shakers run together."""
+    at = [i for i, c in enumerate(record.channels) if c.quantity == "force"] if not how.force else []
     at = at if len(at) > 1 else [force_channel(record, HammerSettings(force=how.force))]
     notes = list[str]()
     if point and len(at) > 1:

@@ -1,4 +1,4 @@
-"""Modes from raw signals: each ambient record, their merger, and the hammer test."""
+"""Modes from raw signals: each ambient record, their merger, and the test with hammer or shakers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
-from ringtrue.signal.frf import estimate_columns, join_frfs, setups_of
+from ringtrue.signal.frf import join_frfs, setups_of
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
@@ -35,11 +35,13 @@ from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
 from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows, renamed
 from ringtrue.study.config import IdentifySection, TestSection
+from ringtrue.study.forced import forced_frfs
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
 from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, on_sheet, supplied_frfs, supplied_modes
 from ringtrue.study.workbench import Workbench
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
+KINDS = ("ambient", "hammer", "shaker")  # of tests in the log
 SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 
 
@@ -97,8 +99,8 @@ def _check_log(path: Path, records: Sequence[Logged]) -> None:
     if not records:
         raise DataError(f"{path}: no record in any test")
     for r in records:
-        if r.kind not in ("ambient", "hammer"):
-            raise DataError(f"{path}: test {r.test!r}: kind {r.kind!r}{did_you_mean(r.kind, ('ambient', 'hammer'))}")
+        if r.kind not in KINDS:
+            raise DataError(f"{path}: test {r.test!r}: kind {r.kind!r}{did_you_mean(r.kind, KINDS)}")
         if r.kind == "hammer" and len(lost := [k for k in _BLOCK if k not in r.details]) == 1:
             raise DataError(f"{path}: test {r.test!r}, record {r.path.name}: {lost[0]} missing; give both or none")
 
@@ -248,14 +250,14 @@ def struck(
         ranges |= full_scale(r.path)
     histories = [h for blows, _ in read for h in blows]
     want = _block(records[0].details, histories[0].rate)
-    columns, hits = estimate_columns(histories, want, full_scale=ranges, progress=progress)
+    found = forced_frfs(histories, want, full_scale=ranges, progress=progress)
     shown = []
     for record, (blows, notes) in zip(records, read, strict=True):
         names = {b.source for b in blows}
-        mine = [h for h in hits if h.source in names]
+        mine = [h for h in found.hits if h.source in names]
         first = _setup(record) == _setup(records[0])  # the others look alike
-        shown.append(summary(record, _in_a_row(blows), [*notes, kept_blows(mine)], draw=first))
-    return join_frfs(columns), shown, refused_blows(hits), setups_of(columns)
+        shown.append(summary(record, _in_a_row(blows), [*notes, found.note or kept_blows(mine)], draw=first))
+    return join_frfs(found.columns), shown, refused_blows(found.hits), setups_of(found.columns)
 
 
 def _blows(record: Logged, sheet: TestModel, lost: Sequence[str]) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
@@ -316,7 +318,7 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         return supplied_modes(desk.base / test.modes, model, test.leave_out)
     records, sensors = read_log(desk.base / test.log) if test.log else ([], {})
     quiet = [r for r in records if r.kind == "ambient"]
-    hits = [r for r in records if r.kind == "hammer"]
+    hits = [r for r in records if r.kind != "ambient"]
     if hits and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     choice = _by_hand(desk, records)
@@ -352,7 +354,7 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         result.synthesis_error if result else np.zeros((0, 0)),
         result.notes if result and test.frfs else (),
         merged.notes if merged else (),
-        "FRFs" if test.frfs else "hammer test",
+        f"{hits[0].kind} test" if hits else "FRFs",
     )
 
 

@@ -1,0 +1,82 @@
+"""FRFs of the time records of a test with measured forces: blows, or shakers that run all the time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ringtrue.core.progress import Progress
+from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.signal.frf import estimate_columns
+from ringtrue.signal.hits import Estimator, HammerSettings, HitReport
+from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
+from ringtrue.signal.periodic import period, periodic_frfs
+from ringtrue.signal.psd import Welch
+from ringtrue.signal.spectra import shaker_frfs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forced:
+    """FRFs of records, before they are joined.
+
+    Attributes
+    ----------
+    columns : tuple of FrfSet
+        On the same lines.
+    hits : tuple of HitReport
+        The blows; none of shakers.
+    note : str
+        How the FRFs of shakers were estimated.
+    """
+
+    columns: tuple[FrfSet, ...]
+    hits: tuple[HitReport, ...] = ()
+    note: str = ""
+
+
+def forced_frfs(
+    records: Sequence[TimeHistory],
+    settings: HammerSettings,
+    resolution: float | None = None,
+    *,
+    full_scale: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> Forced:
+    """FRFs of records as `study.blows` reads them: of shakers where all forces run all the time, else of blows.
+
+    Parameters
+    ----------
+    records : sequence of TimeHistory, SI, equal rates
+    settings : HammerSettings
+        Of blows; its estimator holds for shakers, too.
+    resolution : float, Hz, optional
+        Distance of the lines of shakers; they are shakers if it is given.
+    full_scale : mapping of str to float, optional
+        Range of each channel by id, in its unit; for the detection of overloads.
+    progress : callable, optional
+
+    Raises
+    ------
+    DataError
+        As `signal.frf.estimate_columns`, `signal.local_rational.local_frfs` and `signal.spectra.shaker_frfs` do.
+    """
+    if resolution is None and not all(runs_on(r) for r in records):
+        return Forced(*estimate_columns(records, settings, full_scale=full_scale, progress=progress))
+    parts = tuple(_shaken(records, resolution, settings.estimator))
+    step, averages = parts[0].freqs[1] - parts[0].freqs[0], parts[0].averages[0]
+    said = f"the force runs all the time: lines {step:.3g} Hz apart, {averages:.3g} averages at each"
+    return Forced(parts, note=said)
+
+
+def _shaken(records: Sequence[TimeHistory], resolution: float | None, estimator: Estimator) -> Sequence[FrfSet]:
+    """FRFs without leakage, on lines of all records, or, where the noise on the force counts, by Welch's spectra.
+
+    A force that repeats itself has the lines of its period.
+    """
+    if resolution is None and estimator == "H1" and (one := period(records[0])) and period(records[-1]) == one:
+        return periodic_frfs(records, one)
+    if resolution is None:
+        resolution = max(spacing(r) for r in records)
+    if estimator == "H1":
+        return local_frfs(records, resolution)
+    return [shaker_frfs(r, Welch(resolution), estimator=estimator).frfs for r in records]
