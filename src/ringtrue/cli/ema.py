@@ -250,10 +250,10 @@ def _measured(
         batches = tuple(_frfs_without(f, files[0], how.leave_out) for f in found) if len(found) > 1 else ()
         return _Measured(_frfs_without(frfs, files[0], how.leave_out), batches=batches)
     records, ranges, notes = read_blows(files, how)
-    found = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
-    frfs = join_frfs(found.columns)
-    said = (found.note,) if found.note else _said(frfs, found.hits)
-    return _Measured(frfs, found.hits, (*notes, *said), setups_of(found.columns))
+    forced = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
+    frfs = join_frfs(forced.columns)
+    said = (forced.note,) if forced.note else _said(frfs, forced.hits)
+    return _Measured(frfs, forced.hits, (*notes, *said), setups_of(forced.columns))
 
 
 def _said(frfs: FrfSet, hits: Sequence[HitReport]) -> tuple[str, ...]:
