@@ -79,16 +79,18 @@ def model(scene: Scene, test: TestModel | None, kinds: Mapping[str, str]) -> Vie
 
 
 def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[str, str]) -> View:
-    """The updated regions coloured: parameter -> groups; `notes` gives the change of each in words."""
+    """The updated regions coloured: parameter -> groups; `notes` gives the change of each in words.
+
+    What several parameters change has the colour of that which changes least beside it.
+    """
     colors = [PLAIN] * len(scene.groups)
     alpha = [0.3] * len(scene.groups)
-    legend = []
-    for k, (name, groups) in enumerate(changed.items()):
-        color = QUALITATIVE[k % len(QUALITATIVE)]
+    own = {name: QUALITATIVE[k % len(QUALITATIVE)] for k, name in enumerate(changed)}
+    for name, groups in sorted(changed.items(), key=lambda item: -len(item[1])):
         for g in groups:
-            colors[g], alpha[g] = color, 1.0
-        hidden = "" if groups else ", not drawn"
-        legend.append({"name": name + hidden, "color": color, "note": notes.get(name, "")})
+            colors[g], alpha[g] = own[name], 1.0
+    hidden = {name: "" if groups else ", not drawn" for name, groups in changed.items()}
+    legend = [{"name": n + hidden[n], "color": c, "note": notes.get(n, "")} for n, c in own.items()]
     return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": legend})
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from ringtrue.checks.deck import check_deck
 from ringtrue.checks.mass import mass_properties, whole_mass
 from ringtrue.core.progress import Progress, part
+from ringtrue.model.dimensions import MADE
+from ringtrue.model.model import Model
 from ringtrue.study.results import ModelStage
 from ringtrue.study.scene import make_scene, scene_modes
 from ringtrue.study.workbench import Workbench
@@ -24,7 +26,7 @@ def run(desk: Workbench, progress: Progress) -> ModelStage:
         opened.model.case.title,
         tuple(opened.model.files),
         desk.deck.units,
-        {card: len(table) for card, table in sorted(opened.model.tables.items())},
+        _counted(opened.model),
         tuple(str(f) for f in report.findings),
         len(opened.model["GRID"]),
         int(opened.analysis.system.stiffness.shape[0]),
@@ -36,3 +38,12 @@ def run(desk: Workbench, progress: Progress) -> ModelStage:
         result.proof,
         scene,
     )
+
+
+def _counted(model: Model) -> dict[str, int]:
+    """Cards of the deck by name; a PBAR that a PBARL makes is none."""
+    count = {card: len(table) for card, table in sorted(model.tables.items())}
+    for source, made in MADE.items():
+        if source in count:
+            count[made] -= count[source]
+    return {card: n for card, n in count.items() if n}
