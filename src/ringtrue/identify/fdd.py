@@ -7,12 +7,13 @@ into the fitted model, so that the damping is not biased by it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from ringtrue.core.arrays import Complex, Float, Int
@@ -25,6 +26,9 @@ from ringtrue.signal.preprocess import detrend
 from ringtrue.signal.psd import Csd, Welch, csd
 from ringtrue.signal.windows import window
 
+_DAMPING = 1e-4, 0.3
+_ROUNDS, _NEAR = 40, 1e-3
+_REACH = 10.0  # half bandwidths
 _FOOT, _FALL = 0.05, 0.3  # of the peak: where the bell ends beside an edge; of a mode: what no mode falls below
 
 Method = Literal["fsdd", "efdd", "random decrement"]
@@ -170,7 +174,7 @@ def _bell(k: int, u: Complex, sv: Float, least: float, borders: tuple[int, int])
     like = np.abs(np.einsum("fci,c->fi", u.conj(), psi)) ** 2
     which = np.argmax(like, axis=1)
     best = like[np.arange(len(like)), which]
-    out = np.flatnonzero(best < least)
+    out = np.flatnonzero(uniform_filter1d(best, 5) < least)
     low, high = out[out < k], out[out > k]
     first = max(min(int(low[-1]) + 1 if low.size else 0, k - 3), borders[0])
     last = min(max(int(high[0]) - 1 if high.size else len(sv), k + 3), borders[1])
@@ -186,16 +190,67 @@ def _fit(b: _Bell, spectra: Csd, history: TimeHistory, scale: Float, s: FddSetti
     length = round(history.rate / df)
     if s.method == "fsdd":
         return _spectral(b, length, history.rate, spectra.segments)
-    decay: Complex
+    f, lag, taper = spectra.freqs[b.first : b.last + 1], np.arange(length // 2), lag_window(length)
     if s.method == "efdd":
-        lag = np.arange(0, 0.5 * length)
-        f = spectra.freqs[b.first : b.last + 1]
-        turns = np.exp(2j * np.pi * np.outer(lag, f) / history.rate)
-        decay = np.asarray(turns @ b.level / lag_window(length)[: lag.size], dtype=np.complex128)
+        decay = _turns(lag, f, history.rate) @ b.level / taper[: lag.size]
     else:
         decay = _signature(history, b, scale, df, length)
-    f0, zeta = log_decrement(decay, history.rate, s.levels)
-    return [f0, zeta, np.nan, np.nan]
+    got = log_decrement(decay, history.rate, s.levels)
+    low = np.flatnonzero(np.abs(decay) < s.levels[1] * np.abs(decay[0]))
+    lag = lag[: 2 * int(low[0]) + 16] if low.size else lag  # where a mode of that damping has fallen as far
+    if s.method == "efdd":
+        turns, kernel = _turns(lag, f, history.rate) / taper[: lag.size, None], _tapered(f, taper, history.rate)
+
+        def cut(f0: float, zeta: float) -> Complex:
+            return np.asarray(turns @ (kernel @ _free_decay(f0, zeta, length, history.rate) * (f / f0) ** 2))
+    else:
+        fine = np.linspace((b.first - 0.5) * df, (b.last + 0.5) * df, 3 * f.size)
+        turns = _turns(lag, fine, history.rate)
+
+        def cut(f0: float, zeta: float) -> Complex:
+            nu2 = (fine / f0) ** 2
+            return np.asarray(turns @ (nu2**2 / ((1 - nu2) ** 2 + 4 * zeta**2 * nu2)))
+
+    return [*_whole(got, cut, (f[0], f[-1]), history.rate, s.levels), np.nan, np.nan]
+
+
+def _whole(
+    got: tuple[float, float],
+    cut: Callable[[float, float], Complex],
+    edges: tuple[float, float],
+    rate: float,
+    levels: tuple[float, float],
+) -> tuple[float, float]:
+    """Frequency and damping of the mode whose decay, `cut` to the bell, has those that were `got` by its logarithm.
+
+    A bell that ends within a few half bandwidths, at its neighbours or in the noise, has a decay of its own.
+    """
+
+    f, zeta = float(np.clip(got[0], *edges)), float(np.clip(got[1], *_DAMPING))
+    for _ in range(_ROUNDS):
+        f_cut, zeta_cut = log_decrement(cut(f, zeta), rate, levels)
+        by = float(np.clip(got[1] / max(zeta_cut, _DAMPING[0]), 0.5, 2.0))
+        f, zeta = float(np.clip(f * got[0] / f_cut, *edges)), float(np.clip(zeta * by, *_DAMPING))
+        if abs(by - 1) < _NEAR and abs(got[0] / f_cut - 1) < _NEAR * zeta:
+            break
+    return f, zeta
+
+
+def _turns(lag: Int, freqs: Float, rate: float) -> Complex:
+    """(lag, line) phasors."""
+    return np.asarray(np.exp(2j * np.pi * np.outer(lag, freqs) / rate))
+
+
+def _tapered(freqs: Float, taper: Float, rate: float) -> Float:
+    """(line, lag) cosines that give the spectrum of a tapered correlation at the lines."""
+    lag = np.arange(taper.size)
+    return np.asarray(np.cos(2 * np.pi * np.outer(freqs, lag) / rate) * taper * np.where(lag == 0, 1.0, 2.0))
+
+
+def _free_decay(f: float, zeta: float, length: int, rate: float) -> Float:
+    """(length,) decay of a mode."""
+    wt = 2 * np.pi * f * np.arange(length) / rate
+    return np.asarray(np.exp(-zeta * wt) * np.cos(wt * np.sqrt(max(1 - zeta**2, 1e-3))))
 
 
 def lag_window(length: int) -> Float:
@@ -265,12 +320,19 @@ def _spectral(b: _Bell, length: int, rate: float, segments: int) -> list[float]:
     low = np.flatnonzero(level < _FOOT)
     after = low[low > peak + 3]
     if not after.size:
-        return _one_mode(f, level, length, rate, segments)
+        return _around(f, level, length, rate, segments)
     near = _one_mode(f[: after[0]], level[: after[0]], length, rate, segments)
     nu, zeta = f / near[0], near[1]
     mode = 4 * zeta**2 / ((1 - nu**2) ** 2 + 4 * zeta**2 * nu**2)
     filtered = (level < _FALL * mode) & (f > f[peak + 3])
-    return near if filtered.any() else _one_mode(f, level, length, rate, segments)
+    return near if filtered.any() else _around(f, level, length, rate, segments)
+
+
+def _around(f: Float, level: Float, length: int, rate: float, segments: int) -> list[float]:
+    """The fit over the lines; where some are farther from the mode than a slope and a level can tell, without those."""
+    fit = _one_mode(f, level, length, rate, segments)
+    near = np.abs(f - fit[0]) <= max(_REACH * fit[0] * fit[1], 4 * (f[1] - f[0]))
+    return fit if near.all() or near.sum() < 8 else _one_mode(f[near], level[near], length, rate, segments)
 
 
 def _one_mode(f: Float, unit_level: Float, length: int, rate: float, segments: int) -> list[float]:
@@ -278,21 +340,19 @@ def _one_mode(f: Float, unit_level: Float, length: int, rate: float, segments: i
 
     Frequency, damping and their standard deviations.
     """
-    lag = np.arange(length)
-    taper = lag_window(length) * np.where(lag == 0, 1.0, 2.0)
-    kernel = np.cos(2 * np.pi * np.outer(f, lag) / rate) * taper
+    kernel = _tapered(f, lag_window(length), rate)
     peak = int(np.argmax(unit_level))
 
     def misfit(x: Float) -> Float:
         w, zeta = 2 * np.pi * f[peak] * np.exp(x[0]), np.exp(x[1])
-        decay = np.exp(-zeta * w * lag / rate) * np.cos(w * np.sqrt(max(1 - zeta**2, 1e-3)) * lag / rate)
-        curve = kernel @ decay * 2 * zeta * w / rate
+        curve = kernel @ _free_decay(w / (2 * np.pi), zeta, length, rate) * 2 * zeta * w / rate
         model = np.exp(x[2]) * np.maximum(curve, 1e-9) * (f / f[peak]) ** x[4] + np.exp(x[3])
         return np.asarray(np.append(np.log(unit_level) - np.log(model), (x[4] - 2) / 2 * np.sqrt(1 / segments)))
 
     low = float(np.log(max(unit_level.min(), 1e-6)))
     start = np.array([0.0, np.log(0.01), 0.0, low - 1.0, 2.0])
-    bounds = ([-0.3, np.log(1e-4), -12.0, -25.0, -8.0], [0.3, np.log(0.3), 12.0, 1.0, 12.0])
+    low_z, high_z = np.log(_DAMPING)
+    bounds = ([-0.3, low_z, -12.0, -25.0, -8.0], [0.3, high_z, 12.0, 1.0, 12.0])
     fit = least_squares(misfit, np.clip(start, bounds[0], bounds[1]), bounds=bounds, x_scale=[0.01, 0.3, 0.3, 1, 2])
     jac = np.asarray(fit.jac, dtype=np.float64)
     cov = np.linalg.pinv(jac.T @ jac) * _scatter(length) / segments
