@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from ringtrue.errors import DataError
@@ -118,7 +119,7 @@ def test_missing_rows_and_samples_are_told_with_what_to_do(tmp_path: Path) -> No
     assert np.isnan(read_record(path, gaps=True).data).sum() == 1
 
 
-@pytest.mark.parametrize("form", ["clock", "array", "mat", "hdf5"])
+@pytest.mark.parametrize("form", ["clock", "array", "mat", "mat named", "hdf5", "hdf5 named", "vectors named", "tdms"])
 def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path, form: str) -> None:
     k = np.r_[0:3000, 6400:9000, 9001:10000]
     if form == "clock":
@@ -127,13 +128,22 @@ def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path,
         rows = [f"{s};{np.sin(i):.5f};{np.cos(i):.5f}" for s, i in zip(stamps, k, strict=True)]
         path = tmp_path / "r.csv"
         path.write_text("\n".join(["Timestamp;a;b", *rows]))
-    elif form == "mat":
+    elif form.startswith("mat"):
         path = tmp_path / "r.mat"
-        savemat(path, {"t": k / 125.0, "y": np.stack([np.sin(k), np.cos(k)], axis=1)})
-    elif form == "hdf5":
+        named = {"fs": 125.0} if "named" in form else {}
+        savemat(path, {"t": k / 125.0, "y": np.stack([np.sin(k), np.cos(k)], axis=1), **named})
+    elif form.startswith(("hdf5", "vectors")):
         path = tmp_path / "r.h5"
         with h5py.File(path, "w") as file:
-            file["time"], file["y"] = k / 125.0, np.stack([np.sin(k), np.cos(k)])
+            file["time"] = k / 125.0
+            file.update({"a": np.sin(k), "b": np.cos(k)} if "vec" in form else {"y": np.stack([np.sin(k), np.cos(k)])})
+            file.attrs.update({"rate": 125.0} if "named" in form else {})
+    elif form == "tdms":
+        path = tmp_path / "r.tdms"
+        with TdmsWriter(path) as writer:
+            signals = {"Time": k / 125.0, "a": np.sin(k), "b": np.cos(k)}
+            step = {"wf_increment": 1 / 125.0}
+            writer.write_segment([ChannelObject("g", n, x, step) for n, x in signals.items()])
     else:
         path = tmp_path / "r.npy"
         np.save(path, np.stack([k / 125.0, np.sin(k), np.cos(k)], axis=1))
@@ -142,6 +152,13 @@ def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path,
     assert np.array_equal(np.flatnonzero(np.isfinite(h.data).all(axis=0)), k)
     with pytest.raises(DataError, match=r"samples are missing: 27.2\d* s behind row 3000"):
         read_record(path)
+
+
+def test_times_in_other_units_leave_a_named_rate_alone(tmp_path: Path) -> None:
+    k = np.r_[0:3000, 6400:9000]
+    for t in (k / 125.0 / 86400, np.sort(np.random.default_rng(0).uniform(0, 50, k.size))):  # days, times of arrival
+        savemat(tmp_path / "r.mat", {"fs": 125.0, "t": t, "y": np.stack([np.sin(k), np.cos(k)], axis=1)})
+        assert read_record(tmp_path / "r.mat", gaps=True).data.shape == (2, k.size)
 
 
 def test_a_record_that_is_mostly_missing_is_refused(tmp_path: Path) -> None:

@@ -47,9 +47,8 @@ def read_mat(path: Path) -> RawTable:
     short = {k.rpartition(".")[2]: v for k, v in values.items()}
     largest = max(arrays, key=lambda a: a.size)
     place = next(k for k, v in values.items() if v is largest)
-    samples, rate, rows = max(largest.shape), named_rate(short), None
-    if rate is None:
-        rate, rows = time_grid(short, samples, path)
+    samples = max(largest.shape)
+    rate, rows = time_grid(short, samples, path, named_rate(short))
     if min(largest.shape) == 1 and len(vectors := _vectors(values, samples)) > 1:
         table = numbered(np.stack([np.ravel(v).astype(np.float64) for v in vectors.values()]), rate)
         table = replace(table, rows=rows)

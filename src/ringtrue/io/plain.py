@@ -21,6 +21,7 @@ _STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat"
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
 _LONG = 64  # samples: a shorter table is no record
+_SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times
 _THIN = 0.5  # share of the rows that must be there, where some are missing
 _CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
 
@@ -121,12 +122,9 @@ def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, 
     check_stored(data, path)
     attrs = {k.lower(): v for o in (file.file, file, data.parent, data) for k, v in o.attrs.items()}
     scalars = {k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1}
-    rate, rows = named_rate({**scalars, **attrs}), None
-    if rate is None:
-        beside = {k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name}
-        times = {k: v[()] for k, v in beside.items() if v.size == max(data.shape) and is_time(k)}
-        rate, rows = time_grid(times, max(data.shape), path)
-    return data, rate, rows
+    beside = {k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name}
+    times = {k: v[()] for k, v in beside.items() if v.size == max(data.shape) and is_time(k)}
+    return data, *time_grid(times, max(data.shape), path, named_rate({**scalars, **attrs}))
 
 
 def read_h5_table(file: h5py.Group, path: Path, group: str = "") -> RawTable:
@@ -168,9 +166,7 @@ def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
     short = {k.rpartition("/")[2]: v[()] for k, v in one.items() if v.size == samples}
     attrs = {k.lower(): v for o in (file, *one.values()) for k, v in o.attrs.items()}
     scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1}
-    rate, rows = named_rate({**scalars, **attrs}), None
-    if rate is None:
-        rate, rows = time_grid(short, samples, path)
+    rate, rows = time_grid(short, samples, path, named_rate({**scalars, **attrs}))
     signals = {k: v for k, v in one.items() if v.size == samples and not is_time(k.rpartition("/")[2])}
     if not signals:
         return None
@@ -322,14 +318,22 @@ def without_time(table: RawTable, path: Path) -> RawTable:
     if rate is None or rate <= 1 or table.data.shape[1] < 10:  # 1 Hz: the column may as well number the samples
         return table
     rest = replace(numbered(table.data[1:], rate), rows=rows)
-    if table.rate is not None and abs(table.rate / rate - 1) > 1e-3:
+    if table.rate is not None and abs(table.rate / rate - 1) > _SAME_RATE:
         raise DataError(f"{path}: a rate of {table.rate:g} Hz is named, but the first column, a time, says {rate:g} Hz")
     return rest
 
 
-def time_grid(values: Mapping[str, Any], samples: int, path: Path) -> tuple[float | None, Int | None]:
-    """`even_grid` of a vector of so many times among named arrays (`t`, `time`); None, None if there is none."""
-    for name, v in values.items():
-        if is_time(name) and _is_real(v) and np.size(v) == samples:
-            return even_grid(np.ravel(v).astype(np.float64), True, path)
-    return None, None
+def time_grid(
+    values: Mapping[str, Any], samples: int, path: Path, told: float | None = None
+) -> tuple[float | None, Int | None]:
+    """`even_grid` of a vector of so many times among named arrays (`t`, `time`); None, None if there is none.
+
+    A rate that is `told` beside them stands; of times in other units, or uneven ones, nothing is asked then.
+    """
+    times = [np.ravel(v) for k, v in values.items() if is_time(k) and _is_real(v) and np.size(v) == samples]
+    if not times:
+        return told, None
+    rate, rows = even_grid(times[0].astype(np.float64), told is None, path)
+    if told is None:
+        return rate, rows
+    return told, rows if rate is not None and abs(rate / told - 1) < _SAME_RATE else None

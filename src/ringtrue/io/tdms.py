@@ -67,8 +67,8 @@ def _signals(file: TdmsFile, path: Path) -> list[Any]:
 def _table(found: list[Any], path: Path) -> RawTable:
     _check_alike(found, path)
     rate, rows = next((r for c in found if (r := _rate(c)) is not None), None), None
-    if rate is None and (times := [c for c in found if is_time(c.name)]) and len(times) < len(found):
-        rate, rows = time_grid({"time": _values(times[0])}, len(times[0]), path)
+    if (times := [c for c in found if is_time(c.name)]) and len(times) < len(found):
+        rate, rows = time_grid({"time": _values(times[0])}, len(times[0]), path, rate)
         found = [c for c in found if not is_time(c.name)]
     data = np.stack([_values(c) for c in found])
     units = tuple(_unit(c.properties) for c in found)
