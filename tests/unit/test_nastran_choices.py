@@ -119,6 +119,20 @@ def test_sets_that_nothing_chooses_are_told(tmp_path: Path) -> None:
     assert len(told) == 2
 
 
+@pytest.mark.parametrize(
+    ("last", "told"),
+    [
+        ("MPC,1,3,1,1.,1,1,-2.", "run in a circle: MPC 1 of line 7, MPC 1 of line 8, MPC 1 of line 9; make one"),
+        ("MPC,1,1,1,1.,3,1,-2.", r"DOF 1\+X is dependent more than once \(MPC 1 of line 7, MPC 1 of line 9\)"),
+    ],
+)
+def test_equations_that_contradict_have_their_lines(tmp_path: Path, last: str, told: str) -> None:
+    nodes = "GRID,1\nGRID,2,,1.\nGRID,3,,2.\n"
+    text = f"CEND\nMPC = 1\nBEGIN BULK\n{nodes}MPC,1,1,1,1.,2,1,-1.\nMPC,1,2,1,1.,3,1,-1.\n{last}\n"
+    with pytest.raises(DeckError, match=rf":9: MPC 1: .*{told}"):
+        assemble(read_deck(write(tmp_path, text)))
+
+
 def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
     model = read_deck(write(tmp_path, "SPC = 8\nBEGIN BULK\n" + SETS + "SPCADD,8,5,7\nASET1,1,1\n"))
     told = {f.severity: f for f in check_deck(model).findings if "SPCADD" in f.text or "ASET1" in f.text}

@@ -7,7 +7,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.fem.algebra import arm, rotation
-from ringtrue.fem.equations import ROUNDING, Equations, listed, names
+from ringtrue.fem.equations import ROUNDING, Equations, listed, owners
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components, node_dofs
 from ringtrue.model.model import Table
@@ -65,7 +65,7 @@ def _spread(m: Mesh, t: Table, X: Float, of: Int, g: Int, ref: Int) -> Equations
     row = np.broadcast_to(number[of][:, :, None], X.shape).reshape(-1)
     column = np.broadcast_to(node_dofs(g[:, None])[:, None, :], X.shape).reshape(-1)
     keep = (row >= 0) & (X.reshape(-1) != 0)
-    return Equations(6 * ref[element] + c, row[keep], column[keep], X.reshape(-1)[keep], names(t, element))
+    return Equations(6 * ref[element] + c, row[keep], column[keep], X.reshape(-1)[keep], owners(t, element))
 
 
 def _resolved(m: Mesh, t: Table, eq: Equations, of: Int) -> Equations:

@@ -8,11 +8,12 @@ from scipy.sparse.csgraph import connected_components
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DeckError
-from ringtrue.fem.equations import Equations, names
+from ringtrue.fem.equations import Equations, owners
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components
 from ringtrue.fem.rigid import RIGID
 from ringtrue.model.model import Table
+from ringtrue.model.places import called
 
 EPZERO = 1e-8  # AUTOSPC holds what is weaker than this share of its node's largest stiffness
 
@@ -33,7 +34,7 @@ def _mpc(m: Mesh) -> Equations:
     number[rows] = np.arange(rows.size)
     rest = use & ~first
     value = -A.values[rest] / lead[of[rest]]
-    return Equations(dof[use & first], number[of[rest]], dof[rest], value, names(t, rows))
+    return Equations(dof[use & first], number[of[rest]], dof[rest], value, owners(t, rows))
 
 
 def _sets(m: Mesh, add: str, sid: int) -> Int:
@@ -113,8 +114,7 @@ def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:
     _, label = connected_components(chain, connection="strong")
     loop = np.flatnonzero((np.bincount(label)[label] > 1) | (chain.diagonal() != 0))
     if loop.size:
-        names = sorted({eq.owner[i] for i in loop.tolist()})
-        raise DeckError(f"dependencies run in a circle: {', '.join(names[:6])}; make one end independent")
+        raise _contradiction(m, eq, loop, "dependencies run in a circle: {}; make one end independent")
     rows = total = sparse.csr_array(full[:, free])
     while rows.nnz and chain.nnz:  # as often as the longest chain is long
         rows = sparse.csr_array(chain @ rows)
@@ -129,8 +129,15 @@ def _check(m: Mesh, eq: Equations, held: Bool) -> None:
         at = np.flatnonzero(bad[eq.dependent])
         if at.size:
             label = m.dofs.labels()[eq.dependent[at[0]]]
-            names = [eq.owner[i] for i in at.tolist() if eq.dependent[i] == eq.dependent[at[0]]]
-            raise DeckError(f"DOF {label} {why} ({', '.join(names)}); release one")
+            same = at[eq.dependent[at] == eq.dependent[at[0]]]
+            raise _contradiction(m, eq, same, f"DOF {label} {why} ({{}}); release one")
+
+
+def _contradiction(m: Mesh, eq: Equations, rows: Int, message: str) -> DeckError:
+    """An error at the last card behind the rows (k,) of the equations, with all of them in the message."""
+    cards = list(dict.fromkeys(eq.owner[i] for i in rows.tolist()))
+    table, row = cards[-1]
+    return error(m.model, table, row, message.format(called(m.model, cards)))
 
 
 def singular_dofs(K: sparse.csr_array, free: Int, nodes: int, tolerance: float = EPZERO) -> Bool:

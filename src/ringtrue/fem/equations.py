@@ -11,6 +11,7 @@ from ringtrue.fem.algebra import arm
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.model.model import Table
 
+Owner = tuple[Table, int]
 ROUNDING = 1e-14  # of the largest coefficient of a card: what is smaller is a zero
 
 
@@ -24,20 +25,20 @@ class Equations:
     row, column : (t,) int64
         Positions in `dependent`; full DOFs.
     value : (t,) float64
-    owner : tuple of str
-        The card behind each row.
+    owner : tuple of (Table, int)
+        The card behind each row: its table and row there.
     """
 
     dependent: Int
     row: Int
     column: Int
     value: Float
-    owner: tuple[str, ...]
+    owner: tuple[Owner, ...]
 
 
-def names(t: Table, at: Int) -> tuple[str, ...]:
-    """The cards of rows `at`, as they are called in messages."""
-    return tuple(f"{t.card} {i}" for i in t.ids[at].tolist())
+def owners(t: Table, at: Int) -> tuple[Owner, ...]:
+    """The cards of rows `at`, for messages."""
+    return tuple((t, i) for i in at.tolist())
 
 
 Ends = tuple[Int, Int, Bool]  # owner (k,), node id (k,), components (k, 6)
@@ -69,7 +70,7 @@ def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
         raise error(m.model, t, i, "a component is both independent and dependent")
     row = np.repeat(np.arange(at.size), 6)
     keep = np.abs(X.reshape(-1)) > ROUNDING * np.abs(X).max(initial=0.0)
-    return Equations(6 * h + d, row[keep], column.reshape(-1)[keep], X.reshape(-1)[keep], names(t, at))
+    return Equations(6 * h + d, row[keep], column.reshape(-1)[keep], X.reshape(-1)[keep], owners(t, at))
 
 
 def listed(m: Mesh, t: Table, ends: Ends) -> tuple[Int, Int, Int]:

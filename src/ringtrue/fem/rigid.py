@@ -11,7 +11,7 @@ from ringtrue.fem.algebra import arm, rotation
 from ringtrue.fem.average import rbe3
 from ringtrue.fem.elements import fast, weld
 from ringtrue.fem.elements.patch import End
-from ringtrue.fem.equations import ROUNDING, Equations, names, rigid
+from ringtrue.fem.equations import ROUNDING, Equations, owners, rigid
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components, node_dofs, segment
 from ringtrue.model.model import Table
@@ -30,7 +30,7 @@ def rbe2(m: Mesh) -> Equations:
     pair, c = np.nonzero(components(t["CM"][of]))
     row = np.repeat(np.arange(pair.size), 6)
     column = node_dofs(gn[pair][:, None]).reshape(-1)
-    return Equations(6 * gm[pair] + c, row, column, A[pair, c].reshape(-1), names(t, of[pair]))
+    return Equations(6 * gm[pair] + c, row, column, A[pair, c].reshape(-1), owners(t, of[pair]))
 
 
 def rbe1(m: Mesh) -> Equations:
@@ -67,7 +67,7 @@ def rrod(m: Mesh) -> Equations:
     dependent = 6 * node[every, end] + c
     row = np.repeat(every, 6)
     rest = (column != dependent[row]) & (value != 0)
-    return Equations(dependent, row[rest], column[rest], value[rest], names(t, every))
+    return Equations(dependent, row[rest], column[rest], value[rest], owners(t, every))
 
 
 def _nodes(m: Mesh, card: str, ends: tuple[str, ...], free: tuple[str, ...], bound: tuple[str, ...]) -> Equations:
@@ -190,7 +190,7 @@ def _interpolated(m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: Sequen
     row = np.repeat(np.arange(entry.size), column.shape[1])
     keep = np.abs(value.reshape(-1)) > ROUNDING * np.abs(value).max(initial=0.0)
     dependent = 6 * node[entry] + c
-    return Equations(dependent, row[keep], column.reshape(-1)[keep], value.reshape(-1)[keep], names(t, of[entry]))
+    return Equations(dependent, row[keep], column.reshape(-1)[keep], value.reshape(-1)[keep], owners(t, of[entry]))
 
 
 def cweld(m: Mesh) -> Equations:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.model import Model, Table
 
@@ -16,6 +18,16 @@ def unsupported(model: Model, table: Table, row: int, why: str) -> UnsupportedCa
     """An UnsupportedCard at the place of a row of a table."""
     path, line = _place(model, table, row)
     return UnsupportedCard(table.card, path=path, line=line, why=f"{table.ids[row]} {why}")
+
+
+def called(model: Model, rows: Sequence[tuple[Table, int]], most: int = 6) -> str:
+    """Rows of tables as a message calls them, with the lines of those that share a card and id."""
+    names = [f"{t.card} {t.ids[i]}" for t, i in rows]
+    told = [
+        f"{name} of line {line}" if names.count(name) > 1 and (line := _place(model, *row)[1]) else name
+        for name, row in zip(names[:most], rows, strict=False)
+    ]
+    return ", ".join([*told, *(["..."] if len(rows) > most else [])])
 
 
 def _place(model: Model, table: Table, row: int) -> tuple[str | None, int | None]:
