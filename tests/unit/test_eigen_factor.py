@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -132,14 +134,26 @@ def test_auto_takes_the_first_that_is_installed(monkeypatch, missing, then):
 
 
 @pytest.mark.parametrize(("n", "size"), [(60, 1e9), (500, 3.0)])
-@pytest.mark.parametrize("pair", [False, True])
-def test_negative_mass_is_named(n, size, pair):
-    """One negative mass, or two rows of a negative minor: Lanczos would go on for ever."""
+@pytest.mark.parametrize("rows", [(7,), (7, 9), (7, 8, 9)])
+def test_negative_mass_is_named(n, size, rows):
+    """One negative mass, two rows of a negative minor, or three whose minors of two are positive: Lanczos would go on
+    for ever."""
     m = sparse.eye_array(n, format="lil")
-    m[[7], [7]] = 1.0 if pair else -size
-    m[[7, 9], [9, 7]] = size if pair else 0.0
-    with pytest.raises(NumericalError, match=r"negative in some direction at row 7( row 9)?: check"):
+    for i, j in permutations(rows, 2):
+        m[i, j] = {2: size, 3: -0.9}[len(rows)]
+    if len(rows) == 1:
+        m[7, 7] = -size
+    with pytest.raises(NumericalError, match=f"negative in some direction at {' '.join(f'row {i}' for i in rows)}: "):
         solve_modes(Pencil(chain(n), sparse.csr_array(m)), 4)
+
+
+@pytest.mark.parametrize("n", [60, 500])
+def test_a_mass_that_is_negative_by_rounding_is_none(n):
+    m = sparse.eye_array(n, format="lil")
+    for i, j in permutations((7, 9), 2):
+        m[i, j] = 1 + 1e-10
+    m[20, 20] = -1e-10
+    assert solve_modes(Pencil(chain(n), sparse.csr_array(m)), 4).complete
 
 
 def test_a_singular_mass_of_full_blocks_is_not_called_negative():

@@ -58,9 +58,11 @@ def spectrum(
         theta, y = linalg.eigh(m * scale, a * scale)
     except linalg.LinAlgError:
         refuse_negative_mass(mass, labels)
+        refuse_negative_motion(mass, _least(m), labels)
         why = f"K - ({shift:.3g}) M is not positive definite: {HINT}"
         raise SingularModel(labels(_loose(a * scale, d)), why) from None
     moved = d[:, None] * y  # of unit energy: long where there is next to none
+    refuse_negative_motion(mass, moved[:, 0], labels)
     loose = (y**2).sum(axis=0) * NO_ENERGY > 1
     loose &= np.abs(theta) <= MASSLESS * usual_mass(mass) * (moved**2).sum(axis=0)
     if loose.any():
@@ -70,6 +72,13 @@ def spectrum(
     finite = (theta > 1e-13 * theta[0]) & (np.abs(modal - theta) < 0.1 * theta)
     theta, vectors = theta[finite], vectors[:, finite]
     return shift + 1 / theta, vectors / np.sqrt(modal[finite])
+
+
+def _least(m: Float) -> Float:
+    """The motion (f,) of least mass, each row in the scale of its own mass."""
+    own = np.abs(np.diag(m))
+    d = 1 / np.sqrt(np.where(own > 0, own, 1.0))
+    return np.asarray(d * linalg.eigh(m * d * d[:, None], subset_by_index=(0, 0))[1][:, 0])
 
 
 def _loose(a: Float, d: Float) -> Int:
@@ -108,7 +117,25 @@ def refuse_negative_mass(mass: sparse.csr_array, labels: Labels) -> None:
         i, j = block.row + first, block.col
         wrong = (i < j) & (block.data**2 > (1 + NEGATIVE) * size[i] * size[j] + usual**2)
         found += [i[wrong], j[wrong]]
-    rows = np.unique(np.concatenate(found)).astype(np.int64)
+    _refuse(np.unique(np.concatenate(found)).astype(np.int64), labels)
+
+
+def refuse_negative_motion(mass: sparse.csr_array, motion: Float, labels: Labels) -> None:
+    """A motion (f,) whose mass is negative by more than rounding, of however many rows, is refused as well.
+
+    Raises
+    ------
+    NumericalError
+        With the rows that make it so.
+    """
+    part, size = motion * (mass @ motion), np.abs(motion)
+    usual = usual_mass(mass) * float((motion[mass.diagonal() != 0] ** 2).sum())
+    if part.sum() < -NEGATIVE * (size @ (abs(mass) @ size) + usual):
+        rows = np.argsort(part, kind="stable")[:6]
+        _refuse(np.sort(rows[part[rows] < 0.1 * part.min()]), labels)
+
+
+def _refuse(rows: Int, labels: Labels) -> None:
     if rows.size:
         names = " ".join(labels(rows[:6]))
         raise NumericalError(f"mass or inertia is negative in some direction at {names}: check its signs")

@@ -14,6 +14,7 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
+from ringtrue.eigen.dense import Labels, named_rows, refuse_negative_motion
 from ringtrue.eigen.factor import Factor
 from ringtrue.errors import NotConverged
 
@@ -54,10 +55,19 @@ class Krylov:
         Most basis vectors held.
     rng : Generator
         For start vectors.
+    labels : callable, optional
+        Names of rows for errors.
     """
 
-    def __init__(self, factor: Factor, mass: sparse.csr_array, capacity: int, rng: np.random.Generator) -> None:
-        self.factor, self.mass, self.rng = factor, mass, rng
+    def __init__(
+        self,
+        factor: Factor,
+        mass: sparse.csr_array,
+        capacity: int,
+        rng: np.random.Generator,
+        labels: Labels = named_rows,
+    ) -> None:
+        self.factor, self.mass, self.rng, self.labels = factor, mass, rng, labels
         rows = int(mass.shape[0])
         self.capacity = capacity
         self.basis = np.zeros((rows, capacity + 2 * BLOCK), order="F")
@@ -138,6 +148,8 @@ class Krylov:
                 r[:rank, j] += c
             size = float(np.sqrt(abs(x @ mx)))
             if size > floor:
+                if x @ mx < 0:  # a block spans such a direction as soon as the problem has one that moves
+                    refuse_negative_motion(self.mass, x, self.labels)
                 r[rank, j] = size
                 q, mq = np.column_stack([q, x / size]), np.column_stack([mq, mx / size])
         return q, mq, r[: q.shape[1]]
@@ -212,6 +224,7 @@ def solve(
     locked: tuple[Float, Float] | None = None,
     progress: Progress | None = None,
     begun: Krylov | None = None,
+    labels: Labels = named_rows,
 ) -> RitzPairs:
     """Pairs of the largest |θ|, until `enough(theta)` holds for the leading converged ones.
 
@@ -228,16 +241,20 @@ def solve(
         Pairs known already; the start block is orthogonal to them.
     begun : Krylov, optional
         A space of the same operator, without locked pairs, to go on with.
+    labels : callable, optional
+        Names of rows for errors.
 
     Raises
     ------
+    NumericalError
+        If the mass is negative in some direction.
     NotConverged
         After `MAX_STEPS` blocks.
     """
     rows = int(mass.shape[0])
     known = 0 if locked is None else locked[0].size
     if begun is None:
-        krylov = Krylov(factor, mass, capacity(rows, expected, known), np.random.default_rng(known))
+        krylov = Krylov(factor, mass, capacity(rows, expected, known), np.random.default_rng(known), labels)
         theta, vectors = locked or (np.zeros(0), np.zeros((rows, 0)))
         krylov.start(vectors, theta)
     else:

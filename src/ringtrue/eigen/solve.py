@@ -137,7 +137,7 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]
     for last in (*(False,) * TRIES, True):
         still = known[1].size
         columns = lanczos.capacity(pencil.size, max(count - still, 0) + EXTRA, still)
-        krylov = lanczos.Krylov(pencil.at(shift), pencil.mass, columns, np.random.default_rng(0))
+        krylov = lanczos.Krylov(pencil.at(shift), pencil.mass, columns, np.random.default_rng(0), pencil.labels)
         krylov.start(known[0], 1 / (known[1] - shift))
         if last:
             break
@@ -176,7 +176,9 @@ def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress 
         values = np.sort(shift + 1 / theta)
         return (values.size > count and _gap_after(values, count, shift) is not None) or values.size >= most + 40
 
-    pairs = lanczos.solve(factor, pencil.mass, enough, expected=most + EXTRA, progress=progress, begun=begun)
+    pairs = lanczos.solve(
+        factor, pencil.mass, enough, expected=most + EXTRA, progress=progress, begun=begun, labels=pencil.labels
+    )
     del begun
     pairs = _sharp(pencil, pairs, shift)
     while True:
@@ -232,7 +234,12 @@ def _again(pencil: Pencil, shift: float, pairs: lanczos.RitzPairs, missing: int)
     want = pairs.theta.size + missing
     locked = (pairs.theta, pairs.vectors)
     more = lanczos.solve(
-        pencil.at(shift), pencil.mass, lambda theta: theta.size >= want, expected=missing + EXTRA, locked=locked
+        pencil.at(shift),
+        pencil.mass,
+        lambda theta: theta.size >= want,
+        expected=missing + EXTRA,
+        locked=locked,
+        labels=pencil.labels,
     )
     return _sharp(pencil, more, shift)
 
@@ -318,6 +325,7 @@ def _band(
             expected=expected + EXTRA,
             locked=locked,
             progress=progress,
+            labels=pencil.labels,
         )
         pairs = _sharp(pencil, pairs, sigma)
         found = inside(pairs.theta)
