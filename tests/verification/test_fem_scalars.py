@@ -11,7 +11,7 @@ from fem_cases import cards, grid, model, modes, ragged, spc, steel
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
-from ringtrue.errors import DeckError, SingularModel, UnsupportedCard
+from ringtrue.errors import DeckError, InputError, SingularModel, UnsupportedCard
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.model import CaseControl, Model, Table
@@ -115,6 +115,14 @@ def test_rayleigh_damping(dashpot: float) -> None:
     np.testing.assert_allclose(D, 0.3 * np.eye(2) + 0.02 * (pair + np.diag([1, 0])) + dashpot * pair, atol=EXACT)
     assert slope.viscous is not None
     np.testing.assert_allclose(slope.viscous.toarray(), 0.02 * pair, atol=EXACT)
+
+
+def test_a_model_in_which_nothing_moves_says_what_holds_it() -> None:
+    held = grid(np.zeros((1, 3)), PS="123456")
+    with pytest.raises(InputError, match=r"check SPC and MPC$"):
+        EmbeddedSolver().open(model(held))
+    with pytest.raises(InputError, match="check SPC and MPC; 6 have no stiffness"):
+        EmbeddedSolver().open(model(grid(np.zeros((1, 3)))))
 
 
 def test_conm1_in_a_frame_is_conm2() -> None:

@@ -25,7 +25,7 @@ from ringtrue.eigen.problem import EigenModes, eigenvalue
 from ringtrue.eigen.residual import residual_vectors
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, SingularModel
-from ringtrue.fem.assembly import System, assemble
+from ringtrue.fem.assembly import System, assemble, refuse_held
 from ringtrue.fem.derivatives import system_derivatives
 from ringtrue.fem.response import coupled, direct
 from ringtrue.fem.response import frf as superpose
@@ -350,6 +350,5 @@ class EmbeddedSolver:
             If nothing is free to move.
         """
         system, spins = without_spins(model, assemble(model))
-        if not system.stiffness.shape[0]:
-            raise InputError("the model has no free degree of freedom: check SPC and MPC")
+        refuse_held(system)
         return EmbeddedAnalysis(model, system, spins=spins, method=self.method, progress=self.progress)

@@ -23,8 +23,8 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.eigen.problem import eigenvalue, frequencies, polish
 from ringtrue.eigen.solve import start_shift, suitable_shift
-from ringtrue.errors import ConfigError, InputError, SolverFailed, SolverMissing, UnsupportedError
-from ringtrue.fem.assembly import System, assemble
+from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
+from ringtrue.fem.assembly import System, assemble, refuse_held
 from ringtrue.fem.spins import without_spins
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
@@ -179,7 +179,6 @@ class SlepcSolver:
         """
         python, launcher = find_slepc()
         system, _ = without_spins(model, assemble(model))
-        if not system.stiffness.shape[0]:
-            raise InputError("the model has no free degree of freedom: check SPC and MPC")
+        refuse_held(system)
         command = (launcher, "-n", str(self.ranks), python)
         return SlepcAnalysis(system, command, timeout=self.timeout, progress=self.progress)

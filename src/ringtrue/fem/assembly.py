@@ -11,6 +11,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.dofs import DofSet
+from ringtrue.errors import InputError
 from ringtrue.fem.algebra import arm
 from ringtrue.fem.constraints import EPZERO, eliminate, singular_dofs
 from ringtrue.fem.elements import dmig
@@ -210,6 +211,20 @@ def assemble(model: Model) -> System:
         m.xyz,
         (alpha, beta),
     )
+
+
+def refuse_held(system: System) -> None:
+    """Refuse a system in which nothing moves.
+
+    Raises
+    ------
+    InputError
+        With what holds it.
+    """
+    if system.stiffness.shape[0]:
+        return
+    weak = f"; {len(system.autospc)} have no stiffness: check moduli and properties" if len(system.autospc) else ""
+    raise InputError(f"the model has no free degree of freedom: check SPC and MPC{weak}")
 
 
 def rayleigh(model: Model) -> tuple[float, float]:

@@ -177,7 +177,7 @@ CQUAD CQUADX CTRIAX CTRIAX6 CTRAX3 CTRAX6 CQUADX4 CQUADX8 CPYRA5 CHEX8 CHEX20 CB
 CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR CRAC2D CRAC3D CTWIST CWEDGE PCOMPS PLPLANE PBEAM3
 PSEAM PBUSH2D PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT3 MAT11 MATORT MATHP MFLUID RBE2GS RBE2F RSSCON RBAX
 DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEBULK SECONCT SEELT SESET SEBNDRY SELOC SEMPLN SETREE
-CSUPER CSUPEXT RELEASE BCONP BCTABLE BLSEG BSCONP SLBLOAD AXIC PDAMP5 TIE CONTACT JOINTG RBODY
+CSUPER CSUPEXT RELEASE PCOMPG1 PCOMPP MATCID BCONP BCTABLE BLSEG BSCONP SLBLOAD AXIC PDAMP5 TIE CONTACT JOINTG RBODY
 """
 PRELOADS = ("FORCE", "MOMENT", "PLOAD", "GRAV", "ACCEL", "RFORCE", "TEMP", "DEFORM", "SLOAD", "SPCD", "LOAD")
 _REASONS = (  # what cards have in common that are not read, and how their names begin
@@ -194,6 +194,8 @@ _REASONS = (  # what cards have in common that are not read, and how their names
     ("fluids: give their mass as CONM2 or NSM, or as DMIG with M2GG",
      ("CFLUID", "CHACAB", "CHACBR", "MFLUID", "CAABSF")),
     ("beams of three nodes: give two CBEAM", ("CBEAM3", "PBEAM3", "CBAR3")),
+    ("laminates put together from plies of their own: give PCOMP or PCOMPG", ("PCOMPG1", "PCOMPP")),
+    ("material axes of solids by element: give CORDM of the PSOLID", ("MATCID",)),
     ("layered solids: give PSOLID with the mean of the layers as MAT9, or shells with PCOMP", ("PCOMPS", "PCOMPLS")),
     ("preload: the modes are those of the unloaded structure; take STATSUB out to have them", PRELOADS),
     ("elements of old NASTRAN: give CQUAD4, CTRIA3, CSHEAR, CHEXA, CPENTA or CTETRA",

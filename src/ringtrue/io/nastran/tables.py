@@ -37,6 +37,8 @@ _OWN_PROPERTY = frozenset(  # a blank PID is the element's own number
     )
 )
 
+_SURPLUS = {"PSHELL": "; give THETA, ZOFFS and the like of Autodesk and OptiStruct on the elements"}
+
 
 def fault(cards: Cards, card: int, message: str, field: str = "") -> DeckError:
     """The error of a card, at its place."""
@@ -109,12 +111,13 @@ def _parse(cards: Cards, name: str, rows: Int, cells: Cells) -> dict[str, NDArra
 
 def _refuse_surplus(cards: Cards, specs: Sequence[FieldSpec], rows: Int, cells: Cells) -> None:
     """An element with more fields than it has is a card of another make: never cut it short in silence."""
-    if specs[-1].tail or cells.shape[1] <= len(specs) or specs[0].name != "EID":
+    card = cards.name[rows[0]].decode()
+    if specs[-1].tail or cells.shape[1] <= len(specs) or not (specs[0].name == "EID" or card in _SURPLUS):
         return
     extra = (cells[:, len(specs) :] != b"").any(axis=1)
     if extra.any():
-        card = int(rows[extra.argmax()])
-        raise fault(cards, card, f"more than {len(specs)} data fields")
+        what = f"more than {len(specs)} data fields{_SURPLUS.get(card, '')}"
+        raise fault(cards, int(rows[extra.argmax()]), what)
 
 
 def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[Any]:
