@@ -26,9 +26,12 @@ def _cube(first: int, z: float) -> str:
 
 def _two(folder: Path, gap: float, joint: str) -> Model:
     """A cube that stands, and one on it, joined by what `joint` says."""
+    return _deck(folder, _cube(1, 0.0) + _cube(11, 1.0 + gap) + SPRINGS + joint)
+
+
+def _deck(folder: Path, bulk: str) -> Model:
     path = folder / "a.bdf"
-    cubes = _cube(1, 0.0) + _cube(11, 1.0 + gap)
-    path.write_text(f"SOL 103\nCEND\nSPC = 1\nBEGIN BULK\n{cubes}{REST}{SPRINGS}{joint}ENDDATA\n")
+    path.write_text(f"SOL 103\nCEND\nSPC = 1\nBEGIN BULK\n{bulk}{REST}ENDDATA\n")
     return read_deck(path)
 
 
@@ -66,6 +69,17 @@ def test_a_beam_on_one_node_of_a_solid_is_hinged(tmp_path: Path) -> None:
     (told,) = _told(m)
     assert told.startswith("info CBAR 60: hinged")
     assert _loose(m) == 2
+
+
+def test_a_shell_on_an_edge_of_a_solid_is_hinged(tmp_path: Path) -> None:
+    """It turns about the edge, unless it goes on over the face, which the other shell is for."""
+    shell = "GRID,31,,2.,0.,1.\nGRID,32,,2.,1.,1.\nCQUAD4,60,2,6,31,32,7\nPSHELL,2,1,.05,1,,1\n"
+    over = shell + "CQUAD4,61,2,5,6,7,8\n"
+    for joint, hinged in ((shell, True), (over, False)):
+        m = _deck(tmp_path, _cube(1, 0.0) + joint)
+        told = [f.text for f in check_deck(m).findings if "CQUAD4" in f.text]
+        assert [t.startswith("CQUAD4 60: hinged where an edge of it") for t in told] == [True] * hinged
+        assert _loose(m) == hinged
 
 
 @pytest.mark.parametrize(

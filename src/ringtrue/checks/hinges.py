@@ -1,4 +1,4 @@
-"""Beams and bushes that end on nodes of solids, which take no moments."""
+"""Beams, shells and bushes that end on nodes of solids, which take no moments."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.core.arrays import Bool, Int
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged
-from ringtrue.model.references import NODES, REFERENCES
+from ringtrue.model.references import NODES, REFERENCES, SHELLS
 
 _SOLIDS = frozenset(("CTETRA", "CPENTA", "CHEXA", "CPYRAM"))
 _STRAIGHT = frozenset(("CROD", "CTUBE", "CONROD", "CVISC", "CBUSH1D"))  # along themselves alone
@@ -28,6 +28,9 @@ def hinge_findings(model: Model) -> Iterator[Finding]:
         if rows.size:
             what = "hinged where it ends on a node of solids, which take no moment; RBE3 or a beam inside them would"
             yield at_rows(model, card, rows, "info", what)
+    for card, rows in _edges_on_solids(model):
+        what = "hinged where an edge of it meets solids, whose nodes take no moment; shells over their faces would"
+        yield at_rows(model, card, rows, "info", what)
     if "CBUSH" in model:
         rows = np.flatnonzero(_idle_bushes(model, free))
         if rows.size:
@@ -44,6 +47,25 @@ def _hinges(model: Model) -> Bool:
         np.add.at(solid if r.card in _SOLIDS else other, _rows(model, r.card, r.field), 1)
     solid[-1] = 0
     return np.asarray((solid > 0) & (other == 1))
+
+
+def _edges_on_solids(model: Model) -> Iterator[tuple[str, Int]]:
+    """Shells with two corners or more on solids, where neither a shell over their faces nor another card turns them."""
+    solid, turned = np.zeros((2, len(model["GRID"]) + 1), dtype=bool)
+    for r in REFERENCES:
+        if r.of == NODES and r.card in model and r.card not in _STRAIGHT | _MASSES and r.card not in SHELLS:
+            (solid if r.card in _SOLIDS else turned)[_rows(model, r.card, r.field)] = True
+    solid[-1] = False
+    corners = {
+        card: np.stack([_rows(model, card, f"G{k}") for k in range(1, 4 + ("QUAD" in card))], axis=1)
+        for card in SHELLS
+        if card in model
+    }
+    for at in corners.values():
+        turned[at[solid[at].all(axis=1)]] = True
+    for card, at in corners.items():
+        if (rows := np.flatnonzero((solid & ~turned)[at].sum(axis=1) > 1)).size:
+            yield card, rows
 
 
 def _rows(model: Model, card: str, field: str) -> Int:
