@@ -60,7 +60,8 @@ def named(m: Mesh, name: str) -> sparse.csr_array:
     t = m.model["DMIG"]
     form = int(t["IFO"][i])
     if form not in (SYMMETRIC, SQUARE) or t.ragged("B").row(i).any():
-        raise unsupported(m.model, t, i, f"{name} has form {form}; allowed are real matrices of form 1 and 6")
+        kind = "complex" if form in (SYMMETRIC, SQUARE) else f"of form {form}"
+        raise unsupported(m.model, t, i, f"{name} is {kind}; allowed are real matrices of form 1 and 6")
     row, column = (_dofs(m, i, t.ragged(f"G{e}").row(i), t.ragged(f"C{e}").row(i)) for e in "IJ")
     value = t.ragged("A").row(i)
     if form == SYMMETRIC:  # one triangle is given, or both alike: each pair counts once

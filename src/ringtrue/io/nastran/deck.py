@@ -64,6 +64,7 @@ class _Reading:
         self.main = main.resolve()
         self.files: dict[Path, int] = {}
         self.pieces: list[_Piece] = []
+        self.left_out: list[str] = []  # why, for each include of the executive control that is not there
 
     def read(self, path: Path, chain: tuple[Path, ...] = ()) -> bool:
         """Append the pieces of a file; True once ENDDATA is met."""
@@ -84,7 +85,7 @@ class _Reading:
             except DeckError as wrong:
                 if not any(_lines_of(upper, b"CEND", after=at)):
                     raise
-                log.warning("%s; it is left out, as the executive control above CEND changes no model", wrong)
+                self.left_out.append(str(wrong))
                 continue
             if child in (*chain, path):
                 raise DeckError(f"{child} includes itself", path=path, line=line, card="INCLUDE")
@@ -158,6 +159,9 @@ def load(path: str | Path) -> Deck:
         raise DeckError("no such deck", path=path)
     reading = _Reading(path)
     reading.read(reading.main)
+    if lost := reading.left_out:
+        more = f" ({len(lost) - 1} more like it)" if len(lost) > 1 else ""
+        log.warning("%s%s; left out, as the executive control above CEND changes no model", lost[0], more)
     raw = b"".join([*(p.data for p in reading.pieces), b" " * WIDTH])
     start, stop, file, line = _lines(reading.pieces, raw)
     first, last, supers = _bulk_range(raw, start, path)
