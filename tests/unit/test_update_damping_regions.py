@@ -137,6 +137,25 @@ def test_springs_that_are_no_suspension_have_a_loss_factor(tmp_path: Path) -> No
     assert [(r.name, r.nature) for r in found][-1] == ("mounts", "joint")
 
 
+def test_springs_of_one_make_have_one_loss_factor(tmp_path: Path) -> None:
+    more = [f"PBUSH,{i},K,{k},{k},{k}" for i, k in ((11, 1e5), (12, 2e5), (13, 1e5), (14, 1e5))]
+    model = read(tmp_path, deck(GE, B).replace("ENDDATA", "\n".join([*more, "ENDDATA"]))).model
+
+    def springs(suspension: ParameterSet, **regions: list[int]) -> list[tuple[str, list[int]]]:
+        found = default_regions(model, suspension, regions)
+        return [(r.name, [t.id for t in r.targets]) for r in found if r.nature == "joint" and r.targets[0].id > 10]
+
+    none = ParameterSet(())
+    assert springs(none) == [("PBUSH 11,13,14", [11, 13, 14]), ("PBUSH 12", [12])]
+    assert springs(none, left=[11, 12], right=[13])[1:] == [
+        ("left (PBUSH 12)", [12]),
+        ("right", [13]),
+        ("PBUSH 14", [14]),
+    ]
+    hung = ParameterSet((Parameter("rope", (Target("PBUSH", 13, "K1"),)),))
+    assert springs(hung) == [("PBUSH 11,14", [11, 14]), ("PBUSH 12", [12])]
+
+
 def test_undamped_takes_all_damping_and_nothing_else(tmp_path: Path) -> None:
     opened = read(tmp_path, deck(GE, B, bush_ge=0.05))
     bare = undamped(opened.model)

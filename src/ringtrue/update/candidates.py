@@ -131,6 +131,17 @@ def counted(rows: Rows) -> str:
     return " and ".join(f"{at.size} {card}" for card, at in sorted(rows.items()))
 
 
+def listed(ids: Sequence[int] | Int) -> str:
+    """`3`, `3-8`, or `3,5,9 (12 in all)`."""
+    ids = np.sort(np.asarray(ids))
+    if ids.size == 1:
+        return str(ids[0])
+    if ids[-1] - ids[0] == ids.size - 1:
+        return f"{ids[0]}-{ids[-1]}"
+    shown = ",".join(map(str, ids[:3].tolist()))
+    return shown if ids.size <= 3 else f"{shown},... ({ids.size} in all, to {ids[-1]})"
+
+
 def ids_of(model: Model, rows: Rows) -> Int:
     """Ids of the elements in these rows of their cards, (e,) int64."""
     return np.concatenate([np.zeros(0, dtype=np.int64), *(model[c].ids[at] for c, at in rows.items())])

@@ -7,7 +7,7 @@ of the field itself, so that it can be written into the deck.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -23,6 +23,7 @@ from ringtrue.fem.mesh import mesh
 from ringtrue.fem.rows import union
 from ringtrue.model.edit import FieldChange, resolve_target
 from ringtrue.model.model import Model, Table
+from ringtrue.update.candidates import listed
 from ringtrue.update.damping import Mechanism
 
 DASHPOTS = {
@@ -33,6 +34,7 @@ DASHPOTS = {
     "PVISC": ("CE", "CR"),
 }
 OWN_LOSS = ("MAT1", "MAT2", "MAT8", "MAT9", "PCOMP", "PCOMPG")  # a laminate has the loss factor of its property
+STIFFNESS = {"PBUSH": ("K1", "K2", "K3", "K4", "K5", "K6"), "PELAS": ("K",)}
 SPRINGS = ("PBUSH", "PELAS", "CELAS2")
 PIECE = 300_000  # elements times vectors that are held at once
 FAINT = 1e-9  # of the energy of a mode
@@ -105,7 +107,8 @@ def default_regions(
     """A region for each material and each group of springs; the suspension gets dashpots in place of a loss factor.
 
     MAT1 cards of one density and one Poisson's ratio are one material: a deck has several of them where the stiffness
-    of its regions is uncertain, and what dissipates in them is the same. So are laminates of the same materials.
+    of its regions is uncertain, and what dissipates in them is the same. So are laminates of the same materials, and
+    springs of the same stiffness are one make, unless they are regions of different names.
 
     Parameters
     ----------
@@ -115,17 +118,16 @@ def default_regions(
     properties : mapping of name to property numbers
         Regions are called by these names where they belong to few enough of them.
     """
+    sprung = [(p.name, [t for t in p.targets if _is_spring(t)]) for p in suspension.parameters]
+    soft = {t.id for _, targets in sprung for t in targets}
     found = [
         DampingRegion(_name(model, card, ids, properties), tuple(Target(card, i, "GE") for i in ids))
         for card in (*OWN_LOSS, "PBUSH", "PELAS")
         if card in model
-        for ids in _alike(model[card])
+        for ids in _alike(model[card], properties, soft if card == "PBUSH" else ())
     ]
     if "CELAS2" in model:
         found.append(DampingRegion("CELAS2", tuple(Target("CELAS2", int(i), "GE") for i in model["CELAS2"].ids)))
-    sprung = [(p.name, [t for t in p.targets if _is_spring(t)]) for p in suspension.parameters]
-    soft = {t.id for _, targets in sprung for t in targets}
-    found = [r for r in found if not (r.targets[0].card == "PBUSH" and r.targets[0].id in soft)]
     found += [
         DampingRegion(name, tuple(Target("PBUSH", t.id, f"B{t.field[1]}") for t in targets))
         for name, targets in sprung
@@ -138,18 +140,24 @@ def _is_spring(t: Target) -> bool:
     return t.card == "PBUSH" and re.fullmatch("K[1-6]", t.field) is not None
 
 
-def _alike(table: Table) -> list[tuple[int, ...]]:
-    """Ids of the cards that are one region: MAT1 of one density and Poisson's ratio, laminates of like materials."""
-    if table.card == "MAT1":
+def _alike(table: Table, properties: Mapping[str, Sequence[int]], left_out: Collection[int]) -> list[tuple[int, ...]]:
+    """Ids of the cards that are one region: materials, laminates or springs that are alike."""
+    ids = table.ids.tolist()
+    if table.card == "MAT1":  # of one density and Poisson's ratio
         looks = np.nan_to_num(np.stack([table["RHO"], table["NU"]], axis=1), nan=-1.0)
         keys: list[object] = [tuple(row) for row in np.round(looks, 9).tolist()]
     elif table.card in ("PCOMP", "PCOMPG"):
         keys = [frozenset(table.ragged("MID").row(i).tolist()) for i in range(len(table))]
+    elif table.card in ("PBUSH", "PELAS"):
+        stiffness = np.stack([table[k] for k in STIFFNESS[table.card]], axis=1)
+        named = [frozenset(name for name, members in properties.items() if i in members) for i in ids]
+        keys = [(name, *(f"{k:.9e}" for k in row)) for name, row in zip(named, stiffness.tolist(), strict=True)]
     else:
-        keys = list(table.ids.tolist())
+        keys = list(ids)
     groups: dict[object, list[int]] = {}
-    for key, ident in zip(keys, table.ids.tolist(), strict=True):
-        groups.setdefault(key, []).append(int(ident))
+    for key, ident in zip(keys, ids, strict=True):
+        if ident not in left_out:
+            groups.setdefault(key, []).append(int(ident))
     return sorted(tuple(dict.fromkeys(g)) for g in groups.values())
 
 
@@ -171,6 +179,8 @@ def _name(model: Model, card: str, ids: Sequence[int], properties: Mapping[str, 
     if card in ("PCOMP", "PCOMPG"):
         made_of = np.unique(model[card].ragged("MID").row(int(model[card].find(np.array(ids[:1]))[0])))
         return f"laminates of materials {', '.join(str(i) for i in made_of.tolist())}"
+    if card in STIFFNESS:
+        return f"{card} {listed(ids)}"
     if len(ids) > 1:
         return f"material of density {float(model[card]['RHO'][model[card].find(np.array(ids[:1]))[0]]):g}"
     return f"{card} {ids[0]}"

@@ -22,6 +22,7 @@ from ringtrue.update.candidates import (
     counted,
     given_fields,
     ids_of,
+    listed,
     new_candidate,
 )
 from ringtrue.update.catalogue import MASSES, MATERIALS, SECTIONS, SPRINGS, Catalogue
@@ -164,18 +165,7 @@ def _group(
     field_name = "K" if fields.startswith("K1+") else lead
     value = amount(float(table[lead][at[0]]), quantity, s)
     each = " each" if ids.size > 1 else ""
-    name = f"{table.card} {_listed(ids)} {field_name}"
+    name = f"{table.card} {listed(ids)} {field_name}"
     return new_candidate(
         s, kind, name, f"{word} {value}{each} of {counted(rows)}", quantity, ids_of(model, rows), targets
     )
-
-
-def _listed(ids: Int) -> str:
-    """`3`, `3-8`, or `3,5,9 (12 in all)`."""
-    ids = np.sort(ids)
-    if ids.size == 1:
-        return str(ids[0])
-    if ids[-1] - ids[0] == ids.size - 1:
-        return f"{ids[0]}-{ids[-1]}"
-    shown = ",".join(map(str, ids[:3].tolist()))
-    return shown if ids.size <= 3 else f"{shown},... ({ids.size} in all, to {ids[-1]})"
