@@ -14,7 +14,7 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.identify.ambient import AmbientSettings, bands_for
-from ringtrue.identify.ambient_verdict import settled, without_echoes
+from ringtrue.identify.ambient_verdict import settled, without_echoes, without_noise
 from ringtrue.identify.cluster import cluster_poles
 from ringtrue.identify.merge import merge_modes
 from ringtrue.identify.ssi import SsiCov, decompose, hankel_gram, squared_hankel, ssi_cov
@@ -225,3 +225,17 @@ def test_the_scatter_of_a_mode_is_no_second_mode():
     assert without_echoes(known, sure) == pytest.approx(sure)
     few = replace(table, shape=shape[:3])
     assert without_echoes(few, sure) == pytest.approx(sure)
+
+
+def test_a_pole_known_far_worse_than_a_mode_of_as_many_cycles_is_noise():
+    """At 280 Hz and 0.9 % a record of 500 s knows the damping to 1 %: 40 % is noise, but not of a slow mode."""
+    blank = np.zeros((2, 4))
+    table = Candidates(
+        2 * np.pi * np.array([0.5, 280.0]) * (-0.009 + 1j), 0j + blank, np.ones((4, 2), complex),
+        np.zeros((2, 4, 4), complex), blank[:, 0], np.ones((2, 2), np.int64),
+        np.ones(2), np.ones(2), np.ones(2), np.zeros(0, np.int64), np.zeros(0, bool), np.zeros(2, bool),
+    )  # fmt: skip
+    table = replace(table, deviation=0.2 * table.damping[:, None] * np.abs(table.pole)[:, None] + 0j + blank)
+    sure = np.array([0.4, 0.4])
+    assert without_noise(table, sure, 500.0) == pytest.approx([0.4, 0.2])
+    assert without_noise(replace(table, refined=np.ones(2, bool)), sure, 500.0) == pytest.approx(sure)

@@ -49,6 +49,7 @@ from ringtrue.identify.ambient_verdict import (
     unexplained,
     unresolved,
     without_echoes,
+    without_noise,
 )
 from ringtrue.identify.bands import STEP, BandSums, with_fewer_lags
 from ringtrue.identify.choice import chosen, with_picks
@@ -224,7 +225,7 @@ def _band(sums: BandSums, settings: AmbientSettings, heard: Heard) -> Found:
     if steady(loudness):
         bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
         table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
-        sure = without_echoes(table, sure)
+        sure = without_noise(table, without_echoes(table, sure), sums.stretches * sums.bins.duration)
     found = _found(sums, diagram, widened(table, wandering), sure, picked, turning, motion)
     return replace(found, wandering=tuple((int(i), float(wandering[i])) for i in np.flatnonzero(wandering)))
 

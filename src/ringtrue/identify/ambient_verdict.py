@@ -10,6 +10,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify import variance as var
+from ringtrue.identify.pick import least_deviations
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.identify.stabilise import Candidates
 from ringtrue.shapes.mac import mac
@@ -20,6 +21,7 @@ STRONG = 10.0  # signal-to-noise ratio in the correlations, that poles of noise 
 OVERTONE = 3e-3  # relative distance
 FEW = 4  # channels: with three any shape is like any other
 ECHO, LIKE, ROUGH = 1.25, 0.9, 0.2  # ratio of frequencies, MAC, and deviation of the damping over it
+WORSE = 15.0  # times the least deviation of the damping of a mode
 STEADY = 2.5  # deviations of the logarithm of a fourth moment
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
 CROWD = 0.2  # of the order; each mode takes two
@@ -142,6 +144,16 @@ def without_echoes(c: Candidates, sure: Float) -> Float:
     rough = ~c.refined & (c.stds()[1] > ROUGH * c.damping)
     echo = less & near & (mac(c.shape, c.shape) > LIKE) & rough[:, None] & c.refined
     return np.where(echo.any(axis=1), 0.5 * sure, sure)
+
+
+def without_noise(c: Candidates, sure: Float, duration: float) -> Float:
+    """(m,) confidence, halved where there is no peak to fit and the damping is known far worse than a mode's may be.
+
+    Of many bands of noise both halves of a record of `duration` s may show one pole by chance.
+    """
+    _, least = least_deviations(c.frequencies, c.damping, duration)
+    _, sz = c.stds()
+    return np.where(~c.refined & (sz > ROUGH * c.damping) & (sz > WORSE * least), 0.5 * sure, sure)
 
 
 def machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: float, duration: float) -> Harmonic | None:
