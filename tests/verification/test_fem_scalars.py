@@ -319,7 +319,7 @@ def test_dmig_that_cannot_be_used() -> None:
         assemble(direct(dmig("KX", [1], [1], [1.0]), CaseControl(k2gg=((1.0, "KX"),)), CK1=2.0))
     with pytest.raises(DeckError, match="asks for DMIG KY"):
         assemble(direct(dmig("KX", [1], [1], [1.0]), CaseControl(k2gg=((1.0, "KY"),))))
-    with pytest.raises(UnsupportedCard, match="KX has form 2"):
+    with pytest.raises(UnsupportedCard, match="KX is of form 2"):
         assemble(direct(dmig("KX", [1], [1], [1.0], form=2), CaseControl(k2gg=((1.0, "KX"),))))
     with pytest.raises(DeckError, match="KX is not symmetric"):
         assemble(direct(dmig("KX", [1], [2], [1.0], form=1), CaseControl(k2gg=((1.0, "KX"),))))
