@@ -159,6 +159,8 @@ def main() -> int:
     path = Path(name)
     if behaviour == "hang":
         time.sleep(600)
+    if behaviour == "background":
+        return 0
     if behaviour == "fatal":
         path.with_suffix(".f06").write_text(
             " *** USER FATAL MESSAGE 9050 (SEKRRS)\n     RUN TERMINATED DUE TO EXCESSIVE PIVOT RATIOS\n"

@@ -120,6 +120,11 @@ def test_a_hanging_program_is_ended() -> None:
     assert time.monotonic() - start < 60
 
 
+def test_a_command_that_does_not_wait_is_told_to() -> None:
+    with stub("background").open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match=r"must wait .*bat=no"):
+        analysis.modes(ModesRequest(3))
+
+
 def test_a_full_disk_is_named() -> None:
     with stub("full").open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match=r"disk .* is full"):
         analysis.modes(ModesRequest(3))

@@ -182,7 +182,8 @@ class DeckAnalysis:
                 problems.append(str(e))
                 continue
             return self._aligned(found)
-        what = "; ".join(problems) or f"no file {' or '.join(self.program.endings())}"
+        nothing = f"no file {' or '.join(self.program.endings())}; its command must wait for the job (MSC: bat=no)"
+        what = "; ".join(problems) or nothing
         raise SolverFailed(f"{self.program.name} wrote no modes: {what}{tail(done.log)}")
 
     def _aligned(self, found: ModeSet) -> ModeSet:
