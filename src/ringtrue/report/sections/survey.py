@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.report.parts import Block, Fold, Heading, Section, Table, Text, fixed, number, plain
+from ringtrue.report.parts import Block, Fold, Heading, Items, Section, Table, Text, fixed, number, plain
 from ringtrue.report.stages import Stages
 from ringtrue.study.evidence import MASS
 from ringtrue.study.measured import LENGTH
@@ -49,7 +49,7 @@ def _span(f: Float) -> str:
     return f"{f.size}, {number(float(f[0]), 3)} to {number(float(f[-1]), 4)}" if f.size else "0"
 
 
-HEADS = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min", "|Notes")
+HEADS = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min")
 
 
 def _tests(records: tuple[RecordSummary, ...]) -> list[Block]:
@@ -57,24 +57,30 @@ def _tests(records: tuple[RecordSummary, ...]) -> list[Block]:
     setups: dict[tuple[str, str], list[RecordSummary]] = {}
     for r in records:
         setups.setdefault((r.test, r.setup or r.name), []).append(r)
-    rows = [_setup(mine) if len(mine) > 1 else _record(mine[0]) for mine in setups.values()]
-    out: list[Block] = [Table(HEADS, rows, "The records of the tests.")]
-    roving = [_record(r) for mine in setups.values() if len(mine) > 1 for r in mine]
+    roving = [[r] for mine in setups.values() if len(mine) > 1 for r in mine]
+    out = _listed(list(setups.values()), "The records of the tests.")
     if roving:
-        out.append(Fold(f"The {len(roving)} records of the setups", [Table(HEADS, roving, "Records one by one.")]))
+        out.append(Fold(f"The {len(roving)} records of the setups", _listed(roving, "Records one by one.")))
     return out
 
 
-def _record(r: RecordSummary) -> tuple[str, ...]:
-    return (*_first(r, r.name), fixed(r.duration / 60, 1), "; ".join(r.notes))
+def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
+    """A row a part, one record or a setup of several, and below what is to be said of each: notes are long."""
+    notes = [f"{_name(mine)}: {told}" for mine in parts if (told := _notes(mine))]
+    table = Table(HEADS, [_row(mine) for mine in parts], caption)
+    return [table, Items(notes)] if notes else [table]
 
 
-def _setup(mine: list[RecordSummary]) -> tuple[str, ...]:
-    first, notes = mine[0], Counter(n for r in mine for n in r.notes)
-    length = fixed(sum(r.duration for r in mine) / 60, 1)
-    told = "; ".join(n if k == 1 else f"{n} ({k} records)" for n, k in notes.items())
-    return (*_first(first, f"setup {first.setup}: {len(mine)} records"), length, told)
+def _row(mine: list[RecordSummary]) -> tuple[str, ...]:
+    first, minutes = mine[0], sum(r.duration for r in mine) / 60
+    return first.test, _name(mine), first.excitation, str(first.channels), plain(first.rate), fixed(minutes, 1)
 
 
-def _first(r: RecordSummary, name: str) -> tuple[str, ...]:
-    return r.test, name.replace("-", "\u2011"), r.excitation, str(r.channels), plain(r.rate)
+def _name(mine: list[RecordSummary]) -> str:
+    name = mine[0].name if len(mine) == 1 else f"setup {mine[0].setup}, {len(mine)} records"
+    return name.replace("-", "\u2011")
+
+
+def _notes(mine: list[RecordSummary]) -> str:
+    notes = Counter(n for r in mine for n in r.notes)
+    return "; ".join(n if k == 1 else f"{n} ({k} records)" for n, k in notes.items())
