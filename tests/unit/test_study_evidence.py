@@ -16,7 +16,7 @@ from ringtrue.cli.main import run as command
 from ringtrue.core.dofs import DofSet
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
-from ringtrue.report.parts import Table
+from ringtrue.report.parts import Items, Table
 from ringtrue.report.sections import measured, survey
 from ringtrue.report.stages import Stages
 from ringtrue.shapes.mac import paired_mac
@@ -239,9 +239,10 @@ def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
     section = survey.section(data)
     assert section is not None
     table = next(b for b in section.blocks if isinstance(b, Table) and "Record" in b.heads[1])
-    assert [row[1] for row in table.rows] == [f"setup {s}: 2 records" for s in "123"]
+    assert [row[1] for row in table.rows] == [f"setup {s}, 2 records" for s in "123"]
     assert [row[5] for row in table.rows] == ["2.0", "3.0", "3.0"]
-    assert table.rows[1][6] == "9 hits (2 records)"
+    notes = next(b for b in section.blocks if isinstance(b, Items))
+    assert notes.items[1] == "setup 2, 2 records: 9 hits (2 records)"
     signals = measured.signals(data)
     assert signals is not None
     text, *plots = signals.blocks
