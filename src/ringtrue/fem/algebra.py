@@ -52,14 +52,16 @@ def rotation(R: Any_, k: int) -> Any_:
     return out.reshape(e, 6 * k, 6 * k)
 
 
-def condense(K: Any_, keep: Int, drop: Int) -> Any_:
+def condense(K: Any_, keep: Int | slice, drop: Int | slice) -> Any_:
     """Static condensation K_kk - K_kd K_dd⁻¹ K_dk, (e, d, d) -> (e, k, k); without it where K_dd is zero."""
-    Kkk, Kkd, Kdd = K[:, keep[:, None], keep], K[:, keep[:, None], drop], K[:, drop[:, None], drop]
+    rows = K[:, keep]
+    Kkk, Kkd, Kdd = rows[:, :, keep], rows[:, :, drop], K[:, drop][:, :, drop]
     live = np.abs(Kdd).max(axis=(1, 2), initial=0) > 0
     if live.all():
         return Kkk - Kkd @ np.linalg.solve(Kdd, Kkd.swapaxes(1, 2))
-    Kkk[live] -= Kkd[live] @ np.linalg.solve(Kdd[live], Kkd[live].swapaxes(1, 2))
-    return Kkk
+    out = np.array(Kkk)
+    out[live] -= Kkd[live] @ np.linalg.solve(Kdd[live], Kkd[live].swapaxes(1, 2))
+    return out
 
 
 def scaled(c: Any_, K: Any_) -> Any_:

@@ -24,7 +24,7 @@ def in_spans(e: int, kernel: Callable[[slice], Any_]) -> Any_:
 def condensed(K: Any_, inner: int) -> Any_:
     """Condense the last `inner` parameters out; elements in which they have no stiffness are left as they are."""
     n = K.shape[1] - inner
-    return condense(K, np.arange(n), np.arange(n, n + inner))
+    return condense(K, slice(n), slice(n, None))
 
 
 def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = None) -> None:
@@ -52,17 +52,22 @@ def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
     return np.asarray((flat * w[:, :, None]).swapaxes(1, 2) @ flat)
 
 
-def finish(m: Mesh, nodes: Int, K: Any_, section: Section, axes: Any_, heights: Any_, mass: Any_) -> Matrices:
-    """Local stiffness (e, k, 6, k, 6) and nodal masses (e, k) of corners to matrices of the nodes.
+def to_nodes(K: Any_, section: Section, axes: Any_, heights: Any_) -> Any_:
+    """Local stiffness (e, k, 6, k, 6) of corners to that of the nodes in basic, (e, 6k, 6k).
 
     `heights` (e, k) are the nodes above the mean plane: each is joined to its projection by a rigid arm along the
     normal, so that a warped element has no energy in a rigid motion.
     """
-    e, k = nodes.shape
+    e, k = heights.shape
     arms = np.zeros((e, k, 3), dtype=np.result_type(section.offset, heights))
     arms[..., 2] = section.offset[:, None] - heights
-    local = nodal(arm(arms)) @ rotation(axes, k)
-    K = congruent(local, K.reshape(e, 6 * k, 6 * k))
+    local = nodal(arm(arms) @ rotation(axes, 1)[:, None])
+    return congruent(local, K.reshape(e, 6 * k, 6 * k))
+
+
+def finish(m: Mesh, nodes: Int, K: Any_, section: Section, axes: Any_, mass: Any_) -> Matrices:
+    """Matrices of stiffness K (e, 6k, 6k) and nodal masses (e, k) of corners."""
+    e, k = nodes.shape
     offset = section.offset[:, None, None] * axes[:, None, 2]
     M = masses(m, np.broadcast_to(offset, (e, k, 3)), mass, np.asarray(_PATTERN[k]))
     return Matrices(node_dofs(nodes), K, M, section.loss, np.empty((0, 6 * k, 6 * k)))

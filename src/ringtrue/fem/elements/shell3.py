@@ -11,7 +11,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import unit
-from ringtrue.fem.elements.shell import drilling, finish, place
+from ringtrue.fem.elements.shell import drilling, finish, place, to_nodes
 from ringtrue.fem.elements.shell_material import contract
 from ringtrue.fem.elements.shell_section import Section, oriented, section
 from ringtrue.fem.isotropy import gram
@@ -144,4 +144,4 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
         raise error(m.model, t, int(at[area == 0][0]), "it has no area; check its nodes")
     s = oriented(m, card, at, section(m, card, at, 3), axes, m.xyz[nodes])
     mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
-    return finish(m, nodes, kernel(xy, area, s), s, axes, np.zeros((len(at), 3)), mass)
+    return finish(m, nodes, to_nodes(kernel(xy, area, s), s, axes, np.zeros((len(at), 3))), s, axes, mass)

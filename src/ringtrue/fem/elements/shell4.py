@@ -7,13 +7,11 @@ MSC Nastran, to all digits of recorded element matrices.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import arm, congruent, nodal, unit
-from ringtrue.fem.elements.shell import condensed, drilling, finish, in_spans, of_rotations, place
+from ringtrue.fem.elements.shell import condensed, drilling, finish, in_spans, of_rotations, place, to_nodes
 from ringtrue.fem.elements.shell_curved import drilling as director_drilling
 from ringtrue.fem.elements.shell_curved import law, strains
 from ringtrue.fem.elements.shell_material import contract
@@ -172,26 +170,20 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
         raise error(m.model, t, bad, "a corner of 180 degrees or more, or sides that cross; check its node order")
     s = oriented(m, card, at, section(m, card, at, 4), axes, m.xyz[nodes])
     mass = np.einsum("eg,gn->en", s.masses(jacobian(_DN, xy)[1], _N), _N)
-    normals = node_normals(m, nodes, axes[:, 2])
-    curved = (normals != axes[:, None, 2]).any(axis=(1, 2))
-    flat = finish(m, nodes, _on(~curved, xy, s), s, axes, heights, mass)
-    if not curved.any():
-        return flat
-    x, up, n, R = (v[curved] for v in (m.xyz[nodes], heights, normals, axes))
-    part = s.take(curved)
-    K = in_spans(len(x), lambda i: curved_kernel(x[i], up[i], n[i], R[i], part.take(i)))
-    both = flat.stiffness.astype(np.result_type(flat.stiffness, K))
-    both[curved] = K
-    return replace(flat, stiffness=both)
+    K = _stiffness(m.xyz[nodes], xy, heights, node_normals(m, nodes, axes[:, 2]), axes, s)
+    return finish(m, nodes, K, s, axes, mass)
 
 
-def _on(some: Bool, xy: Any_, s: Section) -> Any_:
-    """The kernel's stiffness of some of the elements, zero for the others."""
-    if some.all():
-        return kernel(xy, s)
-    if not some.any():
-        return np.zeros((len(xy), 4, 6, 4, 6))
-    part = kernel(xy[some], s.take(some))
-    out = np.zeros((len(xy), *part.shape[1:]), dtype=part.dtype)
-    out[some] = part
-    return out
+def _stiffness(x: Any_, xy: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section) -> Any_:
+    """Stiffness (e, 24, 24) in basic: of a curved surface where normals at the nodes are not the element's own."""
+    flat = (normals == axes[:, None, 2]).all(axis=(1, 2))
+    if flat.all():
+        return to_nodes(kernel(xy, s), s, axes, heights)
+    x, up, n, R, part = x[~flat], heights[~flat], normals[~flat], axes[~flat], s.take(~flat)
+    curved = in_spans(len(x), lambda i: curved_kernel(x[i], up[i], n[i], R[i], part.take(i)))
+    if not flat.any():
+        return curved
+    plane = to_nodes(kernel(xy[flat], s.take(flat)), s.take(flat), axes[flat], heights[flat])
+    K = np.empty((flat.size, *curved.shape[1:]), dtype=np.result_type(plane, curved))
+    K[flat], K[~flat] = plane, curved
+    return K
