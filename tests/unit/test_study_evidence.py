@@ -113,18 +113,18 @@ def test_synthesised_responses_are_those_of_the_solver(done: StudyRun) -> None:
     seen = opened.observation(found.test, done.config.correlate.tolerance)
     fe = done.results["correlate"].fe_initial
     zeta = np.full(len(fe), 0.02)
-    made = synthesised(opened, seen, fe, zeta, test, "SI")
+    made = synthesised(opened, seen, fe, zeta, test, "SI", fmax=small_study.FMAX)
     out, into = (DofSet.parse([c.id for c in side]) for side in (test.outputs, test.inputs))
     request = ModesRequest(band=(-1.0, small_study.FMAX))
     want = opened.analysis.frf(out, into, test.freqs, request, damping=0.02, kind="accelerance")
     assert np.abs(made.data - want).max() < 1e-3 * np.abs(want).max()
     # in t, mm, N an acceleration is 1000 times as large a number, and the mass-normalised shapes are so by √1000
-    tonne = synthesised(opened, seen, fe, zeta, test, "mm-t-s")
+    tonne = synthesised(opened, seen, fe, zeta, test, "mm-t-s", fmax=small_study.FMAX)
     np.testing.assert_allclose(1e3 * tonne.data, made.data)
     # an exponential window damps the test like σ/ω more
     window = replace(test, window_decay=0.5)
-    damped = synthesised(opened, seen, fe, zeta, window, "SI")
-    more = synthesised(opened, seen, fe, zeta + 0.5 / (2 * np.pi * fe.frequencies), test, "SI")
+    damped = synthesised(opened, seen, fe, zeta, window, "SI", fmax=small_study.FMAX)
+    more = synthesised(opened, seen, fe, zeta + 0.5 / (2 * np.pi * fe.frequencies), test, "SI", fmax=small_study.FMAX)
     np.testing.assert_allclose(damped.data, more.data)
 
 

@@ -28,6 +28,7 @@ TRIES = 6  # shifts that are judged
 BLURRED = 1e-2  # relative error of the first pair after them: seen from the shift, the modes lie close together
 SHARP = 1e-5  # relative residual of all pairs together, beyond which they are refined once
 SAME = 1e-2  # share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was counted
+LOW = 0.03  # share of the upper end of a band: how far below zero its modes are sought from
 ROUNDING = 2e-6  # share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
 
 
@@ -117,6 +118,11 @@ def start_shift(stiffness: sparse.csr_array, mass: sparse.csr_array) -> float:
     k, m = stiffness.diagonal(), mass.diagonal()
     massive = m > 1e-12 * m.max()
     return -1e-7 * float(np.median(np.abs(k[massive]) / m[massive])) or -1.0
+
+
+def low_shift(fmax: float) -> float:
+    """Where K − σM is factorised for all modes up to `fmax`, Hz: (rad/s)²."""
+    return -LOW * eigenvalue(fmax)
 
 
 def suitable_shift(values: Float) -> float:
@@ -292,7 +298,7 @@ def _band(
     wanted = top.below - bottom.below
     few = bottom.below <= 0.5 * wanted + 2 * lanczos.BLOCK  # then it is cheaper to take the lower ones along
     if few:
-        sigma = shift if shift is not None else -0.03 * high
+        sigma = shift if shift is not None else low_shift(band[1])
         expected = top.below
     else:
         sigma, expected = (low + high) / 2, wanted

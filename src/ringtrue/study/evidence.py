@@ -16,6 +16,7 @@ from ringtrue.correlate.complete import Lift, complete
 from ringtrue.correlate.frf import compare_frfs, fdac
 from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.track import Tracks, track
+from ringtrue.eigen.solve import low_shift
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.response import frf
 from ringtrue.reduce.tam import craig_bampton_coordinates, craig_bampton_of, tam
@@ -133,7 +134,7 @@ def followed(final: ModeSet, remodelled: ModeSet, initial: ModeSet, count: int) 
 
 
 def synthesised(
-    opened: Opened, observation: Observation, fe: ModeSet, zeta: Float, measured: FrfSet, units: str
+    opened: Opened, observation: Observation, fe: ModeSet, zeta: Float, measured: FrfSet, units: str, *, fmax: float
 ) -> FrfSet:
     """FRFs of a model where and as those of the test are: its modes with the damping `zeta`, and the modes above.
 
@@ -150,13 +151,15 @@ def synthesised(
         Of `on_sheet`.
     units : {"SI", "mm-t-s"}
         Of the deck.
+    fmax : float, Hz
+        Up to which `fe` holds all modes.
     """
     outputs, inputs = (tuple(c.id for c in side) for side in (measured.outputs, measured.inputs))
     at = {c: i for i, c in enumerate(fe.channels)}
     out, into = (fe.shapes[[at[c] for c in side]] for side in (outputs, inputs))
     w = 2 * np.pi * fe.frequencies
     lam = w * np.abs(w)
-    shift = -float(np.median(np.abs(lam)))  # K − shift·M is definite, whatever holds the structure
+    shift = low_shift(fmax)  # that of the modes, whose factor is often there still
     load = at_channels(opened, observation, inputs).T.toarray()
     flexible = at_channels(opened, observation, outputs) @ opened.analysis.pencil.at(shift).solve(load)
     rest = flexible.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T

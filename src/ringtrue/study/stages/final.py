@@ -117,7 +117,7 @@ def _frfs(
         return None
     first, _ = damping_of(before.fe_initial, before.initial.pairing, before.rigid_initial.pairing, reference)
     models = ((desk.initial, before.fe_initial, first), (opened, fe, zeta))
-    made = [synthesised(o, desk.bridge(o), m, z, measured, desk.deck.units) for o, m, z in models]
+    made = [synthesised(o, desk.bridge(o), m, z, measured, desk.deck.units, fmax=desk.fmax) for o, m, z in models]
     return measured, made[0], made[1]
 
 
