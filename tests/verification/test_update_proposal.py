@@ -22,6 +22,7 @@ from ringtrue.errors import InputError
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
+from ringtrue.study.config import parse_config, parse_target, target_words
 from ringtrue.update.candidates import CandidateSettings
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.effects import reduced_candidates
@@ -148,6 +149,15 @@ def test_frame_names_the_wrong_regions() -> None:
     assert len(found.insensitive) > 0
 
 
+def test_what_is_made_from_a_deck_is_written_as_targets_of_a_study() -> None:
+    every = [c.parameter for c in twin.start().candidates]
+    whole = [p for p in every if not p.substructures and not any(t.elements for t in p.targets)]
+    assert any(len(p.targets) == 6 for p in whole)  # PBUSH 900 K
+    for p in whole:
+        assert tuple(t for w in target_words(p) for t in parse_target(w)) == p.targets
+    assert {p.name for p in every if not target_words(p)} == {p.name for p in every} - {p.name for p in whole}
+
+
 def test_command_line_proposes_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     aim = twin.measured({30: 1.6}, np.random.default_rng(2))
     deck, test, result = tmp_path / "frame.bdf", tmp_path / "test.json", tmp_path / "found.json"
@@ -158,7 +168,12 @@ def test_command_line_proposes_and_refuses(tmp_path: Path, capsys: pytest.Captur
     first = json.loads(result.read_text())["proposed"][0]
     assert "MAT1 30 E" in [first["name"], *first["alike"], *first["rivals"]]
     assert first["factor"] == pytest.approx(1.6, rel=0.1)
-    assert first["because"] in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert first["because"] in printed
+    given = printed[printed.index("[[candidate]]") :]  # goes into a study as it is
+    candidates = parse_config('[model]\ndeck = "frame.bdf"\n' + given, tmp_path).candidate
+    assert candidates[0].targets == first["targets"]
+    assert candidates[0].name == first["name"]
     write_modes(
         test, ModeSet(aim.frequencies, np.zeros(twin.MODES), aim.shapes, tuple(f"ch{i}" for i in range(len(labels))))
     )

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from ringtrue.backends.embedded import EmbeddedAnalysis
-from ringtrue.cli.show import json_target, out, progress, rows, unit_length, write_json
+from ringtrue.cli.show import json_target, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.progress import part
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
@@ -17,7 +17,7 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.parametric import ReducedModel, modes_of
 from ringtrue.shapes.scale import realise_modes
-from ringtrue.study.config import LocaliseSection
+from ringtrue.study.config import LocaliseSection, target_words
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership
@@ -99,6 +99,7 @@ def localise(
         write_json(_table(found, keep, lost, moved), json)
     if json != "-":
         _print(deck, found, len(every), len(lost), len(moved) - len(keep))
+        tell(_tables(found, keep))
     return 0
 
 
@@ -125,6 +126,7 @@ def _table(
                 "name": m.name,
                 "what": what[m.name].what,
                 "elements": list(what[m.name].elements),
+                "targets": target_words(what[m.name].parameter),
                 "factor": m.factor,
                 "std": m.std,
                 "worth": m.worth,
@@ -143,6 +145,20 @@ def _table(
         "left_out": [{"name": d.name, "reason": d.reason} for d in lost],
         "other_rules": {k: list(v) for k, v in found.orders.items()},
     }
+
+
+def _tables(found: Proposal, keep: tuple[Candidate, ...]) -> list[str]:
+    """What is proposed as tables of study.toml."""
+    by = {c.name: c.parameter for c in keep}
+    out = ["as candidates of study.toml:"] if found.members else []
+    for p in (by[m.name] for m in found.members):
+        if not (words := target_words(p)):
+            out.append(f'# {p.name}: by [update] propose = true and [localise] kinds = ["region"]')
+            continue
+        listed = ", ".join(f'"{w}"' for w in words)
+        out += ["[[candidate]]", f'name = "{p.name}"', f"targets = [{listed}]"]
+        out.append(f"lower = {p.lower:.4g}\nupper = {p.upper:.4g}\nstd = {p.std:.4g}")
+    return out
 
 
 def _print(deck: Path, found: Proposal, every: int, lost: int, aside: int) -> None:

@@ -155,6 +155,15 @@ def parse_target(text: str) -> tuple[Target, ...]:
     return tuple(Target(words[0].upper(), int(words[1]), f.upper()) for f in words[2].split(","))
 
 
+def target_words(parameter: Parameter) -> list[str]:
+    """What a candidate of study.toml has as `targets`, a card each; empty for factors on some elements only."""
+    fields: dict[str, list[str]] = {}
+    for t in parameter.targets:
+        fields.setdefault(f"{t.card} {t.id}", []).append(t.field)
+    partly = bool(parameter.substructures) or any(t.elements for t in parameter.targets)
+    return [] if partly else [f"{card} {','.join(some)}" for card, some in fields.items()]
+
+
 class LocaliseSection(_Section):
     """Where the model is wrong: error indicators, and a proposal of parameters."""
 
