@@ -29,7 +29,16 @@ from ringtrue.identify.frf_input import (
     sound_pairs,
 )
 from ringtrue.identify.judge import Candidates, Verdict, judge
-from ringtrue.identify.lsfd import Lines, lsfd, noise, noise_left, prepare, synthesise_windowed
+from ringtrue.identify.lsfd import (
+    Lines,
+    lsfd,
+    noise,
+    noise_left,
+    prepare,
+    smooth_rest,
+    synthesise_windowed,
+    without,
+)
 from ringtrue.identify.peaks import cmif
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
@@ -285,8 +294,10 @@ def _fit(search: _Search, start: Candidates, tell: Progress) -> tuple[_Fit, list
 def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit, list[str]]:
     """The modes refined once more, every line weighed by what the first fit left there: deviations rest on that."""
     r = fit.refined
-    left = noise_left(search.lines, r.known.rest)
-    search = replace(search, lines=prepare(frfs, left), last=True)
+    basis = smooth_rest(search.lines, r.poles, r.known.rest)
+    left = noise_left(search.lines, without(basis, r.known.rest))
+    smooth = max(search.lines.smooth.shape[1], basis.shape[1])
+    search = replace(search, lines=prepare(frfs, left, smooth), last=True)
     start = replace(fit.candidates, pole=r.poles, participation=r.participation)
     new, why = search.settle(search.refined(start), r.poles.size + 1, strict=True)
     return search, new, why

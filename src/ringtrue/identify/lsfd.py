@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import Norm
@@ -24,6 +24,7 @@ from ringtrue.errors import InputError
 _AROUND = 31  # lines at least, that tell the noise beside a mode
 _SMOOTHED, _VALUES = 5, 40  # lines that their noise is averaged over, and values at least
 _LEAST = 1e-4  # of the squared noise of a typical line
+_MOST_SMOOTH, _STANDS_OUT = 48, 5.0  # terms; times the power of the typical function of what a fit leaves
 Pairs = Sequence[tuple[int, int, float]]
 
 
@@ -96,7 +97,9 @@ class Lines:
         Sum of the squares of `y`.
     weight : (freq,) float64
     terms : (freq, t) complex128
-        Orthonormal basis of the weighted residual terms.
+        Orthonormal basis of the weighted residual terms, beside `smooth`.
+    smooth : (freq, n) float64
+        Orthonormal basis of the weighted polynomials that count as residual terms too (`smooth_rest`).
     response : (out,) float64
         Weight of each response, not in `y`.
     input : (in,) float64
@@ -113,14 +116,15 @@ class Lines:
     power: Float
     weight: Float
     terms: Complex
+    smooth: Float
     response: Float
     input: Float
     order: int
     kept: float
 
 
-def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
-    """Weight the data and project out the lower and upper residuals.
+def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
+    """Weight the data and project out the lower and upper residuals, and so many `smooth` terms.
 
     An exponential window e^{-σt} on force and response moves the FRF from s to s + σ, poles, s² of the accelerance
     and all: so the fit is done at s = iω + σ, and the poles come out without the window. The end of the block cuts the
@@ -134,34 +138,70 @@ def prepare(frfs: FrfSet, sigma: Noise) -> Lines:
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
     if np.isfinite(frfs.kept):  # λ^p for s^p: a free decay that began with the blow before leaves a polynomial
         t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
-    terms = np.asarray(np.linalg.qr(weight[:, None] * t)[0], dtype=np.complex128)
-    y = without_terms(terms, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1))
+    flat = np.linalg.qr(weight[:, None] * polynomials(s.imag, smooth))[0]
+    terms = np.linalg.qr(without(flat, weight[:, None] * t))[0]
+    y = without(terms, without(flat, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1)))
     power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
-    return Lines(s, kind, y, power, weight, terms, 1 / sigma.response, given, POWER[frfs.kind], frfs.kept)
+    return Lines(s, kind, y, power, weight, terms, flat, 1 / sigma.response, given, POWER[frfs.kind], frfs.kept)
 
 
-def without_terms(terms: Complex, y: Complex) -> Complex:
-    """(..., freq, n) the part of `y` outside the span of the residual terms (freq, t)."""
-    return np.asarray(y - terms @ (terms.conj().T @ y))
+def polynomials(x: Float, count: int) -> Float:
+    """(freq, count) Legendre polynomials of the lines `x`, by their degree."""
+    return np.asarray(np.polynomial.legendre.legvander(2 * (x - x[0]) / (x[-1] - x[0]) - 1, count)[:, :count])
 
 
-def resonances(lines: Lines, poles: Complex, power: int = 1) -> Complex:
-    """(freq, m) s^p/(s − λ), or its derivative by λ with `power` 2, of a response that the block cuts off after τ.
+def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
+    """(freq, t) orthonormal basis of the polynomials that stand out of what a fit leaves, `rest` (in, freq, out).
+
+    Noise on the force of a blow is as short as the pulse, and so multiplies the FRFs by a smooth function of the
+    frequency: that moves no pole, but (1 + ε(s)) ψ/(s − λ) leaves a smooth remainder beside ψ (1 + ε(λ))/(s − λ). So
+    do modes outside the band and short delays. No term is narrower than the typical mode.
+    """
+    width = 2 * float(np.median(np.abs(poles.real)))
+    most = int(min(_MOST_SMOOTH, np.ptp(lines.s.imag) / width, rest.shape[1] / 16))
+    basis = np.linalg.qr(lines.weight[:, None] * polynomials(lines.s.imag, most))[0]
+    power = 2 * ((basis.T @ rest.view(np.float64)) ** 2).mean(axis=(0, 2))
+    out = np.flatnonzero(power > _STANDS_OUT * (np.abs(rest) ** 2).mean())
+    return np.asarray(basis[:, : out.max(initial=-1) + 1])
+
+
+def without(basis: Any_, y: Complex) -> Complex:
+    """(..., freq, n) the part of `y` outside the span of an orthonormal basis (freq, t)."""
+    if not basis.shape[1]:
+        return y
+    if np.iscomplexobj(basis):
+        return np.asarray(y - basis @ (basis.conj().T @ y))
+    parts = np.ascontiguousarray(y).view(np.float64)
+    return np.asarray((parts - basis @ (basis.T @ parts)).view(np.complex128))
+
+
+def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
+    """(freq, m) s^p/(s − λ) of a response that the block cuts off after τ, and its derivatives by λ.
 
     The rest of the response, λ^p e^{λt} from τ on, is missing: λ^p e^{(λ−s)τ}/(s − λ).
     """
-    gap = lines.s[:, None] - poles
+    far = 1 / (lines.s[:, None] - poles)
     if not np.isfinite(lines.kept):
-        return np.asarray(lines.kind[:, None] / gap**power)
-    tail = poles**lines.order * np.exp(-gap * lines.kept)
-    value = (lines.kind[:, None] - tail) / gap
-    return np.asarray(value if power == 1 else (value - tail * (lines.order / poles + lines.kept)) / gap)
+        value = lines.kind[:, None] * far
+        return value, value * far
+    tail = poles**lines.order * np.exp((poles - lines.s[:, None]) * lines.kept)
+    value = (lines.kind[:, None] - tail) * far
+    return value, (value - tail * (lines.order / poles + lines.kept)) * far
 
 
-def functions(lines: Lines, poles: Complex, power: int = 1) -> Complex:
+def functions(lines: Lines, poles: Complex) -> Complex:
     """Weighted `resonances` of the poles and of the conjugate ones, (freq, 2 m), residual terms projected out."""
-    q = resonances(lines, np.concatenate([poles, poles.conj()]), power)
-    return without_terms(lines.terms, lines.weight[:, None] * q)
+    return _beside_terms(lines, resonances(lines, np.concatenate([poles, poles.conj()]))[0])
+
+
+def functions_slopes(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
+    """`functions` and their derivatives by the poles."""
+    value, slope = resonances(lines, np.concatenate([poles, poles.conj()]))
+    return _beside_terms(lines, value), _beside_terms(lines, slope)
+
+
+def _beside_terms(lines: Lines, q: Complex) -> Complex:
+    return without(lines.terms, without(lines.smooth, lines.weight[:, None] * q))
 
 
 def mirrored(a: Complex) -> Complex:
@@ -225,14 +265,17 @@ def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Com
     """(freq, out, in) what the modes contribute, at the lines and in the kind of the data."""
     residue = (shapes.T[:, :, None] * participation[:, None, :]).reshape(poles.size, -1)
     both = np.concatenate([residue, residue.conj()])
-    h = resonances(lines, np.concatenate([poles, poles.conj()])) @ both
+    h = resonances(lines, np.concatenate([poles, poles.conj()]))[0] @ both
     return np.asarray(h.reshape(lines.s.size, shapes.shape[0], participation.shape[1]))
 
 
-def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: Complex) -> Complex:
-    """(in, freq, out) what modes and residual terms leave of the data, in units of the noise."""
-    part = augment(participation * lines.input).T[:, :, None]
-    model = functions(lines, poles) @ (part * augment(shapes.T * lines.response))
+def weighted_rest(lines: Lines, q: Complex, participation: Complex, shapes: Complex) -> Complex:
+    """(in, freq, out) what modes of the `functions` q and residual terms leave of the data, in units of the noise.
+
+    `participation` is that of the weighted data.
+    """
+    part = augment(participation).T[:, :, None]
+    model = q @ (part * augment(shapes.T * lines.response))
     return np.asarray(lines.y * lines.response - model)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.outcome import Outcome
-from ringtrue.identify.lsfd import Lines, augment, functions, mirrored, mirrored_rows, weighted_rest
+from ringtrue.identify.lsfd import Lines, augment, functions_slopes, mirrored, mirrored_rows, weighted_rest
 
 ITERATIONS = 20
 REACH = 2.0  # half bandwidths
@@ -90,6 +90,8 @@ class State:
     shape_var: Float
     slope: Complex  # of the augmented shapes by each parameter, times the shape of its mode
     free: Int
+    functions: Complex
+    slopes: Complex
 
 
 def refine(
@@ -164,7 +166,7 @@ def _free(part: Complex, moving: Bool) -> Int:
 def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input; value, conj)."""
     m, n_in = part.shape
-    q, dq = functions(lines, poles), functions(lines, poles, 2)
+    q, dq = functions_slopes(lines, poles)
     qh, dqh = q.conj().T, dq.conj().T
     cc, cd, dd = mirrored(qh @ q), mirrored(qh @ dq), mirrored(dqh @ dq)
     cy, dy = mirrored_rows(qh @ lines.y), mirrored_rows(dqh @ lines.y)
@@ -188,7 +190,7 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
     var = 2 * np.diag(inverse).real[:m]
     shape_var = np.maximum(var, 0) / w2[:, None]
-    return State(poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void))
+    return State(poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void), q, dq)
 
 
 def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
@@ -205,7 +207,7 @@ def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
 
 def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refined:
     m = state.poles.size
-    rest = weighted_rest(lines, state.poles, state.part / lines.input, state.shapes)
+    rest = weighted_rest(lines, state.functions, state.part, state.shapes)
     cov, own, error2 = _covariance(lines, state, rest if local else None)
     slope = _slopes(state.poles)
     real = slope @ _real(cov[: 2 * m, : 2 * m], m) @ slope.T
@@ -254,7 +256,7 @@ def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Floa
     """
     m, n_out = state.poles.size, state.shapes.shape[0]
     part = (np.abs(state.part) ** 2).T[:, None]
-    by_shape, by_pole = (part * np.abs(functions(lines, state.poles, k)[:, :m]) ** 2 for k in (1, 2))
+    by_shape, by_pole = (part * np.abs(q[:, :m]) ** 2 for q in (state.functions, state.slopes))
     by_shape, by_pole = (w / w.sum(axis=(0, 1)) for w in (by_shape, by_pole))  # (in, freq, mode)
     early = _early(lines, rest, state.poles)
     seen = state.shapes * lines.response[:, None]
@@ -283,7 +285,8 @@ def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:
     both = np.stack([ringing, ringing * t[:, None] ** 2])
     there = (power @ both) / np.maximum(both.sum(axis=1), 1e-300)
     early = np.maximum(there / max(power.mean(), 1e-300), 1.0)
-    taken = (early - 1) * (poles.size + lines.terms.shape[1]) / power.size  # by the fit, of the few values at the start
+    terms = lines.terms.shape[1] + lines.smooth.shape[1]
+    taken = (early - 1) * (poles.size + terms) / power.size  # by the fit, of the few values at the start
     return np.asarray(early / (1 - np.minimum(taken, 0.8)))
 
 

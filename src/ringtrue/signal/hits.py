@@ -155,7 +155,7 @@ def find_hits(force: Float, rate: float, settings: HammerSettings) -> Int:
     rate : float, Hz
     settings : HammerSettings
     """
-    level = max(settings.trigger * np.abs(force).max(), 8 * _noise(force))
+    level = max(settings.trigger * np.abs(force).max(), 6 * _noise(force))
     _, peak = pulses(force, rate, level)
     hold = round(rate * min(0.25, 0.5 * (settings.block or 1.0)))
     hits: list[int] = []
