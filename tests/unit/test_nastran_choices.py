@@ -133,6 +133,25 @@ def test_equations_that_contradict_have_their_lines(tmp_path: Path, last: str, t
         assemble(read_deck(write(tmp_path, text)))
 
 
+@pytest.mark.parametrize(
+    ("taken", "card"),
+    [
+        ("SPC = 8", "SPC1,8,2,77"),
+        ("SPC = 8", "SPC,8,77,2"),
+        ("MPC = 8", "MPC,8,77,2,1.,1,2,-1."),
+        ("K2GG = KX", "DMIG,KX,0,6,1,0\nDMIG,KX,77,2,,77,2,5."),
+    ],
+)
+def test_what_case_control_does_not_take_may_name_nodes_that_are_not_there(
+    tmp_path: Path, taken: str, card: str
+) -> None:
+    path = write(tmp_path, f"CEND\nMETHOD = 1\nBEGIN BULK\n{SPRING}{card}\n")
+    assert frequencies(path) == pytest.approx([1.5 / (2 * np.pi)])
+    assert any("77: not there" in f.text and f.severity == "warning" for f in check_deck(survey(path).model).findings)
+    with pytest.raises(DeckError, match="names GRID or SPOINT 77, which is not in the deck"):
+        read_deck(write(tmp_path, f"CEND\n{taken}\nBEGIN BULK\n{SPRING}{card}\n"))
+
+
 def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
     model = read_deck(write(tmp_path, "SPC = 8\nBEGIN BULK\n" + SETS + "SPCADD,8,5,7\nASET1,1,1\n"))
     told = {f.severity: f for f in check_deck(model).findings if "SPCADD" in f.text or "ASET1" in f.text}

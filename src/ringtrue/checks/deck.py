@@ -19,7 +19,8 @@ from ringtrue.checks.materials import check_materials
 from ringtrue.checks.unapplied import unapplied
 from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
-from ringtrue.io.nastran.constraint_sets import KINDS, empty_choices
+from ringtrue.io.nastran.constraint_sets import empty_choices
+from ringtrue.model.choices import CONSTRAINTS, idle
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged
 from ringtrue.model.references import NODES, REFERENCES, missing, unused
@@ -77,10 +78,10 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
 
 
 def _missing(model: Model) -> Iterator[Finding]:
-    idle = unused(model)
+    out = idle(model)
     for lost in missing(model):
         ref = lost.reference
-        harmless = np.isin(lost.rows, idle.get(ref.card, ())).all()
+        harmless = np.isin(lost.rows, out.get(ref.card, ())).all()
         what = f"{ref.field} names {ref.names} {lost.ids[0]}: not there"
         yield at_rows(model, ref.card, np.unique(lost.rows), "warning" if harmless else "error", what)
 
@@ -165,7 +166,7 @@ def _unchosen(model: Model) -> Iterator[Finding]:
             "warning", f"SUBCASE {numbers}: not taken; the modes are those of the first subcase with a METHOD"
         )
     yield from (Finding("warning", f"case control asks for {text}") for text in empty_choices(model))
-    for name, (_, cards) in KINDS.items():
+    for name, (_, cards) in CONSTRAINTS.items():
         chosen = getattr(model.case, name.lower())
         for card in cards:
             if not chosen and card in model and len(model[card]):
@@ -175,7 +176,7 @@ def _unchosen(model: Model) -> Iterator[Finding]:
 
 def _lost_sets(model: Model) -> Iterator[Finding]:
     """SPCADD and MPCADD of sets that are not in the deck."""
-    for add, cards in KINDS.values():
+    for add, cards in CONSTRAINTS.values():
         if add in model:
             there = np.concatenate([np.empty(0, dtype=np.int64), *(model[c].ids for c in cards if c in model)])
             rows = _naming_none(model[add].ragged("S"), there)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.model.cards import TABLES
+from ringtrue.model.choices import untaken_matrices
 from ringtrue.model.model import Model
 
 _WHOLE = "kept, not applied: the modes here are those of the full model, not of the condensed one"
@@ -46,9 +47,8 @@ def _idle_matrices(model: Model) -> Iterator[Finding]:
         return
     table = model["DMIG"]
     names = np.char.upper(table["NAME"].astype(str))
-    taken = [name for terms in (model.case.k2gg, model.case.m2gg, model.case.b2gg) for _, name in terms]
     asked = " ".join(model.case.unread).upper()
-    for row in np.flatnonzero(~np.isin(names, taken) & (table["IFO"] != RECTANGULAR)).tolist():
-        if names[row] not in asked:
+    for row in untaken_matrices(model).tolist():
+        if table["IFO"][row] != RECTANGULAR and names[row] not in asked:
             text = f"DMIG {names[row]}: it adds nothing: case control takes it by no K2GG, M2GG or B2GG"
             yield Finding("warning", text, model.files[int(table.file[row])], int(table.line[row]))

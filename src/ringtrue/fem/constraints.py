@@ -12,6 +12,7 @@ from ringtrue.fem.equations import Equations, owners
 from ringtrue.fem.mesh import Mesh, error
 from ringtrue.fem.place import components
 from ringtrue.fem.rigid import RIGID
+from ringtrue.model.choices import taken_sets
 from ringtrue.model.model import Table
 from ringtrue.model.places import called
 
@@ -20,13 +21,14 @@ EPZERO = 1e-8  # AUTOSPC holds what is weaker than this share of its node's larg
 
 def _mpc(m: Mesh) -> Equations:
     t = m.model["MPC"]
-    rows = np.flatnonzero(np.isin(t["SID"], _sets(m, "MPCADD", m.model.case.mpc)))
+    rows = np.flatnonzero(np.isin(t["SID"], taken_sets(m.model, "MPC")))
     G, C, A = (t.ragged(c) for c in "GCA")
     of = G.owner
-    dof = m.dof(G.values, C.values.astype(np.int64), t, of)
+    use = np.isin(of, rows)
+    dof = np.full(of.size, -1)
+    dof[use] = m.dof(G.values[use], C.values[use].astype(np.int64), t, of[use])
     first = np.zeros(of.size, dtype=bool)
     first[G.offsets[:-1][G.sizes > 0]] = True
-    use = np.isin(of, rows)
     lead = A.values[G.offsets[:-1]]
     if (lead[rows] == 0).any():
         raise error(m.model, t, int(rows[lead[rows] == 0][0]), "the first coefficient is 0; it names the dependent DOF")
@@ -35,13 +37,6 @@ def _mpc(m: Mesh) -> Equations:
     rest = use & ~first
     value = -A.values[rest] / lead[of[rest]]
     return Equations(dof[use & first], number[of[rest]], dof[rest], value, owners(t, rows))
-
-
-def _sets(m: Mesh, add: str, sid: int) -> Int:
-    """A set id, or those that an SPCADD or MPCADD of that id unites; it goes before a set of its own number."""
-    rows = np.flatnonzero(m.model[add]["SID"] == sid) if add in m.model else np.empty(0, dtype=np.int64)
-    united = [m.model[add].ragged("S").row(i) for i in rows.tolist()]
-    return np.unique(np.concatenate(united) if united else [sid] if sid else np.empty(0, dtype=np.int64))
 
 
 def equations(m: Mesh) -> Equations:
@@ -65,7 +60,7 @@ def supports(m: Mesh) -> Bool:
     grid = m.model["GRID"]
     if "PS" in grid.columns:
         held[: 6 * len(grid)] |= components(grid["PS"]).reshape(-1)
-    sids = _sets(m, "SPCADD", m.model.case.spc)
+    sids = taken_sets(m.model, "SPC")
     if "SPC" in m.model:
         t = m.model["SPC"]
         at = np.flatnonzero(np.isin(t["SID"], sids))

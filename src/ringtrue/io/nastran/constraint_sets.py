@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.errors import DeckError
+from ringtrue.model.choices import CONSTRAINTS
 from ringtrue.model.model import CaseControl, Model, Table
-
-KINDS = {"SPC": ("SPCADD", ("SPC", "SPC1")), "MPC": ("MPCADD", ("MPC",))}
 
 
 def sets(tables: Mapping[str, Table], kind: str) -> list[int]:
     """Ids that case control may name, ascending."""
-    add, own = KINDS[kind]
+    add, own = CONSTRAINTS[kind]
     found = [tables[c].ids for c in (add, *own) if c in tables]
     return np.unique(np.concatenate(found)).tolist() if found else []
 
@@ -26,7 +25,7 @@ def only_sets(case: CaseControl, tables: Mapping[str, Table]) -> CaseControl:
 
 
 def _only(tables: Mapping[str, Table], kind: str) -> int:
-    add = KINDS[kind][0]
+    add = CONSTRAINTS[kind][0]
     united: list[int] = np.unique(tables[add].ids).tolist() if add in tables else []
     every = united or sets(tables, kind)
     return every[0] if len(every) == 1 else 0
@@ -41,7 +40,7 @@ def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
         Whether the deck has case control.
     """
     out = []
-    for kind in KINDS:
+    for kind in CONSTRAINTS:
         there, asked = sets(model.tables, kind), int(getattr(model.case, kind.lower()))
         names = ", ".join(map(str, there))
         where = model.files[0] if model.files else None
@@ -55,7 +54,7 @@ def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
 
 def empty_choices(model: Model) -> list[str]:
     """What case control chooses and the deck has none of: the structure is free of it, its modes are not limited."""
-    chosen = {kind: int(getattr(model.case, kind.lower())) for kind in KINDS}
+    chosen = {kind: int(getattr(model.case, kind.lower())) for kind in CONSTRAINTS}
     out = [f"{kind} = {n}: the deck has no {kind}" for kind, n in chosen.items() if n and not sets(model.tables, kind)]
     methods = [i for card in ("EIGRL", "EIGR") if card in model for i in model[card].ids.tolist()]
     if model.case.method not in (0, *methods) and "EIGB" not in model.kept:

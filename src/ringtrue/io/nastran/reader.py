@@ -21,9 +21,10 @@ from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, is_unsupported, reason
+from ringtrue.model.choices import idle
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Ragged, Table, stacked
-from ringtrue.model.references import Missing, missing, unused
+from ringtrue.model.references import Missing, missing
 
 log = logging.getLogger(__name__)
 _SHARED_IDS = frozenset(  # several cards of one id belong together
@@ -78,9 +79,9 @@ def read_deck(path: str | Path) -> Model:
         log.warning("%s: case control asks for %s", path, text)
     if model.case.others:
         log.warning("%s: SUBCASE %s not taken, only the first with a METHOD is", path, list(model.case.others))
-    idle = unused(model)
+    out = idle(model)
     for fault_ in missing(model):
-        if not np.isin(fault_.rows, idle.get(fault_.reference.card, ())).all():  # Nastran, too, leaves these alone
+        if not np.isin(fault_.rows, out.get(fault_.reference.card, ())).all():
             raise _dangling(model, fault_)
     return model
 

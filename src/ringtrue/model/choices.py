@@ -1,0 +1,41 @@
+"""What case control takes of the sets and matrices of a deck, and what of the deck takes no part."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ringtrue.core.arrays import Int
+from ringtrue.model.model import Model
+from ringtrue.model.references import unused
+
+CONSTRAINTS = {"SPC": ("SPCADD", ("SPC", "SPC1")), "MPC": ("MPCADD", ("MPC",))}
+
+
+def taken_sets(model: Model, kind: str) -> Int:
+    """Ids of the SPC or MPC sets that hold: the one that case control names, or those that an SPCADD or MPCADD of that
+    number unites, which goes before a set of its own number."""
+    add, sid = CONSTRAINTS[kind][0], int(getattr(model.case, kind.lower()))
+    rows = np.flatnonzero(model[add]["SID"] == sid) if add in model else np.empty(0, dtype=np.int64)
+    united = [model[add].ragged("S").row(i) for i in rows.tolist()]
+    return np.unique(np.concatenate(united) if united else [sid] if sid else np.empty(0, dtype=np.int64))
+
+
+def untaken_matrices(model: Model) -> Int:
+    """Rows of DMIG that no K2GG, M2GG or B2GG takes."""
+    if "DMIG" not in model:
+        return np.empty(0, dtype=np.int64)
+    taken = [name for terms in (model.case.k2gg, model.case.m2gg, model.case.b2gg) for _, name in terms]
+    return np.flatnonzero(~np.isin(np.char.upper(model["DMIG"]["NAME"].astype(str)), taken))
+
+
+def idle(model: Model) -> dict[str, Int]:
+    """Rows, by card, that take no part, whatever they name: Nastran leaves them alone, too.
+
+    Properties and materials that nothing names, constraints of sets and matrices that case control does not take.
+    """
+    out = {card: rows for card, rows in (*unused(model).items(), ("DMIG", untaken_matrices(model))) if rows.size}
+    for kind, (_, cards) in CONSTRAINTS.items():
+        for card in (c for c in cards if c in model):
+            if (rows := np.flatnonzero(~np.isin(model[card]["SID"], taken_sets(model, kind)))).size:
+                out[card] = rows
+    return out
