@@ -119,6 +119,13 @@ def test_sets_that_nothing_chooses_are_told(tmp_path: Path) -> None:
     assert len(told) == 2
 
 
+def test_a_choice_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    """SPC = ALL held nothing."""
+    for kind in ("SPC", "MPC", "NSM"):
+        with pytest.raises(DeckError, match=f"{kind} = ALL in case control: it must be the number of a set"):
+            read_deck(write(tmp_path, f"CEND\n{kind} = ALL\nBEGIN BULK\n{SPRING}"))
+
+
 @pytest.mark.parametrize(
     ("last", "told"),
     [

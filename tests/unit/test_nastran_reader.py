@@ -133,6 +133,8 @@ def test_a_file_that_includes_itself(tmp_path: Path) -> None:
         ("PSHELL,8,77,.1\nCTRIA3,9,8,1,2,3", r"PSHELL 8 field MID1: names MAT1, MAT2 or MAT8 77"),
         ("GRID,1,,9.,0.,0.", r"main\.bdf:6: GRID: 1 is defined twice, first at .*main\.bdf:2"),
         ("MAT1,1,7.+10,,.3", r"MAT1: 1 is defined twice"),
+        ("MAT8,1,7.+10,7.+10,.3,3.+10", r"main\.bdf:6: MAT8: 1 is defined twice, first as MAT1 at .*main\.bdf:1"),
+        ("PCOMP,1\n,1,.1", r"main\.bdf:6: PCOMP: 1 is defined twice, first as PSHELL at .*main\.bdf:8"),
         ("GRID,9,5,1.,0.,0.", r"GRID 9 field CP: names coordinate frame 5"),
         ("CROD,9,1,1,2,3,4", r"CROD: more than 4 data fields"),
         ("PSHELL,9,1,.1\n,,,,30.", r"main\.bdf:6: PSHELL: more than 11 data fields; give THETA"),
@@ -216,6 +218,13 @@ def test_repeated_identical_nodes_and_frames_are_allowed_and_kept_once(tmp_path:
     assert read(tmp_path, NODES + 2 * frame)["CORD2R"].ids.tolist() == [5]
     with pytest.raises(DeckError, match="CORD2R: 5 is defined twice"):
         read(tmp_path, NODES + frame + frame.replace(",1.,0.,0.", ",0.,1.,0."))
+
+
+def test_frames_in_a_circle_have_their_lines(tmp_path: Path) -> None:
+    axes = "0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n"
+    model = read(tmp_path, NODES + f"CORD2R,5,6,{axes}CORD2C,6,5,{axes}")
+    with pytest.raises(DeckError, match=r"main\.bdf:\d: CORD2. .: CORD2. ., CORD2. . refer to frames .* in a circle"):
+        positions(model)
 
 
 def test_other_cards_are_counted(tmp_path: Path) -> None:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DeckError
 from ringtrue.model.model import Model, Table
-from ringtrue.model.places import error
+from ringtrue.model.places import called, error
 
 _LINE = 1e-12  # sine under which three points lie on one line
 _DEGREE = np.pi / 180
-_NAMED = 10  # frames that an error lists
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,9 +125,9 @@ def frames(model: Model) -> Frames:
     while any(left.any() for left in todo):  # as often as the longest chain of frames is long
         ready = [left & (known.find(g.of) >= 0).all(axis=1) for g, left in zip(given, todo, strict=True)]
         if not any(r.any() for r in ready):
-            lost = sorted(int(i) for g, left in zip(given, todo, strict=True) for i in g.table.ids[left])
-            more = f" and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
-            raise DeckError(f"coordinate frames {lost[:_NAMED]}{more} refer to frames that are not in the deck")
+            rows = [(g.table, int(i)) for g, left in zip(given, todo, strict=True) for i in np.flatnonzero(left)]
+            what = "refer to frames that are not in the deck, or to each other in a circle"
+            raise error(model, *rows[0], f"{called(model, rows)} {what}")
         known = _joined([known, *(_resolved(model, known, g, r) for g, r in zip(given, ready, strict=True))])
         todo = [left & ~r for left, r in zip(todo, ready, strict=True)]
     return known

@@ -89,11 +89,12 @@ def case_control(top: Sequence[str]) -> CaseControl:
     Raises
     ------
     DeckError
-        If K2GG, M2GG or B2GG names no matrices, or NSM no set.
+        If K2GG, M2GG or B2GG names no matrices, or NSM, SPC or MPC no set.
     """
     found = commands(top)
-    if not re.fullmatch(r"\d{1,18}", found.get("NSM", "0"), re.A):
-        raise DeckError(f"NSM = {found['NSM']} in case control: it must be the number of a set")
+    for kind in ("NSM", "SPC", "MPC"):
+        if not re.fullmatch(r"\d{1,18}|NONE", found.get(kind, "0"), re.A | re.I):
+            raise DeckError(f"{kind} = {found[kind]} in case control: it must be the number of a set")
     number = {k: int(v) for k, v in found.items() if re.fullmatch(r"\d{1,18}", v, re.A)}
     return CaseControl(
         found.get("TITLE", ""),

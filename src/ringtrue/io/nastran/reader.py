@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,6 +29,13 @@ from ringtrue.model.references import Missing, missing
 log = logging.getLogger(__name__)
 _SHARED_IDS = frozenset(  # several cards of one id belong together
     ("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL)
+)
+
+
+_ONE_NUMBER = (  # cards that share their numbers: a field that names one does not say of which card
+    ("MAT1", "MAT2", "MAT8", "MAT9"),
+    ("PSHELL", "PCOMP", "PCOMPG"),
+    ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S"),
 )
 
 
@@ -180,6 +187,8 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     if "SPOINT" in tables and "GRID" not in tables:  # springs and masses between scalar points alone
         tables["GRID"] = empty("GRID")
     tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
+    for group in _ONE_NUMBER:
+        _refuse_shared([tables[card] for card in group if card in tables], found.deck.files)
     if "SPC1" in tables:
         tables["SPC1"] = _without_gaps(tables, found)
     case = case if found.deck.top else only_sets(case, tables)
@@ -223,17 +232,28 @@ def _unique(table: Table, files: tuple[str, ...]) -> Table:
     if table.card.startswith(("GRID", "CORD")):
         again = again[~_same(table, again, first[inverse[again]])]
     if again.size:
-        i = int(again[0])
-        before = int(first[inverse[i]])
-        raise DeckError(
-            f"{ids[i]} is defined twice, first at {files[table.file[before]]}:{table.line[before]}",
-            path=files[table.file[i]],
-            line=int(table.line[i]),
-            card=table.card,
-        )
+        raise _twice(table, int(again[0]), table, int(first[inverse[again[0]]]), files)
     keep = np.sort(first)
     columns: dict[str, Any_ | Ragged] = {name: table[name][keep] for name in table.columns}
     return replace(table, columns=columns, file=table.file[keep], line=table.line[keep])
+
+
+def _refuse_shared(tables: Sequence[Table], files: tuple[str, ...]) -> None:
+    """Refuse two cards of these tables with one number."""
+    for i, table in enumerate(tables):
+        for other in tables[:i]:
+            if (rows := np.flatnonzero(np.isin(table.ids, other.ids))).size:
+                raise _twice(table, int(rows[0]), other, int(other.find(table.ids[rows[:1]])[0]), files)
+
+
+def _twice(table: Table, row: int, other: Table, before: int, files: tuple[str, ...]) -> DeckError:
+    first = f"{files[other.file[before]]}:{other.line[before]}"
+    return DeckError(
+        f"{table.ids[row]} is defined twice, first {'' if other is table else f'as {other.card} '}at {first}",
+        path=files[table.file[row]],
+        line=int(table.line[row]),
+        card=table.card,
+    )
 
 
 def _same(table: Table, a: Int, b: Int) -> NDArray[np.bool_]:
