@@ -168,14 +168,14 @@ def expanded_errors(
     m, count = mesh(model), frequencies.size
     u = shapes / np.sqrt(np.einsum("fm,fm->m", shapes, system.mass @ shapes))
     r = system.stiffness @ u - (system.mass @ u) * (2 * np.pi * frequencies) ** 2
-    energies = strain_energies(m, system, np.hstack([u, solve(r), own]))
+    energies, touch = _energies_and_nodes(m, system, np.hstack([u, solve(r), own]))
     of_test, of_error, mine = np.split(energies, [count, 2 * count], axis=1)
     total = np.maximum(of_test.sum(axis=0), 1e-300)
     of_test, of_error = of_test / total, of_error / total
     mine = mine / np.maximum(mine.sum(axis=0), 1e-300)
     return ElementErrors(
         np.concatenate([model[c].ids for c in affected_cards(model)]),
-        _share(_by_element(m, _nodal(m, system, r)).sum(axis=1)),
+        _share(_by_element(touch, _nodal(m, system, r)).sum(axis=1)),
         _share(of_error.sum(axis=1)),
         _share(np.abs(of_test - mine).sum(axis=1)),
         _share(of_test.sum(axis=1)),
@@ -195,15 +195,29 @@ def strain_energies(m: Mesh, system: System, vectors: Float) -> Float:
     ----------
     vectors : (f, k) float64
     """
+    return _energies_and_nodes(m, system, vectors)[0]
+
+
+def _energies_and_nodes(m: Mesh, system: System, vectors: Float) -> tuple[Float, sparse.csr_array]:
+    """uᵀK_e u (e, k), and which nodes each element touches, ones of (e, n): its matrices are made once."""
     full = system.transform @ vectors
     full = np.concatenate([full, np.zeros((1, full.shape[1]))])  # DOF -1 is the row of zeros
-    first = _first(m)
-    out = np.zeros((sum(len(m.model[c]) for c in first), vectors.shape[1]))
+    first, grid = _first(m), 6 * len(m.xyz)
+    count = sum(len(m.model[c]) for c in first)
+    out, none = np.zeros((count, vectors.shape[1])), np.empty(0, dtype=np.int64)
+    rows, cols = [none], [none]
     for card, build, at in batches(m.model):
         part = build(m, card, at)
         u = full[part.dofs]
         out[first[card] + at] = np.einsum("edk,edk->ek", u, part.stiffness @ u)
-    return out
+        node = np.where(part.dofs < grid, part.dofs // 6, part.dofs - grid + len(m.xyz))
+        e, d = np.nonzero(part.dofs >= 0)
+        rows.append(first[card] + at[e])
+        cols.append(node[e, d])
+    entries = (np.ones(sum(r.size for r in rows)), (np.concatenate(rows), np.concatenate(cols)))
+    touch = sparse.csr_array(sparse.coo_array(entries, shape=(count, len(m.xyz) + m.scalar.size)))
+    touch.data[:] = 1.0
+    return out, touch
 
 
 def _first(m: Mesh) -> dict[str, int]:
@@ -225,20 +239,8 @@ def _nodal(m: Mesh, system: System, r: Float) -> Float:
     return np.asarray(gather @ (r**2 / weight[:, None]))
 
 
-def _by_element(m: Mesh, nodal: Float) -> Float:
+def _by_element(touch: sparse.csr_array, nodal: Float) -> Float:
     """What stands at a node is shared equally by its elements, (e, k)."""
-    first, rows, cols = _first(m), [], []
-    for card, build, at in batches(m.model):
-        dofs = build(m, card, at).dofs
-        grid = 6 * len(m.xyz)
-        node = np.where(dofs < grid, dofs // 6, dofs - grid + len(m.xyz))
-        e, d = np.nonzero(dofs >= 0)
-        rows.append(first[card] + at[e])
-        cols.append(node[e, d])
-    shape = (sum(len(m.model[c]) for c in first), len(nodal))
-    entries = (np.ones(sum(r.size for r in rows)), (np.concatenate(rows), np.concatenate(cols)))
-    touch = sparse.csr_array(sparse.coo_array(entries, shape=shape))
-    touch.data[:] = 1.0
     count = np.maximum(touch.sum(axis=0), 1.0)
     return np.asarray(touch @ (nodal / np.asarray(count)[:, None]))
 
