@@ -95,6 +95,24 @@ def test_thickness_has_a_linear_and_a_cubic_part() -> None:
     assert [t.function.bases for t in parts] == [(Powers((1,)),), (Powers((3,)),)]
 
 
+def test_an_element_outside_of_the_sample_has_a_higher_power() -> None:
+    """A row of membranes, linear in their thickness, with one shell among them that bends."""
+    n = 60
+    i = np.arange(n)
+    x = [[k, side, 0.0] for k in range(n + 1) for side in (0, 1)]
+    bends = cards("PSHELL", PID=[1, 2], MID1=1, T=0.01, MID2=[0, 1])
+    quads = cards(
+        "CQUAD4", EID=i + 1, PID=np.where(i == 2, 2, 1), G1=2 * i + 1, G2=2 * i + 3, G3=2 * i + 4, G4=2 * i + 2
+    )
+    m = model(grid(np.array(x)), steel(), quads, bends)
+    p, a = parameter(("PSHELL", 1, "T"), ("PSHELL", 2, "T")), np.array([1.7])
+    s = assemble(m)
+    parts = affine_terms(m, ParameterSet((p,)), s)
+    assert [t.function.bases for t in parts] == [(Powers((1,)),), (Powers((3,)),)]
+    changed = assemble(scaled(m, p, 1.7))
+    close(s.stiffness + sum(t.function.value(a) * t.stiffness for t in parts), changed.stiffness, EXACT)
+
+
 def test_shear_modulus_that_is_given() -> None:
     """E alone scales a rod's axial part, G its torsion; a solid's E and G together are linear."""
     m = mixed(G=7e10)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, lru_cache, partial
 from typing import Any, Literal
@@ -125,7 +126,10 @@ def _coarse(some: Members, sample: At) -> bool:
 def _alone(m: Mesh, g: Group) -> dict[int, Pair] | None:
     """The parts of a polynomial; None if it is none."""
     try:
-        cubic(m, replace(g, rows=_few(g.rows)))  # most that are none are found on a sample
+        some = cubic(m, replace(g, rows=_few(g.rows)))  # most that are none are found on a sample
+        if set(some) == {1}:
+            with suppress(UnsupportedError):  # other elements may have higher powers
+                return cubic(m, g, linear=True)
         return cubic(m, g)
     except UnsupportedError:
         return None
