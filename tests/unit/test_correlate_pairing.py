@@ -78,6 +78,18 @@ def test_rotated_pair_beside_a_third_close_mode() -> None:
     np.testing.assert_allclose(p.mac, 1.0, rtol=1e-9)
 
 
+def test_a_close_mode_that_belongs_elsewhere_takes_no_direction_of_a_group() -> None:
+    """Of two close test modes one is the model's first, with a trace of its pair; the other is of that pair."""
+    phi = sines(4)
+    a = modes([43.3, 43.4], np.stack([phi[:, 1] + phi[:, 2], phi[:, 0] + 0.4 * phi[:, 1]], axis=1))
+    p = pair_modes(a, modes([42.0, 43.9, 44.0, 60.0], phi))
+    assert p.a.tolist() == [0, 1]
+    assert p.b[1] == 0
+    assert p.b[0] in (1, 2)
+    np.testing.assert_allclose(p.mac, [1.0, 1 / 1.16])
+    assert p.subspace.tolist() == [True, False]
+
+
 def test_pair_that_is_close_in_the_test_alone() -> None:
     """The model has the two modes 4 % apart; the test has them 0.3 % apart, and mixed."""
     phi = sines(4)

@@ -180,11 +180,13 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
             groups_b = _joined(groups_b, _mixed(single[ga], share, settings), settings.largest_group)
     for gb in (np.array(g) for g in groups_b if len(g) > 1):
         share = subspace_mac(a, b[:, gb])  # no rotation inside the group reaches more
-        gains = np.asarray(share > np.maximum(single[:, gb].max(axis=1) + SOFT - TIE, HOLD * settings.mac_gate))
+        held = np.asarray(share > HOLD * settings.mac_gate)
+        gains = held & np.asarray(share > single[:, gb].max(axis=1) + SOFT - TIE)
         near = np.asarray((np.abs(error[:, gb]) <= settings.frequency_gate).any(axis=1))
         for ga in (g for g in groups_a if gains[g].any() and near[g].any()):
             # a chain of close modes of A may be longer: a neighbour belongs elsewhere
             these = np.sort(ga[np.argsort(-share[ga], kind="stable")[: gb.size]])
+            these = these[held[these]]
             if gains[these].any():
                 _merge(merged, single, error, these, gb, a, b, settings)
     return Scores(single, merged, error, groups_b)
