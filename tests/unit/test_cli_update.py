@@ -111,6 +111,17 @@ def test_a_card_that_is_not_there_is_refused_with_its_neighbours(capsys: Capture
     assert "MAT1 4 E: no such card in the model; 4 MAT1, next to it 1, 2, 3, 10" in " ".join(err.split())
 
 
+def test_fields_that_cannot_be_written_are_refused_before_any_work(capsys: Capture, folder: Path) -> None:
+    """The PBAR that a PBARL makes stands nowhere in the deck."""
+    text = (folder / "frame.bdf").read_text()
+    (folder / "frame.bdf").write_text(text.replace("ENDDATA", "PBARL,99,1,,BAR\n,.1,.2\nENDDATA"))
+    (folder / "study.toml").write_text(STUDY.replace("MAT1 3 E", "PBAR 99 A"))
+    status, _, err = call(capsys, folder, "--out", str(folder / "up"))
+    assert status == 2
+    assert "PBAR 99 field A: it was made from a PBARL" in err
+    assert "basis" not in err
+
+
 def test_checkpoint_is_kept_and_the_table_is_printed(capsys: Capture, folder: Path) -> None:
     file = folder / "point.json"
     status, out, _ = call(capsys, folder, "--checkpoint", str(file))

@@ -23,7 +23,7 @@ from ringtrue.correlate.assign import PairingSettings
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.modes_json import read_modes, read_std
-from ringtrue.io.nastran.edit import edit_fields
+from ringtrue.io.nastran.edit import edit_fields, refuse_unwritable
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import field_changes
 from ringtrue.model.model import Model
@@ -155,6 +155,8 @@ def update(
     with progress("updating") as show:
         show(0.0, "reading")
         model, (target, modes) = read_deck(study.parent / config.model.deck), _target(config, test, leave_out)
+        if folder is not None:
+            refuse_unwritable(model, config.candidates())
         show(0.1, f"first runs of {solver_name}" if anew else "reduced basis")
         if anew:
             problem = _by_runs(model, config, target, modes, engine, study.parent)

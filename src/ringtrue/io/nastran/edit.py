@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.parameters import Target
+from ringtrue.core.parameters import ParameterSet, Target
 from ringtrue.errors import DeckError, InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.nastran.deck import load
@@ -71,6 +71,19 @@ def unwritable(model: Model, targets: Sequence[Target]) -> dict[Target, str]:
         except InputError as e:
             why[t] = str(e)
     return why
+
+
+def refuse_unwritable(model: Model, parameters: ParameterSet) -> None:
+    """Candidates of a study that could not be delivered are refused before any work.
+
+    Raises
+    ------
+    InputError
+        With the first of them and why not.
+    """
+    whole = [t for p in parameters.parameters for t in p.targets if not t.elements]
+    for why in unwritable(model, whole).values():
+        raise InputError(f"[[candidate]] {why}")
 
 
 def _loaded(model: Model) -> tuple[Cards, list[Path], list[_File]]:

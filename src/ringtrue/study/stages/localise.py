@@ -11,7 +11,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
-from ringtrue.io.nastran.edit import unwritable
+from ringtrue.io.nastran.edit import refuse_unwritable, unwritable
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.parametric import ReducedModel
@@ -92,8 +92,7 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     """The candidates of the study, or those made from the deck that explain most of the misfit."""
     model, given, asked = desk.remodelled.model, desk.config.candidates(), desk.config.localise
     if len(given):
-        for why in unwritable(model, [t for p in given.parameters for t in p.targets if not t.elements]).values():
-            raise DataError(f"[[candidate]] {why}")
+        refuse_unwritable(model, given)
         return _Pool(tuple(of_parameter(model, p) for p in given.parameters))
     if not asked.pool:
         return _Pool(())
