@@ -500,3 +500,29 @@ def test_complex_cells(tmp_path: Path, delimiter: str, cell: str, comma: bool) -
     assert ([c.id for c in got.outputs], [c.id for c in got.inputs]) == (["1+Z", "2+Z"], ["3+Z"])
     np.testing.assert_allclose(got.freqs, f)
     np.testing.assert_allclose(got.data[:, :, 0], h, atol=1e-3)
+
+
+@pytest.mark.parametrize("pause", [0.0, 1.0])
+def test_hourly_groups_of_tdms_are_one_ambient_record(tmp_path: Path, pause: float) -> None:
+    """Groups with the same channels and successive starts; two that ran at the same time are other channels."""
+    path, start = tmp_path / "r.tdms", np.datetime64("2026-03-01T23:59:58.000000", "us")
+    with TdmsWriter(path) as writer:
+        for k, name in enumerate(("23h", "0h")):
+            begin = start + np.timedelta64(round(k * (150 / RATE + pause) * 1e6), "us")
+            told = {"wf_increment": 1 / RATE, "wf_start_time": begin}
+            part = slice(150 * k, 150 * (k + 1))
+            writer.write_segment([ChannelObject(name, c, y[part], told) for c, y in zip("ab", Y, strict=True)])
+    got = read_record(path, gaps=True)
+    lost = round(pause * RATE)
+    assert [c.id for c in got.channels] == ["a", "b"]
+    np.testing.assert_array_equal(np.delete(got.data, np.s_[150 : 150 + lost], axis=1), Y[:, :300])
+    assert np.isnan(got.data).sum() == 2 * lost
+    assert len(read_record(path).channels) == 4
+
+
+def test_segments_of_lvm_with_pauses_are_one_ambient_record(tmp_path: Path) -> None:
+    (tmp_path / "r.lvm").write_text(lvm(segments=2, gap=0.5))
+    got = read_record(tmp_path / "r.lvm", gaps=True)
+    lost = round(0.5 * RATE)
+    np.testing.assert_allclose(np.delete(got.data, np.s_[150 : 150 + lost], axis=1), Y * [[9.80665], [1.0]], atol=1e-8)
+    assert np.isnan(got.data[:, 150 : 150 + lost]).all()

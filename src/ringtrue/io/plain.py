@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tokenize import TokenError
@@ -63,6 +63,27 @@ class RawTable:
         """
         if self.rows is not None and self.rate is not None:
             raise DataError(f"{path}: {_uneven(np.diff(self.rows) / self.rate)}")
+
+
+def joined(pieces: Sequence[tuple[float, RawTable]]) -> RawTable | None:
+    """One table of the acquisitions of a file, one after the other, each with its start, s; `rows` tells their places.
+
+    None where they are no parts of one record: of other channels or rates, at one time, or half of it between them.
+    """
+    pieces = sorted(pieces, key=lambda x: x[0])
+    first, rate = pieces[0][1], pieces[0][1].rate
+    alike = all((t.names, t.units, t.rate, t.rows) == (first.names, first.units, rate, None) for _, t in pieces)
+    if rate is None or not alike or not np.isfinite([start for start, _ in pieces]).all():
+        return None
+    size = np.array([t.data.shape[1] for _, t in pieces])
+    begin = np.round((np.array([start for start, _ in pieces]) - pieces[0][0]) * rate).astype(np.int64)
+    late = np.diff(begin) - size[:-1]
+    if (late < -1).any() or begin[-1] + size[-1] > size.sum() / _THIN:
+        return None
+    begin[1:] += np.cumsum(late == -1)  # rounding
+    rows = np.concatenate([a + np.arange(n) for a, n in zip(begin, size, strict=True)])
+    whole = np.concatenate([t.data for _, t in pieces], axis=1)
+    return replace(first, data=whole, rows=rows if rows[-1] >= rows.size else None)
 
 
 def numbered(data: Any_, rate: float | None) -> RawTable:

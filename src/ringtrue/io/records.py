@@ -17,7 +17,7 @@ from ringtrue.io.delimited import read_csv, write_csv
 from ringtrue.io.files import existing
 from ringtrue.io.lvm import read_lvm, read_lvm_segments
 from ringtrue.io.matfile import read_mat, write_mat
-from ringtrue.io.plain import RawTable, check_stored, read_h5_table, read_npy
+from ringtrue.io.plain import RawTable, check_stored, joined, read_h5_table, read_npy, read_text
 from ringtrue.io.record_layout import (
     FORMAT,
     TABLE,
@@ -32,7 +32,7 @@ from ringtrue.io.record_layout import (
     stored_samples,
 )
 from ringtrue.io.si import to_si
-from ringtrue.io.tdms import read_tdms, read_tdms_runs
+from ringtrue.io.tdms import read_tdms, read_tdms_pieces, read_tdms_runs
 from ringtrue.io.uff.functions import read_time, read_time_runs, write_time
 from ringtrue.io.wav import read_wav
 
@@ -160,7 +160,8 @@ def read_record(
         several of unlike rates.
     gaps : bool
         Let samples be missing, as an ambient test may: rows that the times show to be missing become NaN, and these and
-        others stay.
+        others stay. Acquisitions one after the other, segments of a `.lvm` or groups of a `.tdms` with the same
+        channels, are one record by their starts.
 
     Raises
     ------
@@ -205,6 +206,12 @@ def _lvm_runs(path: Path) -> tuple[RawTable, ...]:
         return tuple(t for _, t in read_lvm_segments(path))
 
 
+def _lvm_pieces(path: Path) -> tuple[tuple[float, RawTable], ...]:
+    """No segments of a file without headers, which is text."""
+    return read_lvm_segments(path) if read_text(path).lstrip().startswith("LabVIEW") else ()
+
+
+_PIECES = {".lvm": _lvm_pieces, ".tdms": read_tdms_pieces}
 _RUNS = {".lvm": _lvm_runs, ".tdms": read_tdms_runs, **dict.fromkeys(_UFF, read_time_runs)}
 
 
@@ -261,6 +268,8 @@ def _read(
             if own is not None and not group:
                 return _read_own(own, path, rate, channels, samples)
             table = read_h5_table(file, path, group)
+    elif gaps and not group and ext in _PIECES and (one := _joined(path, ext)) is not None:
+        table = one
     elif ext == ".tdms":
         table = read_tdms(path, group)
     elif ext in _UFF:
@@ -272,6 +281,12 @@ def _read(
     history = _from_table(table.evened() if gaps else table, path, rate)
     history = history if channels is None else history.pick(channels)
     return replace(history, data=history.data[:, samples])
+
+
+def _joined(path: Path, ext: str) -> RawTable | None:
+    """The acquisitions of a file, each with a start, as one table; None where it holds one, or others."""
+    pieces = _PIECES[ext](path)
+    return joined(pieces) if len(pieces) > 1 else None
 
 
 def _read_own(

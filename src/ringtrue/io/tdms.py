@@ -57,6 +57,28 @@ def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
         return tuple(_table(g, path) for g in (groups if len(shown) == 1 and len(groups[0]) > 1 else [found]))
 
 
+def read_tdms_pieces(path: Path) -> tuple[tuple[float, RawTable], ...]:
+    """Each group with its start (s), where all have one (`wf_start_time`); else none."""
+    with _opened(path) as file:
+        found = _signals(file, path)
+        groups = [[c for c in found if c.group_name == g] for g in dict.fromkeys(c.group_name for c in found)]
+        starts = [_start(g[0]) for g in groups]
+        even = all(len({(len(c), _rate(c), _start(c)) for c in g}) == 1 for g in groups)
+        if len(groups) < 2 or not even or not np.isfinite(starts).all():
+            return ()
+        return tuple((start, _table(g, path)) for start, g in zip(starts, groups, strict=True))
+
+
+def _start(channel: Any) -> float:
+    """Seconds since 1970; NaN where there is no start."""
+    start = channel.properties.get("wf_start_time")
+    if not isinstance(start, np.datetime64):
+        return float("nan")
+    return float(
+        start.astype("datetime64[us]").astype(np.int64) * 1e-6 + channel.properties.get("wf_start_offset", 0.0)
+    )
+
+
 def _signals(file: TdmsFile, path: Path) -> list[Any]:
     found = [c for g in file.groups() for c in g.channels() if len(c) and c.dtype.kind in "fiu"]
     if not found:
