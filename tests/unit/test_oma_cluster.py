@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.lib.stride_tricks import as_strided
 from scipy.signal import lfilter
 
 from ringtrue.core.modes import ModeSet
@@ -194,6 +195,13 @@ def test_the_gram_matrix_of_a_hankel_matrix_by_convolution_and_along_its_diagona
     h = hankel(r, rows)
     assert squared_hankel(h, 3, 2) == pytest.approx(h.T @ h, rel=1e-12, abs=1e-12)
     assert hankel_gram(r, rows) @ np.eye(2 * rows) == pytest.approx(h.T @ h, rel=1e-12, abs=1e-12)
+
+
+def test_hankel_of_one_channel():
+    """Axes of length one may have any strides."""
+    r = as_strided(np.arange(20.0), (20, 1, 1), (8, 8000, 8000), writeable=False)
+    lag = np.arange(5)
+    assert np.array_equal(hankel(r, 5), 1 + lag[:, None] + lag)
 
 
 @pytest.mark.parametrize(("halves", "done"), [(0.9, True), (0.4, False), (0.1, True)])

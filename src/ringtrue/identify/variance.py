@@ -41,9 +41,9 @@ class Perturbations:
 def hankel(r: Any_, rows: int) -> Any_:
     """Block-Hankel (rows·ch, rows·ref) of the lags 1 .. 2·rows − 1 of `r` (lag, ch, ref)."""
     by_channel = np.ascontiguousarray(r.transpose(1, 0, 2)[:, 1 : 2 * rows])
-    ch, _, ref = by_channel.shape
-    s = by_channel.strides
-    view = as_strided(by_channel, (rows, ch, rows * ref), (s[1], s[0], s[2]), writeable=False)
+    ch, lags, ref = by_channel.shape
+    item = by_channel.itemsize  # the strides of axes of length one mean nothing
+    view = as_strided(by_channel, (rows, ch, rows * ref), (ref * item, lags * ref * item, item), writeable=False)
     return np.asarray(view.reshape(rows * ch, rows * ref))
 
 
