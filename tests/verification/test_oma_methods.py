@@ -117,6 +117,15 @@ def test_damping_of_a_bell_that_its_neighbour_cuts_off(method):
     assert (np.abs(np.mean(errors, axis=0)) < 0.15).all()  # the cut decays alone have 35 % too little
 
 
+@pytest.mark.parametrize("method", ["fsdd", "efdd", "random decrement"])
+def test_bells_of_one_channel_end_in_the_valleys(method):
+    for seed in range(3):
+        one = wrap(PHI[[3]] @ motion(seed))
+        m = fdd(one, FddSettings(method), near=[2.0, 9.0]).modes
+        assert m.frequencies == pytest.approx(F[[0, 3]], rel=0.01)
+        assert m.damping == pytest.approx(Z[[0, 3]], rel=0.5)  # five standard deviations of the first one
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_fsdd_of_a_mode_below_the_filter_of_the_recorder(seed: int) -> None:
     """Lines beyond the edge at 18 Hz are no part of the bell of 16 Hz and 3 %; with them it was 2 % too high."""

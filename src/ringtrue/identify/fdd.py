@@ -123,7 +123,7 @@ def fdd(history: TimeHistory, settings: FddSettings | None = None, *, near: Sequ
     scale = np.sqrt(np.maximum(np.einsum("fii->i", spectra.data).real, np.finfo(np.float64).tiny))
     u, sv, _ = np.linalg.svd(spectra.data / (scale[:, None] * scale), hermitian=True)
     lines = _near(spectra.freqs, sv[:, 0], near) if near else _peaks(spectra, u[:, :, 0], sv[:, 0], s)
-    bells = [_bell(int(k), u, sv, s.mac, _borders(lines, int(k), sv[:, 0].size)) for k in lines]
+    bells = [_bell(int(k), u, sv, s.mac, _borders(lines, int(k), sv)) for k in lines]
     fitted = [_fit(b, spectra, history, scale, s) for b in bells]
     rows = np.array(fitted).reshape(len(bells), 4)
     shape = np.array([unit(b.vector[:, None] * scale[:, None])[:, 0] for b in bells]).reshape(len(bells), scale.size).T
@@ -162,10 +162,17 @@ def _peaks(spectra: Csd, vector: Complex, level: Float, s: FddSettings) -> Int:
     return np.asarray(found[like.mean(1) > 0.8], dtype=np.int64)
 
 
-def _borders(lines: Int, k: int, n: int) -> tuple[int, int]:
-    """The bell may not pass the neighbouring peaks."""
-    low, high = lines[lines < k], lines[lines > k]
-    return (int(low[-1]) + 1 if low.size else 1), (int(high[0]) - 1 if high.size else n - 2)
+def _borders(lines: Int, k: int, sv: Float) -> tuple[int, int]:
+    """The bell may not pass the neighbouring peaks.
+
+    Of one channel, that has no shapes, it ends at the valleys before them or at a foot of its peak.
+    """
+    below, above = lines[lines < k], lines[lines > k]
+    low, high = (int(below[-1]) + 1 if below.size else 1), (int(above[0]) - 1 if above.size else len(sv) - 2)
+    if sv.shape[1] > 1:
+        return low, high
+    level = np.maximum(sv[:, 0], _FOOT * sv[k, 0])
+    return k - int(np.argmin(level[low : k + 1][::-1])), k + int(np.argmin(level[k : high + 1]))
 
 
 def _bell(k: int, u: Complex, sv: Float, least: float, borders: tuple[int, int]) -> _Bell:
