@@ -69,6 +69,16 @@ def test_only_a_doubtful_pole_of_a_shape_that_others_span_is_forced() -> None:
     assert not any(x.size for x in carriers(f, np.full(3, 0.01), np.full(3, 5e-4), mixed))  # as clear as the others
 
 
+def test_a_peak_below_all_modes_is_carried_by_two_above() -> None:
+    """Waves below the modes of a hull: of seven channels one mode of either side counts, and there is none below."""
+    f, z, sure = np.array([0.13, 1.3, 2.6]), np.array([0.09, 0.01, 0.01]), np.array([0.014, 5e-4, 5e-4])
+    own = np.linalg.qr(np.random.default_rng(0).standard_normal((7, 3)))[0].astype(complex)
+    mixed = own.copy()
+    mixed[:, 0] = own[:, 1] + 0.5 * own[:, 2]
+    assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[1, 2], [], []]
+    assert not any(x.size for x in carriers(f, z, sure, own))
+
+
 def test_a_channel_in_another_unit_makes_no_shapes_alike() -> None:
     f, z, sure = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.05, 0.01]), np.array([5e-4, 5e-3, 5e-4])
     own = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 3)))[0].astype(complex)

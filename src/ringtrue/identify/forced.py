@@ -64,7 +64,7 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
     each = min(EACH_SIDE, len(psi) // ROOM)
     for k in np.argsort(loose, kind="stable").tolist():
         at = np.flatnonzero(accepted)
-        near = np.concatenate([at[at < k][::-1][:each][::-1], at[at > k][:each]])
+        near = _beside(at[at < k], at[at > k], each)
         if near.size:
             doubt = max(damping[k] / np.median(damping[near]), 1.0) * loose[k] / np.median(loose[near])
             within = min(OUTSIDE * doubt, _least_own(psi[:, near]) / BLIND)
@@ -72,6 +72,13 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
                 out[k] = near
         accepted[k] = not out[k].size
     return out
+
+
+def _beside(below: Int, above: Int, each: int) -> Int:
+    """The nearest accepted modes, `each` of either side; room that one leaves, as below all modes, is the other's."""
+    low, high = min(below.size, each), min(above.size, each)
+    low, high = min(below.size, EACH_SIDE, 2 * each - high), min(above.size, EACH_SIDE, 2 * each - low)
+    return np.concatenate([below[below.size - low :], above[:high]])
 
 
 def _outside(basis: Complex, shape: Complex) -> float:
