@@ -27,6 +27,8 @@ from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
+from ringtrue.study.run import run_study
+from ringtrue.virtual.logbook import write_sheet
 
 TRUTH = small_study.TRUTH
 STUDY = '[model]\ndeck = "frame.bdf"\n' + "".join(
@@ -143,6 +145,33 @@ def test_differences_of_repeated_and_rigid_body_modes(tmp_path: Path) -> None:
     np.testing.assert_allclose(at.d_lambda.sum(axis=1)[free], lam[free], rtol=3e-3)
     moved = at.d_shapes[:, free]
     assert np.abs(moved.sum(axis=-1)).max() < 1e-2 * np.abs(moved).max()
+
+
+def test_a_study_ends_where_differences_tell_no_better(tmp_path: Path, outside: Outside) -> None:
+    """Noise leaves residuals; slopes that are off by half a step cannot cancel them to the last digit."""
+    _, modes = case(tmp_path, outside)
+    told, rng = json.loads(Path(modes).read_text()), np.random.default_rng(5)
+    for mode, noise in zip(told["modes"], rng.standard_normal(9), strict=True):
+        mode["frequency_hz"] *= 1 + 0.005 * noise
+    for mode in told["modes"]:
+        shape = np.array(mode["shape_re"])
+        mode["shape_re"] = (shape + 0.02 * np.abs(shape).max() * rng.standard_normal(shape.size)).tolist()
+    Path(modes).write_text(json.dumps(told))
+    test = small_study.test_model()
+    write_sheet(tmp_path / "sensors.csv", test, test.channels)
+    found, runs = [], []
+    for solver in ("outside", "embedded"):
+        before = outside.runs
+        head = f'[model]\ndeck = "frame.bdf"\nfmax = 20.0\nsolver = "{solver}"\n'
+        head += '[test]\nsheet = "sensors.csv"\nmodes = "test.json"\n'
+        (tmp_path / "study.toml").write_text(head + STUDY.partition('"frame.bdf"\n')[2].replace("std = 1.0\n", ""))
+        update = run_study(tmp_path / "study.toml", until="update").results["update"]
+        found.append(update.sets[update.chosen])
+        runs.append(outside.runs - before)
+    near, exact = found
+    assert runs[0] < 100
+    order = [near.parameters.index(p) for p in exact.parameters]
+    assert np.abs(near.factor[order] - exact.factor).max() < 0.1 * exact.std.min()
 
 
 @pytest.mark.parametrize("failing", [range(0), range(7, 11)])

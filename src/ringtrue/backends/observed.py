@@ -27,6 +27,7 @@ from ringtrue.shapes.subspace import close_groups, rotation
 
 PRINTED = 1e-4  # change of an unknown that ends an updating on what programs print
 STEP = 5e-3  # of x: programs print six or seven digits; the slope of λ ~ a is off by half of it
+UNTOLD = STEP / 2  # of the gradient of J without cancellation: what such slopes do not tell
 CLOSE = 2 * STEP  # relative distance of frequencies that a step may exchange
 STILL = 1e-3  # of the highest frequency: below is a rigid-body mode, whose frequency is round-off
 LIKE = 0.5  # least MAC of a mode with itself a step away

@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args
 import numpy as np
 import typer
 
-from ringtrue.backends.observed import PRINTED, FullModel, reduced
+from ringtrue.backends.observed import PRINTED, UNTOLD, FullModel, reduced
 from ringtrue.backends.registry import EMBEDDED, solver
 from ringtrue.cli.show import err, json_target, progress, write_json
 from ringtrue.cli.updated import show_summary, summary_of
@@ -299,7 +299,7 @@ def _solved(problem: Problem, u: UpdateSection, asked: Asked, show: Progress) ->
     full, course = problem.configurations[0].model, course_of(u)
     each = show if isinstance(full, FullModel) else None
     if each is not None:
-        course = replace(course, method=replace(course.method, step=PRINTED))
+        course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
     start = begun(problem, u, course, asked.seed, show, each, asked.checkpoint).y
 
     def ended(p: Problem, y: Float | None) -> tuple[Solution, Problem]:

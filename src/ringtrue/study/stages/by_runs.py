@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from ringtrue.backends.observed import PRINTED, FullModel
+from ringtrue.backends.observed import PRINTED, UNTOLD, FullModel
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
 from ringtrue.model.edit import carried
@@ -51,7 +51,7 @@ def by_runs(
         runs = sum(m.ledger.runs for m in models)
         progress(runs / (runs + USUAL), f"{name}: {text}, {runs} runs of {desk.deck.solver}")
 
-    method = replace(course_of(u).method, step=PRINTED)
+    method = replace(course_of(u).method, step=PRINTED, gradient=UNTOLD)
     end = settled(desk, u, problem, kept.start(name, members), progress, method, told)
     kept.keep(name, end.solution.y)
     return summary(problem, aims, name, end), sum(m.ledger.runs for m in models)
