@@ -14,8 +14,11 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import wavfile
 from test_ema_frf import FN, PHI, ZETA, pulse, receptance, record
 
+from ringtrue.cli.identify import print_modes
 from ringtrue.cli.main import run
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
@@ -329,3 +332,11 @@ def test_time_records_of_a_shaken_base_tell_the_modes_of_the_held_structure(tmp_
     modes = read_modes(tmp_path / "m.json")
     np.testing.assert_allclose(modes.frequencies, [f0], rtol=1e-3)
     np.testing.assert_allclose(modes.damping, [zeta], rtol=0.03)
+
+
+def test_a_small_deviation_is_not_printed_as_none(capsys: Capture) -> None:
+    one = np.ones((1, 1))
+    modes = ModeSet(np.array([17.2]), np.array([0.02]), one, ("1+Z",), confidence=np.ones(1))
+    std = Uncertainty.independent(np.array([1e-4]), np.array([3.21e-6]), one)
+    print_modes("test", modes, std, ("clear",))
+    assert "0.00032" in capsys.readouterr().out

@@ -110,7 +110,7 @@ def print_modes(title: str, modes: ModeSet, std: Uncertainty | None, reasons: Se
         sf, sz = (std.frequency[i], std.damping[i]) if std is not None else (float("nan"), float("nan"))
         f, z = modes.frequencies[i], modes.damping[i]
         note = reasons[i] if i < len(reasons) else ""
-        values = (f"{f:.5g}", _known(sf, ".1e"), f"{100 * z:.3f}", _known(100 * sz, ".3f"))
+        values = (f"{f:.5g}", _known(sf, ".1e"), f"{100 * z:.3f}", _known(100 * sz, ".2g"))
         body.append((i + 1, *values, f"{modes.confidence[i]:.2f}", note))
     rows(title, ("#", "f [Hz]", "± [Hz]", "damping [%]", "± [%]", "confidence", "why"), body)
 
