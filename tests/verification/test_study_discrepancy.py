@@ -66,6 +66,8 @@ def test_the_command_updates_as_the_study_does(tmp_path: Path) -> None:
     found = json.loads((tmp_path / "found.json").read_text())
     factors = {p["name"]: p["factor"] for p in found["parameters"]}
     assert [factors[n] for n in study.parameters] == pytest.approx(study.factor.tolist(), rel=2e-4)  # of the basis
+    std = {p["name"]: p["relative_std"] for p in found["parameters"]}
+    assert [std[n] for n in study.parameters] == pytest.approx(study.std.tolist(), rel=0.05)
     kept = list(found["discrepancy_percent"].values())
     assert kept == pytest.approx((100 * study.discrepancy).tolist(), rel=0.02)
     assert kept[0] < 0.5  # 0.2 % of noise; 1 % is assumed

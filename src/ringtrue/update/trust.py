@@ -324,7 +324,8 @@ def _solution(problem: Problem, history: tuple[Evaluated, ...], outcome: Outcome
     normal = g.T @ g
     total = normal + precision + 1e-14 * np.eye(len(normal)) * max(float(np.diag(normal + precision).max()), 1e-300)
     spent = float(np.trace(linalg.solve(total, normal, assume_a="pos")))
-    data = int(end.datum.max(initial=-1)) + 1
+    many = problem.configurations[0].target.weights.independent  # errors in a shape, the datum of many rows
+    data = float(np.where(np.bincount(end.datum) > 1, many, 1.0).sum())
     spread = max(1.0, float(problem.loss.cost(squares(end.value, end.datum)).sum()) / max(data - spent, 1.0))
     posterior = normal / spread + total - normal
     covariance = linalg.solve(posterior, np.eye(len(normal)), assume_a="pos")
