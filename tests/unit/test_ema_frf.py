@@ -228,3 +228,16 @@ def test_noise_on_the_force_beside_the_pulse_is_left_out(noise: float) -> None:
         return float(np.linalg.norm(np.diff(frfs.data[at, :, 0] / exact, axis=0)))
 
     assert error(None) < 0.5 * error(16 / RATE)  # from line to line: what moves poles
+
+
+@pytest.mark.parametrize("blows", [1, 6])
+def test_lines_end_where_the_force_sinks_into_its_noise(blows: int) -> None:
+    """The spectrum of a sine-squared pulse of 30 ms falls with f³ beyond its first zero at 67 Hz."""
+    rng = np.random.default_rng(0)
+    t = np.arange(int(10 * blows * RATE)) / RATE
+    force = sum(pulse(t - 1.0 - 10 * k, 100.0, 0.03) for k in range(blows))
+    channels = (Channel("F:1+Z", "force", "N"), Channel("1+Z", "acceleration", "m/s^2"))
+    y = np.convolve(force, np.exp(-np.arange(500) / 50.0))[: t.size]
+    data = np.vstack([force, y]) + np.array([[0.5], [1e-3]]) * rng.standard_normal((2, t.size))
+    frfs, _ = estimate_frf(TimeHistory(data, RATE, channels, "soft"))
+    assert 50 < frfs.freqs[-1] < 150

@@ -265,6 +265,20 @@ def test_too_few_lines() -> None:
         identify_hammer(frfs, HammerModes(10.0, 12.0))
 
 
+@pytest.mark.parametrize("known", [False, True])
+def test_the_band_ends_where_the_frfs_are_noise(known: bool) -> None:
+    """Beyond 100 Hz there is noise alone: by the coherence, and by lines that have nothing in common with the next."""
+    frfs, phi = simulate(3, decay=0.0, level=0.005)
+    rng, beyond = np.random.default_rng(0), frfs.freqs > 100
+    white = rng.standard_normal((2, *frfs.data.shape)).T @ np.array([1, 1j])
+    data = np.where(beyond[:, None, None], white.T, frfs.data)
+    coherence = np.where(beyond[:, None, None], rng.beta(1, 3, frfs.data.shape), frfs.coherence)
+    blind = np.full(coherence.shape, np.nan)
+    result = identify_hammer(replace(frfs, data=data, coherence=coherence if known else blind))
+    same(result, phi, 5e-4, 0.03, 0.98)
+    assert any(n.startswith("the band ends at 10") for n in result.notes)
+
+
 def test_noise_on_the_force_moves_no_pole() -> None:
     """As short as the pulse, it multiplies all FRFs of a blow by one smooth 1 + ε(f), 1 + ε = Σ n_k e^{−iωkΔt}.
 

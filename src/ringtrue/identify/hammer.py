@@ -31,6 +31,7 @@ from ringtrue.identify.frf_input import (
 from ringtrue.identify.judge import Candidates, Verdict, judge
 from ringtrue.identify.lsfd import (
     Lines,
+    likeness,
     lsfd,
     noise,
     noise_left,
@@ -51,6 +52,8 @@ LAST_ITERATIONS = 60
 RINGING_TURNS = 6  # of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
 MOST_NEW = 6
 MOST_BYTES = 2e9
+_USABLE = 0.5  # of coherence, or of likeness
+_TO_THE_END = 0.95
 PAIR = "one of two modes of one frequency: any turn of the two shapes in their plane fits as well"
 
 
@@ -61,7 +64,7 @@ class HammerModes:
     Attributes
     ----------
     fmin, fmax : float, Hz, optional
-        The modes to report; by default all that the coherence allows. Lines just outside are used where they exist.
+        The modes to report; by default all up to where the FRFs are noise. Lines just outside are used where they exist.
     damping_max : float
         Modes above are not believed.
     bands : tuple of (float, float), Hz
@@ -192,27 +195,33 @@ def identify_hammer(
     reported = lines_between(used, low, high)
     said = fit_notes(reported, result.modes, result.synthesis_error)
     late = late_channels(result.modes)
-    told = (roving,) if roving else ()
+    told = tuple(filter(None, (roving, _end_note(frfs, settings, high))))
     odd = tuple(filter(None, (odd_channel(used, fit.refined.poles), parted_modes(result.model))))
     told = (*told, *frf_notes(reported, search.pairs), *result.notes, *said, *late, *odd, *notes)
     return replace(result, notes=told)
 
 
 def band_limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
-    """The reported band, Hz; where not given, the range of lines with a usable coherence."""
+    """The reported band, Hz; where not given, up to where the coherence, or the likeness of next lines, ends."""
     f = frfs.freqs
-    low, high = float(f[f > 0][0]), float(f[-1])
-    if np.isfinite(frfs.coherence).all():
-        good = np.median(frfs.coherence, axis=(1, 2))
-        wide = max(5, f.size // 50) | 1
-        good = np.convolve(np.pad(good, wide // 2, mode="edge"), np.ones(wide) / wide, "valid")
-        usable = f[good > 0.5]
-        high = float(usable[-1]) if usable.size else high
+    known = bool(np.isfinite(frfs.coherence).all())
+    good = np.median(frfs.coherence, axis=(1, 2)) if known else likeness(frfs.data, f)
+    wide = max(5, f.size // 50) | 1
+    good = np.convolve(np.pad(good, wide // 2, mode="edge"), np.ones(wide) / wide, "valid")
+    usable = f[good > _USABLE]
+    low, high = float(f[f > 0][0]), float(usable[-1]) if usable.size else float(f[-1])
     low = settings.fmin if settings.fmin is not None else low
     high = settings.fmax if settings.fmax is not None else high
     if np.count_nonzero((f >= low) & (f <= high)) < 32:
         raise DataError(f"{frfs.source}: fewer than 32 lines between {low:g} and {high:g} Hz; widen fmin, fmax")
     return low, min(high, float(f[-1]))
+
+
+def _end_note(frfs: FrfSet, settings: HammerModes, high: float) -> str:
+    """Says that the band ends before the lines do."""
+    if settings.fmax is not None or high > _TO_THE_END * frfs.freqs[-1]:
+        return ""
+    return f"the band ends at {high:.4g} Hz: beyond, the FRFs are noise (--fmax for more)"
 
 
 def lines_between(frfs: FrfSet, low: float, high: float) -> FrfSet:

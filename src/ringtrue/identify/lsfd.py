@@ -25,6 +25,7 @@ _AROUND = 31  # lines at least, that tell the noise beside a mode
 _SMOOTHED, _VALUES = 5, 40  # lines that their noise is averaged over, and values at least
 _LEAST = 1e-4  # of the squared noise of a typical line
 _MOST_SMOOTH, _STANDS_OUT = 48, 5.0  # terms; times the power of the typical function of what a fit leaves
+_WITHIN = 1e-6  # of a residual term, that polynomials leave: it is one of them
 Pairs = Sequence[tuple[int, int, float]]
 
 
@@ -70,11 +71,22 @@ def noise(frfs: FrfSet) -> Noise:
     return Noise(np.exp(0.5 * line), np.exp(0.5 * response), np.exp(0.5 * given))
 
 
+def _bends(h: Complex, freqs: Float) -> Float:
+    """(freq - 2, out, in) squared second differences over the lines, of white noise its power."""
+    left = ((freqs[2:] - freqs[1:-1]) / (freqs[2:] - freqs[:-2]))[:, None, None]
+    d = np.abs(h[1:-1] - left * h[:-2] - (1 - left) * h[2:]) ** 2
+    return np.asarray(d / (1 + left**2 + (1 - left) ** 2))
+
+
 def _roughness(h: Complex, freqs: Float) -> Float:
     """(1, out, in) variance per component from the median of squared second differences over the lines."""
-    left = ((freqs[2:] - freqs[1:-1]) / (freqs[2:] - freqs[:-2]))[:, None, None]
-    d = np.abs(h[1:-1] - left * h[:-2] - (1 - left) * h[2:]) ** 2 / (1 + left**2 + (1 - left) ** 2)
-    return np.asarray(np.median(d, axis=0)[None] / (2 * 0.693))
+    return np.asarray(np.median(_bends(h, freqs), axis=0)[None] / (2 * 0.693))
+
+
+def likeness(h: Complex, freqs: Float) -> Float:
+    """(freq,) 1 − power of the second differences over that of the FRFs, median of all: about 0 of white noise."""
+    share = np.minimum(_bends(h, freqs) / np.maximum(np.abs(h[1:-1]) ** 2, np.finfo(float).tiny), 1.0)
+    return np.pad(1 - np.median(share, axis=(1, 2)), 1, mode="edge")
 
 
 def _smooth(line: Float, width: int = 5) -> Float:
@@ -139,7 +151,9 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     if np.isfinite(frfs.kept):  # λ^p for s^p: a free decay that began with the blow before leaves a polynomial
         t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
     flat = np.linalg.qr(weight[:, None] * polynomials(s.imag, smooth))[0]
-    terms = np.linalg.qr(without(flat, weight[:, None] * t))[0]
+    beside = without(flat, weight[:, None] * t)
+    beside = beside[:, np.linalg.norm(beside, axis=0) > _WITHIN * np.linalg.norm(weight[:, None] * t, axis=0)]
+    terms = np.linalg.qr(beside)[0]
     y = without(terms, without(flat, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1)))
     power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
     return Lines(s, kind, y, power, weight, terms, flat, 1 / sigma.response, given, POWER[frfs.kind], frfs.kept)
@@ -160,7 +174,7 @@ def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
     width = 2 * float(np.median(np.abs(poles.real)))
     most = int(min(_MOST_SMOOTH, np.ptp(lines.s.imag) / width, rest.shape[1] / 16))
     basis = np.linalg.qr(lines.weight[:, None] * polynomials(lines.s.imag, most))[0]
-    power = 2 * ((basis.T @ rest.view(np.float64)) ** 2).mean(axis=(0, 2))
+    power = 2 * ((basis.T @ np.ascontiguousarray(rest).view(np.float64)) ** 2).mean(axis=(0, 2))
     out = np.flatnonzero(power > _STANDS_OUT * (np.abs(rest) ** 2).mean())
     return np.asarray(basis[:, : out.max(initial=-1) + 1])
 

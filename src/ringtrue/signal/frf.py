@@ -30,6 +30,7 @@ log = logging.getLogger(__name__)
 
 _NO_FORCE = 1e-12  # power over the largest: a zero of the spectrum of a pulse without noise, rounding alone
 _RISE = 8  # samples
+_HEARD = 10.0  # times the power of the noise on the force
 _QUIET, _FLOOR = 0.02, 6.0  # of the response; times the typical power, above which a line is no noise
 _SLOW, _FILTER = 3, 0.75  # lines that a drift takes; share of half the rate, that no filter rings at
 _PULSE = 16  # samples at least that the force is kept: an anti-aliasing filter rings on
@@ -95,7 +96,8 @@ def estimate_columns(
 ) -> tuple[tuple[FrfSet, ...], tuple[HitReport, ...]]:
     """The FRFs of each input with each set of responses, on the same lines, before `estimate_frf` joins them.
 
-    Lines at which one of the pulses has no force are left out: the zeros of a pulse without noise.
+    Lines at which one of the pulses has no force are left out: the zeros of a pulse without noise, and all beyond the
+    last line where it stands out of its noise.
     """
     settings = settings or HammerSettings()
     cuts = [_cut(r, settings) for r in records]
@@ -118,6 +120,7 @@ def estimate_columns(
         sums[key] = sums[key].plus(new) if key in sums else new
     source = ", ".join(dict.fromkeys(r.source for r in records if r.source))
     struck = np.all([s.ff > _NO_FORCE * s.ff.max(initial=0.0) for s in sums.values()], axis=0)
+    struck &= np.arange(struck.size) <= min(_last_heard(s) for s in sums.values())
     columns = tuple(_column(s, struck, decay, settings, source) for s in sums.values())
     return columns, tuple(r for rep in reports for r in rep)
 
@@ -167,6 +170,7 @@ class _Sums:
     xf: Complex  # (freq, out)
     xx: Float  # (freq, out)
     kept: float  # s, of the response
+    quiet: float  # power that the noise on the force leaves at a line
 
     def plus(self, other: _Sums) -> _Sums:
         return replace(
@@ -175,8 +179,15 @@ class _Sums:
             ff=self.ff + other.ff,
             xf=self.xf + other.xf,
             xx=self.xx + other.xx,
+            quiet=self.quiet + other.quiet,
             kept=(self.kept * self.count + other.kept * other.count) / (self.count + other.count),
         )
+
+
+def _last_heard(s: _Sums) -> int:
+    """The last line at which the force stands out of its noise."""
+    heard = np.flatnonzero(s.ff > _HEARD * s.quiet)
+    return int(heard[-1]) if heard.size else s.ff.size - 1
 
 
 def _block(data: Any_, start: int, length: int) -> Float:
@@ -262,18 +273,20 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
     outputs = tuple(c for i, c in enumerate(cut.record.channels) if i != at)
     ff = np.zeros(lines)
     xf, xx = np.zeros((lines, len(outputs)), dtype=np.complex128), np.zeros((lines, len(outputs)))
-    kept, noise = 0.0, _noise(np.asarray(cut.record.data[at], dtype=np.float64))
+    kept, quiet, noise = 0.0, 0.0, _noise(np.asarray(cut.record.data[at], dtype=np.float64))
     for hit in hits.tolist():  # a few dozen hits; all at once would hold the record twice
         start = min(hit - lead, last)
         block = _block(cut.record.data, start, length)
-        pulse = block[at] * _force_window(block[at], hit - start, rate, settings, noise)
+        window = _force_window(block[at], hit - start, rate, settings, noise)
+        pulse = block[at] * window
+        quiet += noise**2 * float(np.square(window * fade).sum())
         kept += (length - float(np.arange(length) @ pulse) / float(pulse.sum())) / rate / hits.size
         f = np.fft.rfft(pulse * fade)
         x = np.fft.rfft(np.delete(block, at, axis=0) * fade, axis=1).T
         ff += np.abs(f) ** 2
         xf += x * f.conj()[:, None]
         xx += np.abs(x) ** 2
-    return _Sums(input_id(cut.record.channels[at].id), outputs, rate, length, int(hits.size), ff, xf, xx, kept)
+    return _Sums(input_id(cut.record.channels[at].id), outputs, rate, length, int(hits.size), ff, xf, xx, kept, quiet)
 
 
 def estimators(ff: Float, xf: Complex, xx: Float, which: Estimator) -> tuple[Complex, Float]:
