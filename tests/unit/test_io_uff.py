@@ -11,7 +11,7 @@ import pytest
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.lsfd import driving_pairs
-from ringtrue.io.frfs import holds_frfs, read_frfs
+from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.records import read_record
 from ringtrue.io.uff.function58 import write_function
@@ -293,6 +293,35 @@ def test_what_lacks_a_pair_is_left_out_and_said(tmp_path: Path, caplog: pytest.L
     _grid(tmp_path / "h.uff", [(o, 1 + o % 2) for o in range(1, 7)])
     with pytest.raises(DataError, match=r"6 pairs are absent\); without gaps"):
         read_frfs(tmp_path / "h.uff")
+
+
+def test_what_is_left_out_may_be_at_fault(tmp_path: Path) -> None:
+    """A response that is not finite, and one of other lines."""
+    freqs, path = np.arange(1, 9) * 0.5, tmp_path / "f.uff"
+    _grid(path, [], outputs=2, inputs=1)
+    bad = write_function(4, freqs, np.full(8, np.inf + 0j), (3, 3), (101, 3), codes=(18, 12, 13))
+    other = write_function(4, 2 * freqs, freqs + 0j, (4, 3), (101, 3), codes=(18, 12, 13))
+    path.write_bytes(path.read_bytes() + bad + other)
+    assert frf_ids(path) == ("1+Z", "101+Z", "2+Z", "3+Z", "4+Z")
+    with pytest.raises(DataError, match="not finite"):
+        read_frfs(path)
+    assert [c.id for c in read_frfs(path, ["3+Z", "4+Z", "9+Z"]).outputs] == ["1+Z", "2+Z"]
+    with pytest.raises(DataError, match="no function is left"):
+        read_frfs(path, ["101+Z"])
+
+
+def test_references_without_a_point_are_told_apart_by_their_direction(tmp_path: Path) -> None:
+    freqs, path = np.arange(1, 9) * 0.5, tmp_path / "f.uff"
+    path.write_bytes(
+        b"".join(
+            write_function(4, freqs, np.full(8, 10 * o + i + 0j), (o, 3), (0, i), codes=(18, 12, 13))
+            for o in (1, 2)
+            for i in (1, 3)
+        )
+    )
+    got = read_frfs(path)
+    assert [c.id for c in got.inputs] == ["in1+X", "in1+Z"]
+    np.testing.assert_allclose(got.data[0], [[11, 13], [21, 23]])
 
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0, 44100.0, 1000.0, 16384.0, 300.0])

@@ -32,14 +32,14 @@ from ringtrue.cli.identify import (
 from ringtrue.cli.levels import check_levels, levels_json, print_levels
 from ringtrue.cli.show import progress, tell, write_json
 from ringtrue.core.progress import Progress, part
-from ringtrue.core.signals import FrfSet
+from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about
 from ringtrue.identify.frf_methods import identify_frfs_by
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.identify.linearity import level_dependence
 from ringtrue.identify.local import told_apart
 from ringtrue.identify.lsfd import driving_pairs
-from ringtrue.io.frfs import holds_frfs, read_frfs, write_frfs
+from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.signal.frf import join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings, HitReport
@@ -245,10 +245,11 @@ def _measured(
             f"{files[given.index(False)]} is a time record, {files[given.index(True)]} holds FRFs: one of the two"
         )
     if all(given):
-        found = [read_frfs(f) for f in files]
-        frfs = found[0] if len(found) == 1 else join_frfs(found)
-        batches = tuple(_frfs_without(f, files[0], how.leave_out) for f in found) if len(found) > 1 else ()
-        return _Measured(_frfs_without(frfs, files[0], how.leave_out), batches=batches)
+        if how.leave_out:
+            known = dict.fromkeys(c for f in files for c in frf_ids(f))
+            kept_channels(files[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
+        found = [read_frfs(f, how.leave_out) for f in files]
+        return _Measured(join_frfs(found), batches=tuple(found)) if len(found) > 1 else _Measured(found[0])
     records, ranges, notes = read_blows(files, how)
     forced = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(forced.columns)
@@ -269,11 +270,3 @@ def _said(frfs: FrfSet, hits: Sequence[HitReport], rate: float) -> tuple[str, ..
         ids = " ".join(dict.fromkeys(c.id for c in frfs.inputs))
         out.append(f"struck at {ids}, where no response is: shapes are not scaled to unit modal mass (--struck)")
     return tuple(out)
-
-
-def _frfs_without(frfs: FrfSet, path: Path, lost: Sequence[str]) -> FrfSet:
-    """The FRFs without some responses and references."""
-    if not lost:
-        return frfs
-    kept_channels(path, list({c.id: c for c in (*frfs.outputs, *frfs.inputs)}.values()), lost)
-    return frfs.without(lost)

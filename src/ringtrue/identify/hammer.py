@@ -64,7 +64,8 @@ class HammerModes:
     Attributes
     ----------
     fmin, fmax : float, Hz, optional
-        The modes to report; by default all up to where the FRFs are noise. Lines just outside are used where they exist.
+        The modes to report; by default all up to where the FRFs are noise. Lines just outside are used where there
+        are such.
     damping_max : float
         Modes above are not believed.
     bands : tuple of (float, float), Hz

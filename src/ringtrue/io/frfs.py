@@ -22,7 +22,7 @@ from ringtrue.io.files import existing
 from ringtrue.io.frf_arrays import holds_frf_arrays, read_frf_arrays
 from ringtrue.io.frf_tables import is_frf_table, read_frf_table
 from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY
-from ringtrue.io.uff.functions import read_frf_sets, read_functions, write_frf_sets
+from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions, write_frf_sets
 
 GROUP = "frfs"
 _UFF = (".uff", ".unv", ".58")
@@ -41,7 +41,7 @@ _DAMAGED = (
 )
 
 
-def read_frfs(path: str | Path) -> FrfSet:
+def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     """Read frequency response functions.
 
     Parameters
@@ -51,6 +51,9 @@ def read_frfs(path: str | Path) -> FrfSet:
         `H1 (reference, response, f)`, optional `coherence` like H1, `outputs`, `inputs` (ids), `kind`; `.uff` with data
         sets 58; `.csv`, `.txt` with columns of frequency, real and imaginary part or magnitude and phase
         (`read_frf_table`).
+    leave_out : sequence of str
+        Ids of responses and references that are not used, where the file has them; in a universal file they may be
+        at fault.
 
     Raises
     ------
@@ -66,13 +69,23 @@ def read_frfs(path: str | Path) -> FrfSet:
     elif ext == ".npz":
         frfs = _read_npz(path)
     elif ext in _UFF:
-        frfs = read_frf_sets(path)
+        frfs = read_frf_sets(path, leave_out)
     elif ext in _TEXT:
         frfs = read_frf_table(path)
     else:
         raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.npz', *_HDF5, *_UFF, *_TEXT])}")
     _check(frfs, path)
-    return frfs
+    there = {c.id for c in (*frfs.outputs, *frfs.inputs)}
+    lost = [c for c in leave_out if c in there]
+    return frfs.without(lost) if lost else frfs
+
+
+def frf_ids(path: str | Path) -> tuple[str, ...]:
+    """Ids of all responses and references of a file of FRFs, of a universal file also of those at fault."""
+    if existing(path).suffix.lower() in _UFF:
+        return frf_ends(path)
+    frfs = read_frfs(path)
+    return tuple(dict.fromkeys(c.id for c in (*frfs.outputs, *frfs.inputs)))
 
 
 def holds_frfs(path: str | Path) -> bool:

@@ -156,8 +156,16 @@ def _titles(functions: Sequence[Function]) -> list[str]:
     return []
 
 
-def read_frf_sets(path: str | Path) -> FrfSet:
+def frf_ends(path: str | Path) -> tuple[str, ...]:
+    """Ids of all responses and references of the FRFs of a universal file, sound or not."""
+    frfs = [f for f in read_functions(path) if f.kind in (FRF, TRANSMISSIBILITY)]
+    return tuple(dict.fromkeys(name for ends in _ends(frfs) for name in ends))
+
+
+def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     """Frequency response functions of a universal file, SI (by data set 164 where it is there); repeated ones averaged.
+
+    Those of the responses and references to `leave_out` are not looked at.
 
     Raises
     ------
@@ -170,6 +178,10 @@ def read_frf_sets(path: str | Path) -> FrfSet:
     if not frfs:
         raise DataError(f"{path}: no frequency response functions (58, function type 4 or 5) in the file")
     ends = _ends(frfs)
+    kept = [k for k, both in enumerate(ends) if not set(both) & set(leave_out)]
+    if not kept:
+        raise DataError(f"{path}: without {' '.join(leave_out)} no function is left")
+    frfs, ends = [frfs[k] for k in kept], [ends[k] for k in kept]
     if all(f.reference[0] == 0 for f in frfs) and len(set(ends)) < len(frfs):
         raise DataError(f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}")
     if bad := [e for e, f in zip(ends, frfs, strict=True) if not np.isfinite(f.y[f.x > 0]).all()]:
@@ -283,9 +295,21 @@ def _measures(unit: str, quantity: str) -> bool:
 def _ends(functions: Sequence[Function]) -> list[tuple[str, str]]:
     """Names of the response and the reference of each function."""
     responses = _titles(functions) or [label(*f.response) for f in functions]
-    unnamed = all(f.reference[0] == 0 for f in functions)
-    references = [_NO_REFERENCE if unnamed else label(*f.reference) for f in functions]
-    return list(zip(responses, references, strict=True))
+    return list(zip(responses, _references(functions, responses), strict=True))
+
+
+def _references(functions: Sequence[Function], responses: Sequence[str]) -> list[str]:
+    """The point of each reference; where none has one, what else tells them apart: the entity, or the direction."""
+    if any(f.reference[0] for f in functions):
+        return [label(*f.reference) for f in functions]
+    entities = [f.names[1] for f in functions]
+    directions = [f"{_NO_REFERENCE}{label(*f.reference)[1:]}" for f in functions]
+    alone = len(set(responses)) == len(functions)
+    for names in (entities, directions):
+        pairs = set(zip(responses, names, strict=True))
+        if not alone and len(pairs) == len(functions) and not set(_UNNAMED) & {n.upper() for n in names}:
+            return names
+    return [_NO_REFERENCE] * len(functions)
 
 
 def _same_lines(x: Float, freqs: Float) -> bool:

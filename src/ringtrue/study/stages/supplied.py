@@ -32,9 +32,8 @@ def supplied_frfs(paths: Sequence[Path], sheet: TestModel, lost: Sequence[str]) 
     """
     if not paths:
         return None
-    found = [read_frfs(p) for p in paths]
+    found = [read_frfs(p, lost) for p in paths]
     frfs, _ = exchanged(found[0] if len(found) == 1 else join_frfs(found))
-    frfs = frfs.without(lost) if lost else frfs
     on_sheet([c.id for c in frfs.outputs], sheet, paths[0])
     return frfs
 
