@@ -12,74 +12,55 @@ from itertools import chain
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identify import variance as var
+from ringtrue.identify.ambient_band import modes_of_band
 from ringtrue.identify.ambient_record import (
     AT_EDGE,
     Heard,
-    Motion,
     filter_edges,
     in_phase,
     long_enough,
     one_motion,
     references,
     response_slope,
-    spectrum,
     struck,
     with_nothing_found,
 )
 from ringtrue.identify.ambient_verdict import (
     Found,
-    confidence,
-    crowded,
     fastest_decay,
     machine,
     overtones,
     reason,
     select,
-    settled,
     surer_groups,
     uncertainty,
     unexplained,
     unresolved,
-    without_echoes,
-    without_noise,
 )
-from ringtrue.identify.bands import STEP, BandSums, with_fewer_lags
-from ringtrue.identify.choice import chosen, with_picks
+from ringtrue.identify.bands import STEP, with_fewer_lags
+from ringtrue.identify.choice import chosen
 from ringtrue.identify.forced import without_forced
-from ringtrue.identify.poles import PoleSet, StableDiagram, unit
-from ringtrue.identify.repeated import loosened, with_pairs
+from ringtrue.identify.poles import StableDiagram
 from ringtrue.identify.ssi import (
-    BandPoles,
     SsiCov,
-    all_orders,
-    block_power,
-    identify_band,
-    part_of,
 )
-from ringtrue.identify.stabilise import Candidates, candidates, half_agreement, refined, steady
 from ringtrue.identify.stretches import gathered, steady_sines, without_strokes_and_sweeps
-from ringtrue.identify.struck import by_references, even_halves, event_weights
-from ringtrue.identify.wander import wander, widened
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.lines import with_feet, without_lines
 from ringtrue.signal.locked import locked
-from ringtrue.signal.preprocess import Band, Harmonic, block_weights, harmonics, uncut, usable
+from ringtrue.signal.preprocess import Band, Harmonic, harmonics, uncut, usable
 from ringtrue.signal.threads import abreast
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 BLOCKS_EACH = 4  # of one stretch of a long record
-# of the orders: where modes appear in the first third of them, else, and in bands crowded with modes
-SHARES = (0.6, 1.0, 1.5)
 BESIDE = "; where a mode may stand beside it, take the line out (oma --remove-harmonics)"
 
 
@@ -162,93 +143,6 @@ def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[
         r = bands[-1].rate / STEP
         bands.append(Band(max(low, 0.06 * r), TOP * r, r))
     return tuple(bands)
-
-
-def _halves(
-    r: Any_, weights: Float, ssi: SsiCov, found: BandPoles, band: Band, parts: tuple[Int, Int]
-) -> tuple[PoleSet, PoleSet]:
-    """Poles of both halves (blocks) of the record, every other order."""
-    whole = found.subspace
-    step = replace(ssi, order_step=2 * ssi.order_step)
-
-    def half(part: Int) -> PoleSet:
-        mean = np.tensordot((weights[part] / weights[part].sum()).astype(r.dtype), r[part], 1).astype(np.float64)
-        return all_orders(part_of(whole, mean, ssi.block_rows), None, step, (0.97 * band.low, 1.03 * band.high))[0]
-
-    return half(parts[0]), half(parts[1])
-
-
-def _candidates(
-    sums: BandSums, r: Any_, weights: Float, parts: tuple[Int, Int], least: float, heard: Heard
-) -> tuple[BandPoles, Candidates, Int, list[tuple[int, int]]]:
-    """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower orders.
-
-    Of all orders where modes still appear late or are in doubt, and of more where they crowd the band.
-    """
-    ssi, band, tries = sums.ssi, sums.band, sums.ssi.order_max // sums.ssi.order_step
-    for share in SHARES:
-        pairs: list[tuple[int, int]] = []
-        some = replace(ssi, order_max=max(2 * int(share * ssi.order_max / 2), 2))
-        poles = identify_band(r, weights, some, band.rate, (band.low, band.high), heard.turn)
-        table, picked = with_picks(candidates(poles, driven=heard.driven), poles, heard.choice)
-        if table.pole.size:
-            halves = _halves(r, weights, some, poles, band, parts)
-            agreed = half_agreement(table, halves)
-            if heard.driven and r.shape[3] > 1:
-                mean = np.tensordot(weights, r, 1)
-                other = by_references(mean, some, band.rate, (0.97 * band.low, 1.03 * band.high), heard.turn)
-                agreed = np.maximum(agreed, half_agreement(table, other))
-            table = replace(table, halves=agreed)
-            table, pairs = with_pairs(table, poles, halves, tries, least)
-            picked = np.pad(picked, (0, table.pole.size - picked.size), constant_values=-1)
-        if settled(table, tries) or (share >= 1.0 and not crowded(table, tries, some.order_max)):
-            break
-    return poles, table, picked, pairs
-
-
-def _band(sums: BandSums, settings: AmbientSettings, heard: Heard) -> Found:
-    """Modes of one band."""
-    r, motion = sums.r, heard.motion
-    power = block_power(r, sums.references)
-    loudness = event_weights(power) if heard.driven else block_weights(power)
-    weights = loudness * sums.share / (loudness @ sums.share)
-    halves = np.array_split(np.arange(power.size), 2) if not heard.driven else even_halves(power)
-    poles, table, picked, pairs = _candidates(sums, r, weights, (halves[0], halves[1]), settings.confidence_min, heard)
-    sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
-    turning = tuple(i for both in pairs for i in both)
-    diagram = _diagram(poles, table, sums)
-    found = _found(sums, diagram, table, sure, picked, turning, motion)
-    at = np.array([i for _, i in select([found], settings.confidence_min)], dtype=np.int64)
-    if not at.size or heard.driven:
-        return found
-    wandering = wander(table, at, poles.deviation.shape[1])
-    if steady(loudness):
-        bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
-        table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
-        sure = without_noise(table, without_echoes(table, sure), sums.stretches * sums.bins.duration)
-    found = _found(sums, diagram, widened(table, wandering), sure, picked, turning, motion)
-    return replace(found, wandering=tuple((int(i), float(wandering[i])) for i in np.flatnonzero(wandering)))
-
-
-def _found(
-    sums: BandSums,
-    diagram: StableDiagram,
-    table: Candidates,
-    sure: Float,
-    picked: Int,
-    turning: tuple[int, ...],
-    motion: Motion | None,
-) -> Found:
-    """The candidates with shapes in the channels' units, or in that of one motion."""
-    scale = sums.scale[:, None] if motion is None else sums.scale[:, None] * motion.lift(table.pole)
-    scaled = table.shape * scale
-    std = var.modulus_std(scaled, table.shape_deviation * scale.T[:, :, None])
-    return Found(table, unit(scaled), std, sure, diagram, picked, turning)
-
-
-def _diagram(poles: BandPoles, table: Candidates, sums: BandSums) -> StableDiagram:
-    shown = poles.poles.rescaled(sums.scale)
-    return StableDiagram(shown, table.stable, table.label, *spectrum(sums.bins, sums.scale[sums.eyes]))
 
 
 def identify_ambient(
@@ -334,12 +228,12 @@ def identify_stretches(
     sums, heard = gathered(good, gaps, more_to_come, bands, ssi, refs, places, tell)
     found, motion = [], one_motion(good.channels)
     known = Heard(response_slope(good), choice, any(e.driven for e in heard), motion)
-    for k, modes_of in enumerate(abreast(lambda x: _band(x, settings, known), sums)):
+    for k, modes_of in enumerate(abreast(lambda x: modes_of_band(x, settings.confidence_min, known), sums)):
         tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
         found.append(modes_of)
     decays = [fastest_decay(x.table, settings.order_max // ssi.order_step) for x in found]
     heavy = [(k, y) for k, (x, d) in enumerate(zip(sums, decays, strict=True)) if (y := with_fewer_lags(x, d))]
-    again = abreast(lambda x: _band(x[1], settings, replace(known, choice=None)), heavy)
+    again = abreast(lambda x: modes_of_band(x[1], settings.confidence_min, replace(known, choice=None)), heavy)
     for (k, _), other in zip(heavy, again, strict=True):
         found[k], other = surer_groups(found[k], other, settings.confidence_min)
         found.append(other)
