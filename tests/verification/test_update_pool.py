@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import localise_twin as twin
 import numpy as np
 from fem_cases import cards, grid, model, ragged, spc
+from scipy import sparse
 
 from ringtrue.core.parameters import Parameter, Target
+from ringtrue.core.progress import quiet
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.dependence import form, together
 from ringtrue.model.model import Model
-from ringtrue.update.candidates import CandidateSettings
+from ringtrue.model.ports import ModesRequest
+from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.update.candidates import Candidate, CandidateSettings
+from ringtrue.update.effects import misfits, reduced_candidates
 from ringtrue.update.generate import generate
-from ringtrue.update.pool import tractable
+from ringtrue.update.identifiable import ALIKE
+from ringtrue.update.pool import close, tractable
+from ringtrue.update.screening import screened
 
 
 def laminate(across: float) -> Model:
@@ -46,3 +54,28 @@ def test_constants_of_a_laminate() -> None:
     assert kept(laminate(1e10)) == ["E1", "E2", "G12", "RHO"]
     assert kept(laminate(1.4e11)) == ["E1", "G12", "RHO"]
     assert kept(laminate(1.4e11), backwards=True) == ["RHO", "G12", "E2"]
+
+
+def test_nearer_to_the_structure_more_of_what_is_wrong_is_seen() -> None:
+    """Four regions of a frame are wrong, eight of 94 candidates looked at: one from the deck, more from nearer."""
+    s, rng = twin.start(), np.random.default_rng(102)
+    wrong = twin.truth(rng, 4)
+    aim = twin.measured(wrong, rng, shape=0.02)
+    model, system, found = s.model, s.analysis.system, s.analysis.eigen(ModesRequest(twin.COUNT))
+    observe = sparse.csr_array(s.observation.matrix @ system.transform)
+    modes = (found.values, found.vectors)
+
+    def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
+        whole = reduced_candidates(
+            model, system, some, s.observation, twin.COUNT, pencil=s.analysis.pencil, modes=found
+        )
+        return whole, whole
+
+    def seen(some: tuple[Candidate, ...]) -> int:
+        return sum(any(set(c.elements) == twin.region_elements(r) for c in some) for r in wrong)
+
+    left = misfits(model, system, s.candidates, *modes, observe @ found.vectors, aim)
+    first = tuple(s.candidates[i] for i in close(model, system, s.candidates, left, 8).tolist())
+    kept = screened(model, system, s.candidates, aim, observe, modes, look, pool=8, most=5, alike=ALIKE, progress=quiet)
+    assert len(first) == len(kept) == 8
+    assert seen(kept) > seen(first)

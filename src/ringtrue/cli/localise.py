@@ -7,10 +7,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedAnalysis
 from ringtrue.cli.show import json_target, out, progress, rows, tell, unit_length, write_json
-from ringtrue.core.progress import part
+from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
@@ -21,12 +22,14 @@ from ringtrue.study.config import LocaliseSection, target_words
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership
-from ringtrue.update.effects import Dropped, effective, misfits, reduced_candidates
+from ringtrue.update.effects import Dropped, effective, reduced_candidates
 from ringtrue.update.generate import generate
+from ringtrue.update.identifiable import ALIKE
 from ringtrue.update.localise import reduced_errors
 from ringtrue.update.objective import Target, match
-from ringtrue.update.pool import SMALL, close, conflicts, drawn
+from ringtrue.update.pool import SMALL, conflicts, drawn
 from ringtrue.update.proposal import Proposal, propose
+from ringtrue.update.screening import screened
 
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test
 POOL: int = LocaliseSection.model_fields["pool"].default
@@ -67,31 +70,44 @@ def localise(
         every = generate(model, CandidateSettings(units=units))
         show(0.2, f"energies of {len(every)} candidates")
         moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
+
+        def reduced_to(some: tuple[Candidate, ...], progress: Progress = quiet) -> ReducedModel:
+            return reduced_candidates(
+                model, analysis.system, some, bridge, count, pencil=analysis.pencil, modes=modes, progress=progress
+            )
+
+        def small(whole: ReducedModel, some: tuple[Candidate, ...]) -> ReducedModel:
+            points = drawn(whole.parameters, conflicts(model, some), np.random.default_rng(0))
+            return condensed(whole, points, max(SMALL, 2 * count))
+
+        def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
+            whole = reduced_to(some)
+            return small(whole, some), whole
+
         show(0.22, f"what {len(moved)} candidates explain")
-        there = bridge.matrix @ (analysis.system.transform @ modes.vectors)
-        left = misfits(model, analysis.system, moved, modes.values, modes.vectors, there, aim)
-        keep = tuple(moved[i] for i in close(model, analysis.system, moved, left, pool).tolist())
-        reduced = reduced_candidates(
+        keep = screened(
             model,
             analysis.system,
-            keep,
-            bridge,
-            count,
-            pencil=analysis.pencil,
-            modes=modes,
-            progress=part(show, 0.3, 0.6),
+            moved,
+            aim,
+            sparse.csr_array(bridge.matrix @ analysis.system.transform),
+            (modes.values, modes.vectors),
+            look,
+            pool=pool,
+            most=most,
+            alike=ALIKE,
+            progress=part(show, 0.25, 0.45),
         )
+        reduced = reduced_to(keep, part(show, 0.45, 0.6))
         show(0.6, "error indicators")
         errors = _errors(analysis, reduced, aim, keep)
-        words, apart = [c.what for c in keep], conflicts(model, keep)
-        points = drawn(reduced.parameters, apart, np.random.default_rng(0))
         found = propose(
-            condensed(reduced, points, max(SMALL, 2 * count)),
+            small(reduced, keep),
             aim,
             most=most,
-            apart=apart,
+            apart=conflicts(model, keep),
             errors=errors,
-            words=words,
+            words=[c.what for c in keep],
             passed_over=len(moved) - len(keep),
             progress=part(show, 0.6, 1.0),
         )

@@ -34,6 +34,8 @@ def close(
     candidates: Sequence[Candidate],
     misfits: Sequence[tuple[Float, Float]],
     most: int,
+    *,
+    stay: Sequence[int] = (),
 ) -> Int:
     """The candidates that are looked at closely, ascending: of those that can be taken apart the first that explain.
 
@@ -41,9 +43,11 @@ def close(
     ----------
     misfits : sequence of (misfit (n,), slopes (n, p))
         As in `explaining`; the first of each in turn.
+    stay : sequence of int
+        Come before all others.
     """
     orders = [explaining(misfit, slopes, 2 * most).tolist() for misfit, slopes in misfits]
-    turns = dict.fromkeys(i for turn in zip_longest(*orders) for i in turn if i is not None)
+    turns = dict.fromkeys([*stay, *(i for turn in zip_longest(*orders) for i in turn if i is not None)])
     first = np.array(list(turns)[: 2 * most], dtype=np.int64)
     return np.sort(first[tractable(model, system, [candidates[i] for i in first.tolist()], most)])
 

@@ -15,6 +15,7 @@ from ringtrue.io.nastran.edit import refuse_unwritable, unwritable
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.study.evidence import at_channels
 from ringtrue.study.expansion import expanded
 from ringtrue.study.measured import flexible
 from ringtrue.study.objective import names_of, problem_of
@@ -23,14 +24,15 @@ from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import effective, misfits
+from ringtrue.update.effects import effective
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import identifiability
 from ringtrue.update.joint import joint_residual
 from ringtrue.update.localise import ElementErrors, expanded_errors, reduced_errors, variation
 from ringtrue.update.objective import Target, match, residual
-from ringtrue.update.pool import SMALL, close, conflicts, drawn, of_parameter
+from ringtrue.update.pool import SMALL, conflicts, drawn, of_parameter
 from ringtrue.update.proposal import Proposal, propose
+from ringtrue.update.screening import screened
 from ringtrue.update.several import Problem
 
 NO_PAIR = (
@@ -59,12 +61,12 @@ def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
     """
     found: CorrelateStage = desk.get("correlate")
     paired = bool(found.remodelled.used.any())
-    pool = _pool(desk, found) if paired else _Pool(())
+    pool = _pool(desk, found, part(progress, 0.0, 0.4)) if paired else _Pool(())
     if not pool.candidates:
         if desk.config.propose:
             raise DataError(NO_PAIR if not paired else "no candidate of the deck changes a mode: give [[candidate]]")
         return None
-    aim, model = target(desk), _model(desk, pool, part(progress, 0.0, 0.6))
+    aim, model = target(desk), _model(desk, pool, part(progress, 0.4, 0.6))
     start = model.linearise(np.zeros(len(model.parameters)))
     pairs, _, _ = match(aim, start)
     pairs = pairs[aim.used[pairs[:, 0]]]
@@ -88,7 +90,7 @@ def _problem(desk: Workbench, model: AtChannels, others: Sequence[AtChannels]) -
     return problem_of(desk, (model, *others), targets(desk), desk.config.update)
 
 
-def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
+def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
     """The candidates of the study, or those made from the deck that explain most of the misfit."""
     model, given, asked = desk.remodelled.model, desk.config.candidates(), desk.config.localise
     if len(given):
@@ -106,14 +108,36 @@ def _pool(desk: Workbench, found: CorrelateStage) -> _Pool:
     system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.fmax).modes
     lam, vectors = (2 * np.pi * modes.frequencies) ** 2, np.asarray(system.local @ modes.shapes)
     some, lost = effective(model, system, every, lam, vectors)
-    seen = desk.bridge(desk.remodelled)(modes.shapes)[desk.rows(found.reference.channels)]
-    near = close(model, system, some, misfits(model, system, some, lam, vectors, seen, target(desk)), asked.pool)
-    return _Pool(
-        tuple(some[i] for i in near.tolist()),
-        len(every),
-        tuple(d.name for d in lost),
-        tuple(some[i].name for i in np.setdiff1d(np.arange(len(some)), near).tolist()),
+
+    def look(few: tuple[Candidate, ...]) -> tuple[AtChannels, ReducedModel]:
+        reduced = desk.apart(parameters(few), quiet)
+        return _condensed(reduced, _points(desk, reduced, few)), reduced.model
+
+    near = screened(
+        model,
+        system,
+        some,
+        target(desk),
+        at_channels(desk.remodelled, desk.bridge(desk.remodelled), found.reference.channels),
+        (lam, vectors),
+        look,
+        pool=asked.pool,
+        most=asked.most,
+        alike=asked.alike,
+        progress=progress,
     )
+    return _Pool(near, len(every), tuple(d.name for d in lost), tuple(c.name for c in some if c not in near))
+
+
+def _condensed(model: AtChannels, points: Sequence[Float]) -> AtChannels:
+    """The model on its modes around the points."""
+    return replace(model, model=condensed(model.model, points, max(SMALL, 2 * model.model.count)))
+
+
+def _points(desk: Workbench, model: AtChannels, candidates: Sequence[Candidate]) -> list[Float]:
+    """Where a search will look."""
+    apart = conflicts(desk.remodelled.model, candidates)
+    return drawn(model.parameters, apart, np.random.default_rng([desk.config.study.seed, 5]))
 
 
 def _model(desk: Workbench, pool: _Pool, progress: Progress) -> AtChannels:
@@ -150,7 +174,7 @@ def _proposal(
     progress: Progress,
 ) -> Proposal:
     asked, apart = desk.config.localise, conflicts(desk.remodelled.model, pool.candidates)
-    points = drawn(model.parameters, apart, np.random.default_rng([desk.config.study.seed, 5]))
+    points = _points(desk, model, pool.candidates)
     search = _small(desk, OWN, model, points)
     names = model.parameters.names
     also = [
@@ -173,10 +197,10 @@ def _proposal(
 
 def _small(desk: Workbench, name: str, model: AtChannels, points: Sequence[Float]) -> AtChannels:
     """The model on its modes around the points, and on the static responses to what was struck or pulled."""
-    small = condensed(model.model, points, max(SMALL, 2 * model.model.count))
+    small = _condensed(model, points)
     if desk.config.residual and _shared(desk):
-        small = flexible(small, desk.measured(name), model.loaded)
-    return replace(model, model=small)
+        small = replace(small, model=flexible(small.model, desk.measured(name), model.loaded))
+    return small
 
 
 def _result(

@@ -1,0 +1,78 @@
+"""Which of many candidates are looked at closely: seen from the deck, then from where a first choice of them leads.
+
+The slopes at a deck that is far off tell little of some candidates. So the set that is chosen among those that explain
+most from there only leads nearer, and all are weighed again with the modes found there (iterated screening: Fan and
+Lv 2008, sec. 4.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy import sparse
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.progress import Progress
+from ringtrue.fem.assembly import System
+from ringtrue.model.model import Model
+from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.update import choose
+from ringtrue.update.candidates import Candidate
+from ringtrue.update.effects import misfits
+from ringtrue.update.objective import Target
+from ringtrue.update.pool import close, conflicts
+from ringtrue.update.subsets import subsets
+
+Look = Callable[[tuple[Candidate, ...]], tuple[choose.Candidates, ReducedModel]]
+
+
+def screened(
+    model: Model,
+    system: System,
+    candidates: Sequence[Candidate],
+    aim: Target,
+    observe: sparse.csr_array,
+    modes: tuple[Float, Float],
+    look: Look,
+    *,
+    pool: int,
+    most: int,
+    alike: float,
+    progress: Progress,
+) -> tuple[Candidate, ...]:
+    """Up to `pool` of the candidates, in their order.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        All that change a mode.
+    aim : Target
+    observe : (channel, f) csr float64
+        Readings of the channels of the test by the free degrees of freedom.
+    modes : (m,), (f, m) float64
+        λ, (rad/s)², and shapes of unit modal mass of the deck.
+    look : callable (candidates) -> (model to search with, model whose modes are in the free degrees of freedom)
+    pool, most : int
+        Candidates that are kept, and parameters of the first choice.
+    alike : float
+        |cosine| from which on two candidates are one to the data.
+    """
+
+    def seen(modes: tuple[Float, Float]) -> tuple[tuple[Float, Float], ...]:
+        return misfits(model, system, candidates, *modes, observe @ modes[1], aim)
+
+    at = close(model, system, candidates, seen(modes), pool)
+    some = tuple(candidates[i] for i in at.tolist())
+    if len(some) == len(candidates):
+        return some
+    search, whole = look(some)
+    found = subsets(search, aim, most, alike, conflicts(model, some), progress, None, len(candidates) - len(some))
+    best, groups = found.path[-1], found.search.groups
+    if not best.members.size:
+        return some
+    x = np.zeros(len(candidates))
+    x[at] = best.x / whole.parameters.std()
+    stay = at[np.isin(groups, groups[best.members])]
+    near = [(r + g @ x, g) for r, g in seen(whole.vectors(best.x))]
+    return tuple(candidates[i] for i in close(model, system, candidates, near, pool, stay=stay.tolist()))
