@@ -20,6 +20,7 @@ from ringtrue.study.workbench import Workbench
 from ringtrue.update.gauss_newton import update
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.plausible import plausibility
+from ringtrue.update.settle import Course, settled
 from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.suspension import Suspended, tune
 from ringtrue.update.trust import Solution, solve
@@ -111,17 +112,10 @@ def _others(desk: Workbench, progress: Progress) -> tuple[_Other, ...]:
 
 
 def _jointly(first: Configuration, start: Float, others: Sequence[_Other], iterations: int) -> Solution:
-    """Over all tests from the point that the study's own leads to: gates, none dearer than a lost mode, then these."""
+    """Over all tests from the point that the study's own leads to."""
     every = (first, *(Configuration(o.active, o.aim, name=o.test.name) for o in others))
-
-    def aimed(aims: Sequence[Target]) -> Problem:
-        return Problem(tuple(replace(c, target=a) for c, a in zip(every, aims, strict=True)))
-
-    aims = [c.target for c in every]
-    far = solve(aimed(aims), start=start, iterations=iterations)
-    near = solve(aimed([a.doubting() for a in aims]), start=far.y, iterations=iterations)
-    firm = [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)]
-    return solve(aimed(firm), start=near.y, iterations=iterations)
+    far = solve(Problem(every), start=start, iterations=iterations)
+    return settled(Problem(every), Course(iterations=iterations), start=far.y).solution
 
 
 def run(desk: Workbench, progress: Progress) -> TuneStage:
