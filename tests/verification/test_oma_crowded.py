@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identify import ambient
+from ringtrue.identify import ambient_band
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.shapes.mac import mac
 
@@ -36,5 +36,5 @@ def found() -> tuple[int, int]:
 
 def test_a_crowded_band_is_given_more_orders(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found() == (F.size, 0)
-    monkeypatch.setattr(ambient, "SHARES", ambient.SHARES[:2])
+    monkeypatch.setattr(ambient_band, "SHARES", ambient_band.SHARES[:2])
     assert found()[0] < F.size
