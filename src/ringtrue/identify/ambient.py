@@ -47,9 +47,7 @@ from ringtrue.identify.bands import STEP, with_fewer_lags
 from ringtrue.identify.choice import chosen
 from ringtrue.identify.forced import without_forced
 from ringtrue.identify.poles import StableDiagram
-from ringtrue.identify.ssi import (
-    SsiCov,
-)
+from ringtrue.identify.ssi import SsiCov
 from ringtrue.identify.stretches import gathered, steady_sines, without_strokes_and_sweeps
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import steady_amplitudes

@@ -23,7 +23,7 @@ from ringtrue.identify.half_spectra import FEWEST_LAGS, SAMPLES_A_LAG, half_spec
 from ringtrue.identify.opinion import SecondOpinion
 from ringtrue.identify.pick import confirmed, modes_of
 from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.ssi import MAX_REFERENCES, SsiCov, choose_references, prepared
+from ringtrue.identify.ssi import MAX_REFERENCES, SsiCov
 from ringtrue.identify.ssi_data import ssi_data
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.gaps import bridged
@@ -186,8 +186,7 @@ def _poles(method: str, part: TimeHistory, s: AmbientSettings) -> PoleSet:
         rows = min(s.block_rows, part.data.shape[1] // 8)
         return next_era(part, SsiCov(rows, ORDERS["era"]), references=s.references or None)
     rows = _data_rows(len(part.channels), s)
-    chosen = s.references or [part.channels[i].id for i in choose_references(*prepared(part))]
-    return ssi_data(part, SsiCov(rows, ORDERS["ssi-data"]), references=chosen)
+    return ssi_data(part, SsiCov(rows, ORDERS["ssi-data"]), references=s.references or None)
 
 
 def _joined(found: Sequence[tuple[ModeSet, Uncertainty]]) -> tuple[ModeSet, Uncertainty]:

@@ -14,7 +14,7 @@ from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.poles import PoleSet, unit
-from ringtrue.identify.ssi import SsiCov, choose_references, decompose, positions, prepared
+from ringtrue.identify.ssi import SsiCov, choose_references, decompose, prepared
 from ringtrue.identify.variance import hankel
 from ringtrue.signal.psd import correlations
 
@@ -99,6 +99,5 @@ def next_era(
     lags = 2 * s.block_rows
     if data.shape[1] < 4 * lags:
         raise DataError(f"{history.source}: {data.shape[1]} samples are too few; needed are {4 * lags}")
-    ones = np.ones(len(data))
-    refs = choose_references(data, ones) if references is None else positions(history, tuple(references))
+    refs = choose_references(history, data, references)
     return era(correlations(data, refs, lags), history.rate, s).rescaled(scale)

@@ -26,7 +26,7 @@ from ringtrue.identify.pick import least_deviations
 from ringtrue.identify.plscf import Plscf, plscf, pole_shapes
 from ringtrue.identify.poles import PoleSet, unit
 from ringtrue.identify.refine import Refined, refine
-from ringtrue.identify.ssi import choose_references, positions, prepared
+from ringtrue.identify.ssi import choose_references, prepared
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.psd import correlations
 
@@ -48,7 +48,9 @@ def half_spectra_poles(
         If the record is too short for its lags.
     """
     data, scale = prepared(history)
-    spectra = _half_spectra(replace(history, data=data), band, _references(history, references), _lags(history))
+    spectra = _half_spectra(
+        replace(history, data=data), band, choose_references(history, data, references), _lags(history)
+    )
     poles = _poles(spectra)
     shape = pole_shapes(poles, spectra.data, spectra.freqs, 0)
     moved = replace(poles, pole=poles.pole + spectra.window_decay, shape=unit(shape * scale[:, None]))
@@ -82,7 +84,7 @@ def half_spectra_modes(
         If the record is too short for its lags.
     """
     data, scale = prepared(history)
-    refs, lags = _references(history, references), _lags(history)
+    refs, lags = choose_references(history, data, references), _lags(history)
     whole, *halves = (
         _half_spectra(replace(history, data=x), band, refs, lags) for x in (data, *np.array_split(data, 2, axis=1))
     )
@@ -96,13 +98,6 @@ def half_spectra_modes(
     ids, none = tuple(c.id for c in history.channels), np.full(pole.size, np.nan)
     modes = ModeSet(np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=sure[rank])
     return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
-
-
-def _references(history: TimeHistory, names: Sequence[str] | None) -> Int:
-    if names is not None:
-        return positions(history, names)
-    data, _ = prepared(history)
-    return choose_references(data, np.ones(len(data)))
 
 
 def _lags(history: TimeHistory) -> int:

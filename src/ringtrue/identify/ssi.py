@@ -228,11 +228,19 @@ def all_orders(
     return poles, dev, strength, column
 
 
-def choose_references(data: Any_, scale: Float, most: int = MAX_REFERENCES) -> Int:
-    """(ref,) int64 channels that span the motion best: all, or `most` by pivoted QR of the correlation at lag 1."""
-    if len(data) <= most:
+def choose_references(history: TimeHistory, data: Float, names: Sequence[str] | None) -> Int:
+    """(ref,) int64 channels of these names; without, those that span the motion best, of its `prepared` data.
+
+    Raises
+    ------
+    DataError
+        If one is absent.
+    """
+    if names is not None:
+        return positions(history, names)
+    if len(data) <= MAX_REFERENCES:
         return np.arange(len(data), dtype=np.int64)
-    return spanning(data[:, 1:] @ data[:, :-1].T / (scale[:, None] * scale), most)
+    return spanning(data[:, 1:] @ data[:, :-1].T, MAX_REFERENCES)
 
 
 def spanning(lagged: Float, most: int) -> Int:

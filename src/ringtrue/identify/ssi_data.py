@@ -21,7 +21,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify import variance as var
 from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.ssi import SsiCov, Subspace, all_orders, choose_references, decompose, positions, prepared
+from ringtrue.identify.ssi import SsiCov, Subspace, all_orders, choose_references, decompose, prepared
 from ringtrue.signal.preprocess import block_bounds
 
 CHUNK = 4  # rows of a stretch over its columns: the triangle is refactored a few times only
@@ -129,7 +129,7 @@ def ssi_data(
     """
     s = settings or SsiCov(block_rows=20, order_max=40)
     data, scale = prepared(history)
-    refs = choose_references(data, np.ones(len(data))) if references is None else positions(history, tuple(references))
+    refs = choose_references(history, data, references)
     blocks = s.blocks or var.blocks_for(data.shape[1], 2 * s.block_rows)
     p = project(data, refs, s.block_rows, blocks, progress)
     ch = len(data)
