@@ -43,8 +43,8 @@ from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.signal.frf import join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings, HitReport
-from ringtrue.study.blows import BlowFiles, force_end, kept_blows, read_blows, refused_blows
-from ringtrue.study.forced import forced_frfs
+from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
+from ringtrue.study.forced import Forced, forced_frfs
 
 
 class Estimator(StrEnum):
@@ -253,14 +253,14 @@ def _measured(
     records, ranges, notes = read_blows(files, how)
     forced = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(forced.columns)
-    said = (forced.note,) if forced.note else _said(frfs, forced.hits, records[0].rate)
+    said = _said(frfs, forced) if forced.hits else forced.notes
     return _Measured(frfs, forced.hits, (*notes, *said), setups_of(forced.columns))
 
 
-def _said(frfs: FrfSet, hits: Sequence[HitReport], rate: float) -> tuple[str, ...]:
+def _said(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:
     """Blows kept and left out, windows, coherence, driving points."""
     known = frfs.coherence[np.isfinite(frfs.coherence)]
-    out = [kept_blows(hits), *refused_blows(hits), *force_end(frfs, rate)]
+    out = [kept_blows(forced.hits), *refused_blows(forced.hits), *forced.notes]
     if frfs.window_decay > 0:
         out.append(f"exponential window of {frfs.window_decay:.3g} 1/s, taken out of the damping")
     out.append(

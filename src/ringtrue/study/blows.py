@@ -10,13 +10,12 @@ from typing import cast
 import numpy as np
 
 from ringtrue.core.motions import SI_UNIT, Motion
-from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
 from ringtrue.signal.hits import HammerSettings, HitReport, force_channel
 
 OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
-_ENDS = 0.45  # of the rate: an anti-aliasing filter ends there too
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +90,6 @@ def refused_blows(hits: Sequence[HitReport]) -> tuple[str, ...]:
 def kept_blows(hits: Sequence[HitReport]) -> str:
     """How many blows count."""
     return f"{sum(h.accepted for h in hits)} of {len(hits)} hits kept"
-
-
-def force_end(frfs: FrfSet, rate: float) -> tuple[str, ...]:
-    """A line where the FRFs of blows sampled at `rate`, Hz, end because the force does."""
-    if frfs.freqs[-1] > _ENDS * rate:
-        return ()
-    return (f"the force ends at {frfs.freqs[-1]:.4g} Hz: beyond it is noise, and the lines are left out",)
 
 
 def read_blows(

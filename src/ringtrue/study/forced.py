@@ -14,6 +14,8 @@ from ringtrue.signal.periodic import period, periodic_frfs
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
 
+_ENDS = 0.45  # of the rate: an anti-aliasing filter ends there too
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forced:
@@ -25,13 +27,13 @@ class Forced:
         On the same lines.
     hits : tuple of HitReport
         The blows; none of shakers.
-    note : str
-        How the FRFs of shakers were estimated.
+    notes : tuple of str
+        Where the FRFs of blows end because the force does; how those of shakers were estimated.
     """
 
     columns: tuple[FrfSet, ...]
     hits: tuple[HitReport, ...] = ()
-    note: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def forced_frfs(
@@ -61,11 +63,19 @@ def forced_frfs(
         As `signal.frf.estimate_columns`, `signal.local_rational.local_frfs` and `signal.spectra.shaker_frfs` do.
     """
     if resolution is None and not all(runs_on(r) for r in records):
-        return Forced(*estimate_columns(records, settings, full_scale=full_scale, progress=progress))
+        columns, hits = estimate_columns(records, settings, full_scale=full_scale, progress=progress)
+        return Forced(columns, hits, _force_end(columns[0], records[0].rate))
     parts = tuple(_shaken(records, resolution, settings.estimator))
     step, averages = parts[0].freqs[1] - parts[0].freqs[0], parts[0].averages[0]
     said = f"the force runs all the time: lines {step:.3g} Hz apart, {averages:.3g} averages at each"
-    return Forced(parts, note=said)
+    return Forced(parts, notes=(said,))
+
+
+def _force_end(frfs: FrfSet, rate: float) -> tuple[str, ...]:
+    """A line where the FRFs of blows sampled at `rate`, Hz, end because the force does."""
+    if frfs.freqs[-1] > _ENDS * rate:
+        return ()
+    return (f"the force ends at {frfs.freqs[-1]:.4g} Hz: beyond it is noise, and the lines are left out",)
 
 
 def _shaken(records: Sequence[TimeHistory], resolution: float | None, estimator: Estimator) -> Sequence[FrfSet]:

@@ -33,7 +33,7 @@ from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
-from ringtrue.study.blows import BlowFiles, force_end, full_scale, kept_blows, read_file, refused_blows, renamed
+from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows, renamed
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.forced import forced_frfs
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
@@ -251,13 +251,13 @@ def struck(
     histories = [h for blows, _ in read for h in blows]
     want = _block(records[0].details, histories[0].rate)
     found = forced_frfs(histories, want, full_scale=ranges, progress=progress)
-    end = () if found.note else force_end(found.columns[0], histories[0].rate)
     shown = []
     for record, (blows, notes) in zip(records, read, strict=True):
         names = {b.source for b in blows}
         mine = [h for h in found.hits if h.source in names]
+        kept = [kept_blows(mine)] if found.hits else []
         first = _setup(record) == _setup(records[0])  # the others look alike
-        shown.append(summary(record, _in_a_row(blows), [*notes, found.note or kept_blows(mine), *end], draw=first))
+        shown.append(summary(record, _in_a_row(blows), [*notes, *kept, *found.notes], draw=first))
     return join_frfs(found.columns), shown, refused_blows(found.hits), setups_of(found.columns)
 
 
