@@ -23,7 +23,7 @@ from ringtrue.identify.bands_hammer import grouped, merged
 from ringtrue.identify.judge import Candidates, judge
 from ringtrue.identify.lsfd import Noise, prepare
 from ringtrue.identify.pick import least_deviations
-from ringtrue.identify.plscf import Plscf, plscf, pole_shapes
+from ringtrue.identify.plscf import Plscf, plscf
 from ringtrue.identify.poles import PoleSet, unit
 from ringtrue.identify.refine import Refined, refine
 from ringtrue.identify.ssi import choose_references, prepared
@@ -35,26 +35,6 @@ FEWEST_LAGS, SAMPLES_A_LAG = 64, 8
 STATES = 120  # order times references
 DAMPING_MAX = 0.2
 APART, BANDWIDTH = 6.0, 0.5  # of poles of both halves: in deviations of the record's, and half bandwidths
-
-
-def half_spectra_poles(
-    history: TimeHistory, band: tuple[float, float], references: Sequence[str] | None = None
-) -> PoleSet:
-    """Poles of all orders by poly-reference LSCF on the half spectra of a band (Hz); no standard deviations.
-
-    Raises
-    ------
-    DataError
-        If the record is too short for its lags.
-    """
-    data, scale = prepared(history)
-    spectra = _half_spectra(
-        replace(history, data=data), band, choose_references(history, data, references), _lags(history)
-    )
-    poles = _poles(spectra)
-    shape = pole_shapes(poles, spectra.data, spectra.freqs, 0)
-    moved = replace(poles, pole=poles.pole + spectra.window_decay, shape=unit(shape * scale[:, None]))
-    return moved.take(moved.pole.real < 0)
 
 
 def half_spectra_modes(
