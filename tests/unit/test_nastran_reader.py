@@ -140,6 +140,11 @@ def test_a_file_that_includes_itself(tmp_path: Path) -> None:
         ("PSHELL,9,1,.1\n,,,,30.", r"main\.bdf:6: PSHELL: more than 11 data fields; give THETA"),
         ("SPC1,1,123,5,THRU,x", r"SPC1 field G: 'X' is not an integer"),
         ("SPC1,1,123,5,THRU,2", "a THRU b needs a <= b"),
+        ("SPC1,1,12a,1", r"main\.bdf:6: SPC1 1 field C: '12A' is no list of components; allowed are the digits 1 to 6"),
+        ("SPC,1,1,127", r"SPC 1 field C: '127' is no list of components"),
+        ("GRID,9,,1.,0.,0.,,x", r"GRID 9 field PS: 'X' is no list of components"),
+        ("RBE3,9,,1,12x,1.,123,2,3,4", r"RBE3 9 field REFC: '12X' is no list"),
+        ("RBE3,9,,1,123,1.,789,2,3,4", r"RBE3 9 field C: '789' is no list"),
         ("CBAR,1,2,3,4,5,6,7,8,+a,9", "at most 8 data fields"),
         ("12345", "'12345' in columns 1-8 is not a card name"),
         ("PCOMP,9\n,,.1", r"PCOMP field MID1: '' is not an integer"),
@@ -282,7 +287,7 @@ def test_cards_with_a_pattern_of_their_own(tmp_path: Path) -> None:
         tmp_path,
         NODES
         + MATERIAL
-        + "SPC,1,1,123456,0.,2,3,.5\nSPC1,2,3,1,THRU,9\nSPC1,2,12,4,2\nSPCADD,3,1,2\n"
+        + "SPC,1,1,123456,0.,2,3,.5\nSPC1,2,3,1,THRU,2000000000\nSPC1,2,12,4,2\nSPCADD,3,1,2\n"
         + "MPC,1,1,1,1.,2,1,-1.\n,,3,2,.5\n"
         + "RBE3,10,,4,123,1.,123,1,2\n,.5,12,3\nRBE2,11,1,123456,2,3,1.-5\n"
         + "PBUSH,1,K,1.,2.,3.,4.,5.,6.\n,,B,.1,.2\n,,GE,.05\n"

@@ -9,22 +9,15 @@ from scipy.linalg import eigh
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.model.cards import CARDS, SPECIAL
+from ringtrue.model.cards import columns
 from ringtrue.model.model import CaseControl, Model, Ragged, Table, table
-
-_BLANK: dict[str, Any] = {"i": 0, "f": 0.0, "s": ""}
 
 
 def _defaults(card: str) -> dict[str, Any]:
     out: dict[str, Any] = {}
-    for part in (CARDS | SPECIAL)[card].split():
-        for field in part.split("|"):
-            if field == "_" or field.startswith("*"):
-                continue
-            spec, _, default = field.partition("=")
-            name, _, kind = spec.partition(":")
-            value = {"i": int, "f": float, "s": str}[kind or "i"](default) if default else _BLANK[kind or "i"]
-            out[name] = value
+    for spec in columns(card):
+        if not spec.blank and not spec.tail:
+            out |= ({spec.other: spec.other_default} if spec.other else {}) | {spec.name: spec.default}
     return out
 
 
@@ -33,19 +26,19 @@ def ragged(*rows: Any) -> Ragged:
     return Ragged(np.concatenate([np.asarray(r) for r in rows]), np.cumsum([0, *(len(r) for r in rows)]))
 
 
-def cards(card: str, **columns: Any) -> Table:
+def cards(card: str, **given: Any) -> Table:
     """A table of `card`; scalars are repeated, fields that are not given take their defaults."""
-    n = max(len(v) for v in columns.values() if isinstance(v, list | np.ndarray | Ragged))
-    full = _defaults(card) | columns
+    n = max(len(v) for v in given.values() if isinstance(v, list | np.ndarray | Ragged))
+    full = _defaults(card) | given
     names = [k for k in full if k in _defaults(card)] + [k for k in full if k not in _defaults(card)]
     made = {k: full[k] if isinstance(full[k], Ragged | list | np.ndarray) else np.full(n, full[k]) for k in names}
     return table(card, **made)
 
 
-def grid(xyz: Float, **columns: Any) -> Table:
+def grid(xyz: Float, **given: Any) -> Table:
     """GRID 1.. at xyz (n, 3)."""
     x = np.asarray(xyz, dtype=float)
-    return cards("GRID", ID=np.arange(1, len(x) + 1), X1=x[:, 0], X2=x[:, 1], X3=x[:, 2], **columns)
+    return cards("GRID", ID=np.arange(1, len(x) + 1), X1=x[:, 0], X2=x[:, 1], X3=x[:, 2], **given)
 
 
 def model(*tables: Table, spc: int = 0, mpc: int = 0, **params: Any) -> Model:

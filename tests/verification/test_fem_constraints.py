@@ -99,6 +99,7 @@ def test_mpc_and_sets() -> None:
         ((cards("RBE2", EID=[1, 2], GN=[1, 2], CM="123456", GM=ragged([2], [1])),), "circle.*RBE2 1, RBE2 2"),
         ((rbe2(1, 1, [2]), spc([2], "1")), "held by an SPC.*RBE2 1"),
         ((rbe2(1, 1, [77]),), "GRID 77 is not in the deck"),
+        ((rbe2(7, 1, [2], ""),), "RBE2 7.*CM names no component"),
     ],
 )
 def test_contradictions_are_named(tables: tuple[object, ...], message: str) -> None:

@@ -13,7 +13,7 @@ from ringtrue.model.model import Table
 
 def node_dofs(nodes: Int, count: int = 6) -> Int:
     """The first `count` full DOFs of nodes (e, k) -> (e, k count)."""
-    return np.asarray((6 * nodes[..., None] + np.arange(count)).reshape(len(nodes), -1))
+    return np.asarray((6 * nodes[..., None] + np.arange(count)).reshape(len(nodes), count * nodes.shape[1]))
 
 
 def segment(x: Float) -> tuple[Float, Float]:

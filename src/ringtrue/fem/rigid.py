@@ -26,8 +26,11 @@ def rbe2(m: Mesh) -> Equations:
     same = gn == gm
     if same.any():
         raise error(m.model, t, int(of[same][0]), f"GRID {t['GN'][of[same][0]]} is its own dependent node")
+    moved = components(t["CM"])
+    if (idle := ~moved.any(axis=1)).any():
+        raise error(m.model, t, int(idle.argmax()), "CM names no component; allowed are the digits 1 to 6")
     A = rotation(m.cd[gm], 1) @ arm(m.xyz[gm] - m.xyz[gn]) @ rotation(m.cd[gn], 1).swapaxes(1, 2)
-    pair, c = np.nonzero(components(t["CM"][of]))
+    pair, c = np.nonzero(moved[of])
     row = np.repeat(np.arange(pair.size), 6)
     column = node_dofs(gn[pair][:, None]).reshape(-1)
     return Equations(6 * gm[pair] + c, row, column, A[pair, c].reshape(-1), owners(t, of[pair]))

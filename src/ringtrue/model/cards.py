@@ -2,9 +2,9 @@
 
 Syntax of a line: card name, then its data fields in order (field 2 of the first line onward; continuation lines
 simply go on, eight fields a line). A field is NAME[:type][=default]; types are i (integer, the default type),
-f (real) and s (text, component lists such as 123456 among them). `_` is a field that is not used. `A|B:f` is one
+f (real), s (text) and c (a list of components such as 123456). `_` is a field that is not used. `A|B:f` is one
 field that holds an integer (A) or a real (B); the one not given keeps its default (`A=-1|B:f`). Without a default, i
-is 0, f is 0.0 and s is "". The first column identifies the row.
+is 0, f is 0.0, s and c are "". The first column identifies the row.
 
 A tail `*NAME:type` takes all the fields that are left (`THRU` expanded for integers) into a `Ragged` column. Cards
 with a pattern of their own are expanded in `io.nastran.special` and `.lists`; their columns stand in `SPECIAL`.
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 
 _TEXT = r"""
-GRID    ID CP X1:f X2:f X3:f CD PS:s SEID
+GRID    ID CP X1:f X2:f X3:f CD PS:c SEID
 SPOINT  *ID
 CORD1R  CID G1 G2 G3
 CORD1C  CID G1 G2 G3
@@ -27,8 +27,8 @@ CORD2S  CID RID A1:f A2:f A3:f B1:f B2:f B3:f C1:f C2:f C3:f
 CROD    EID PID G1 G2
 CONROD  EID G1 G2 MID A:f J:f C:f NSM:f
 CTUBE   EID PID G1 G2
-CBAR    EID PID GA GB G0|X1:f X2:f X3:f OFFT:s=GGG PA:s PB:s W1A:f W2A:f W3A:f W1B:f W2B:f W3B:f
-CBEAM   EID PID GA GB G0|X1:f X2:f X3:f OFFT:s=GGG PA:s PB:s W1A:f W2A:f W3A:f W1B:f W2B:f W3B:f SA SB
+CBAR    EID PID GA GB G0|X1:f X2:f X3:f OFFT:s=GGG PA:c PB:c W1A:f W2A:f W3A:f W1B:f W2B:f W3B:f
+CBEAM   EID PID GA GB G0|X1:f X2:f X3:f OFFT:s=GGG PA:c PB:c W1A:f W2A:f W3A:f W1B:f W2B:f W3B:f SA SB
 CTRIA3  EID PID G1 G2 G3 MCID=-1|THETA:f ZOFFS:f=nan _ _ TFLAG T1:f=nan T2:f=nan T3:f=nan
 CQUAD4  EID PID G1 G2 G3 G4 MCID=-1|THETA:f ZOFFS:f=nan _ TFLAG T1:f=nan T2:f=nan T3:f=nan T4:f=nan
 CTRIAR  EID PID G1 G2 G3 MCID=-1|THETA:f ZOFFS:f=nan _ _ TFLAG T1:f=nan T2:f=nan T3:f=nan
@@ -80,14 +80,14 @@ MAT2    MID G11:f G12:f G13:f G22:f G23:f G33:f RHO:f A1:f A2:f A3:f TREF:f GE:f
 MAT8    MID E1:f E2:f NU12:f G12:f G1Z:f G2Z:f RHO:f A1:f A2:f TREF:f XT:f XC:f YT:f YC:f S:f GE:f F12:f STRN:f
 MAT9    MID G11:f G12:f G13:f G14:f G15:f G16:f G22:f G23:f G24:f G25:f G26:f \
         G33:f G34:f G35:f G36:f G44:f G45:f G46:f G55:f G56:f G66:f RHO:f A1:f A2:f A3:f A4:f A5:f A6:f TREF:f GE:f
-RBAR    EID GA GB CNA:s CNB:s CMA:s CMB:s _ _
-RBAR1   EID GA GB CB:s _ _
-RROD    EID GA GB CMA:s CMB:s _ _
-RJOINT  EID GA GB CB:s
-RTRPLT  EID GA GB GC CNA:s CNB:s CNC:s _ CMA:s CMB:s CMC:s _ _
-RTRPLT1 EID GA GB GC CMB:s CMC:s _ _
-RBE2    EID GN CM:s *GM
-SPC1    SID C:s *G
+RBAR    EID GA GB CNA:c CNB:c CMA:c CMB:c _ _
+RBAR1   EID GA GB CB:c _ _
+RROD    EID GA GB CMA:c CMB:c _ _
+RJOINT  EID GA GB CB:c
+RTRPLT  EID GA GB GC CNA:c CNB:c CNC:c _ CMA:c CMB:c CMC:c _ _
+RTRPLT1 EID GA GB GC CMB:c CMC:c _ _
+RBE2    EID GN CM:c *GM
+SPC1    SID C:c *G
 SPCADD  SID *S
 MPCADD  SID *S
 NSMADD  SID *S
@@ -96,17 +96,17 @@ EIGR    SID METHOD:s F1:f=nan F2:f=nan NE ND _ _ NORM:s G C
 """
 
 SPECIAL = {
-    "SPC": "SID G C:s D:f",  # one row a (G, C) pair; two pairs on a card make two rows
+    "SPC": "SID G C:c D:f",  # one row a (G, C) pair; two pairs on a card make two rows
     "MPC": "SID *G *C *A:f",  # one row a card; three ragged columns of equal offsets
-    "RBE1": "EID *GN *CN:s *GM *CM:s",  # independent pairs share the offsets of GN, dependent ones (UM) those of GM
+    "RBE1": "EID *GN *CN:c *GM *CM:c",  # independent pairs share the offsets of GN, dependent ones (UM) those of GM
     # FSI 0: A, I1, I2, J, K1, K2, DELTAN; else the pipe of RM and T
     "PBEND": "PID MID FSI A:f I1:f I2:f J:f RM:f T:f P:f RB:f THETAB:f K1:f K2:f NSM:f RC:f ZC:f DELTAN:f=nan",
     # TYPE GRIDID (corners GA1.., GB1..), ELEMID or ELPAT (SHIDA, SHIDB), PARTPAT (PIDA, PIDB) or ALIGN (GA, GB)
     "CWELD": "EID PID GS TYPE:s GA GB SPTYP:s GA1 GA2 GA3 GA4 GB1 GB2 GB3 GB4 SHIDA SHIDB PIDA PIDB "
     "XS:f=nan YS:f=nan ZS:f=nan",
     "GENEL": "EID FORM:s *UI *CI *UD *CD *KZ:f *S:f",  # FORM K or Z; KZ by columns of the lower triangle, S by rows
-    "RSPLINE": "EID DL:f=0.1 *G *C:s",  # one entry a node; without components it is independent
-    "RBE3": "EID REFGRID REFC:s *G *C:s *WT:f *GM *CM:s",  # one entry of G an independent node; GM those of UM
+    "RSPLINE": "EID DL:f=0.1 *G *C:c",  # one entry a node; without components it is independent
+    "RBE3": "EID REFGRID REFC:c *G *C:c *WT:f *GM *CM:c",  # one entry of G an independent node; GM those of UM
     "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f "
     "GE2:f=nan GE3:f=nan GE4:f=nan GE5:f=nan GE6:f=nan M:f",  # GE is GE1, for all where the others are blank
     # the section at end A, at end B (a blank end B equals A), and at the stations between; nan: on the straight line
@@ -143,7 +143,7 @@ class FieldSpec:
     other_default: int = 0
 
 
-_ZERO: dict[str, int | float | str] = {"i": 0, "f": 0.0, "s": ""}
+_ZERO: dict[str, int | float | str] = {"i": 0, "f": 0.0, "s": "", "c": ""}
 
 
 def _field(text: str) -> FieldSpec:
@@ -157,7 +157,7 @@ def _field(text: str) -> FieldSpec:
     kind = kind or "i"
     value: int | float | str = _ZERO[kind]
     if default:
-        value = {"i": int, "f": float, "s": str}[kind](default)
+        value = type(value)(default)
     if not bar:
         return FieldSpec(real, kind, value, "", tail)
     return FieldSpec(real, kind, value, other, tail, other_default=int(otherwise or 0))

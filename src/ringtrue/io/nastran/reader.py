@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written
 from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
-from ringtrue.model.cards import CARDS, NONSTRUCTURAL, is_unsupported, reason
+from ringtrue.model.cards import CARDS, NONSTRUCTURAL, columns, is_unsupported, reason
 from ringtrue.model.choices import idle
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Ragged, Table, stacked
@@ -90,6 +90,8 @@ def read_deck(path: str | Path) -> Model:
     for fault_ in missing(model):
         if not np.isin(fault_.rows, out.get(fault_.reference.card, ())).all():
             raise _dangling(model, fault_)
+    for wrong in _misnamed(model):
+        raise wrong
     return model
 
 
@@ -115,7 +117,7 @@ def survey(path: str | Path) -> Survey:
     model, skipped = _model(found)
     unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
     faults = [_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported))]
-    faults += unclear_sets(model, chosen=bool(deck.top))
+    faults += [*unclear_sets(model, chosen=bool(deck.top)), *_misnamed(model)]
     counts = {n.decode(): c for n, c in zip(names.tolist(), count.tolist(), strict=True)}
     return Survey(model, counts, unsupported, tuple(faults))
 
@@ -165,7 +167,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     for name, n in zip((x.decode() for x in names.tolist()), count.tolist(), strict=True):
         if name in NONSTRUCTURAL and not case.nsm:  # counts only where case control chooses it
             kept[name] = n
-        elif name in CARDS and name not in EXPAND:
+        elif name in CARDS and name not in EXPAND and name != "SPC1":
             tables[name] = make_table(found, name)
         elif name in EXPAND:
             try:
@@ -176,7 +178,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
             tables[made.card] = stacked(tables[made.card], made) if made.card in tables else made
             if name in MADE:
                 tables[name] = dimensions(written_out(found, name), found.deck.files)
-        elif name not in DEFAULTS and name != "PARAM":
+        elif name not in DEFAULTS and name not in ("PARAM", "SPC1"):
             kept[name] = n
     if "INCLUDE" in kept:
         at = int(np.flatnonzero(found.name == b"INCLUDE")[0])
@@ -186,11 +188,11 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     tables |= implied_points(tables)
     if "SPOINT" in tables and "GRID" not in tables:  # springs and masses between scalar points alone
         tables["GRID"] = empty("GRID")
+    if b"SPC1" in names:  # a THRU passes over points that are not there
+        tables["SPC1"] = make_table(found, "SPC1", _points(tables))
     tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
     for group in _ONE_NUMBER:
         _refuse_shared([tables[card] for card in group if card in tables], found.deck.files)
-    if "SPC1" in tables:
-        tables["SPC1"] = _without_gaps(tables, found)
     case = case if found.deck.top else only_sets(case, tables)
     return Model(tables, _params(found), case, found.deck.files, kept), skipped
 
@@ -205,19 +207,9 @@ def _params(found: Cards) -> dict[str, int | float | str]:
     return out | params(found.deck.top)
 
 
-def _without_gaps(tables: Mapping[str, Table], found: Cards) -> Table:
-    """SPC1 lists written with THRU may name points that are not there; they hold nothing and are left out."""
-    spc1 = tables["SPC1"]
-    groups = [(rows, (cells == b"THRU").any(axis=1)) for rows, cells in found.cells("SPC1")]
-    order = np.argsort(np.concatenate([rows for rows, _ in groups]), kind="stable")
-    thru = np.concatenate([t for _, t in groups])[order]
-    nodes = [tables["GRID"].ids] if "GRID" in tables else []
-    nodes += [tables["SPOINT"].ragged("ID").values] if "SPOINT" in tables else []
-    g = spc1.ragged("G")
-    owner = g.owner
-    keep = ~thru[owner] | np.isin(g.values, np.concatenate([np.empty(0, dtype=np.int64), *nodes]))
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner[keep], minlength=len(g)))])
-    return replace(spc1, columns={**spc1.columns, "G": Ragged(g.values[keep], offsets)})
+def _points(tables: Mapping[str, Table]) -> Int:
+    scalar = tables["SPOINT"].ragged("ID").values if "SPOINT" in tables else np.empty(0, dtype=np.int64)
+    return np.union1d(tables["GRID"].ids if "GRID" in tables else scalar, scalar)
 
 
 def _unique(table: Table, files: tuple[str, ...]) -> Table:
@@ -275,3 +267,21 @@ def _dangling(model: Model, lost: Missing) -> DeckError:
         card=f"{table.card} {table.ids[row]}",
         field=lost.reference.field,
     )
+
+
+def _misnamed(model: Model) -> Iterator[DeckError]:
+    """Lists of components with more than the digits 1 to 6, the first of each field."""
+    for table in model.tables.values():
+        for name in (s.name for s in columns(table.card) if s.kind == "c" and s.name in table.columns):
+            column = table.columns[name]
+            text = column.values if isinstance(column, Ragged) else column
+            bad = np.flatnonzero((np.char.strip(text, "123456") != "") & (text != "0"))
+            if bad.size:
+                row = int(column.owner[bad[0]] if isinstance(column, Ragged) else bad[0])
+                yield DeckError(
+                    f"{str(text[bad[0]])!r} is no list of components; allowed are the digits 1 to 6",
+                    path=model.files[table.file[row]],
+                    line=int(table.line[row]),
+                    card=f"{table.card} {table.ids[row]}",
+                    field=name,
+                )

@@ -46,8 +46,13 @@ def fault(cards: Cards, card: int, message: str, field: str = "") -> DeckError:
     return DeckError(message, path=path, line=line, card=cards.name[card].decode(), field=field)
 
 
-def make_table(cards: Cards, name: str) -> Table:
+def make_table(cards: Cards, name: str, there: Int | None = None) -> Table:
     """All cards of one name by the schema of `model.cards`.
+
+    Parameters
+    ----------
+    there : (n,) int64, optional
+        What a `THRU` may name; the rest of its range is left out.
 
     Raises
     ------
@@ -57,7 +62,7 @@ def make_table(cards: Cards, name: str) -> Table:
     groups = list(cards.cells(name))
     every = np.concatenate([rows for rows, _ in groups])
     order = np.argsort(every, kind="stable")
-    parts = [_parse(cards, name, rows, cells) for rows, cells in groups]
+    parts = [_parse(cards, name, rows, cells, there) for rows, cells in groups]
     made = {key: _joined([p[key] for p in parts], order) for key in parts[0]}
     file, line = cards.places(every[order])
     return Table(name, made, file, line)
@@ -65,7 +70,7 @@ def make_table(cards: Cards, name: str) -> Table:
 
 def empty(name: str) -> Table:
     """A table without rows of a card that has no list."""
-    kinds = {"i": np.int64, "f": np.float64, "s": np.str_}
+    kinds = {"i": np.int64, "f": np.float64, "s": np.str_, "c": np.str_}
     specs = [s for s in columns(name) if not s.blank]
     none = np.empty(0, dtype=np.int64)
     return Table(name, {s.name: np.empty(0, dtype=kinds[s.kind]) for s in specs}, none, none)
@@ -85,7 +90,7 @@ def _joined(parts: Sequence[NDArray[Any] | Ragged], order: Int) -> NDArray[Any] 
     return Ragged(frozen(values[take]), frozen(offsets))
 
 
-def _parse(cards: Cards, name: str, rows: Int, cells: Cells) -> dict[str, NDArray[Any] | Ragged]:
+def _parse(cards: Cards, name: str, rows: Int, cells: Cells, there: Int | None) -> dict[str, NDArray[Any] | Ragged]:
     specs = columns(name)
     _refuse_surplus(cards, specs, rows, cells)
     made: dict[str, NDArray[Any] | Ragged] = {}
@@ -93,7 +98,7 @@ def _parse(cards: Cards, name: str, rows: Int, cells: Cells) -> dict[str, NDArra
         if spec.blank:
             continue
         if spec.tail:
-            made[spec.name] = _tail(cards, spec, rows, cells[:, j:])
+            made[spec.name] = _tail(cards, spec, rows, cells[:, j:], there)
             continue
         cell = cells[:, j] if j < cells.shape[1] else np.full(rows.size, b"", dtype="S1")
         if spec.other:
@@ -121,7 +126,7 @@ def _refuse_surplus(cards: Cards, specs: Sequence[FieldSpec], rows: Int, cells: 
 
 
 def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[Any]:
-    if spec.kind == "s":
+    if spec.kind in "sc":
         if not (cell != b"").any():
             return np.full(rows.size, str(spec.default))
         return np.where(cell == b"", str(spec.default), np.char.decode(cell, "latin-1"))
@@ -142,7 +147,7 @@ def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[An
     return out
 
 
-def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells) -> Ragged:
+def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells, there: Int | None) -> Ragged:
     """Integers to the end of the card; `THRU` and `BY` expanded, a final real (ALPHA of RBE2) left out."""
     given: Bool = cells != b""
     words = cells == b"THRU"
@@ -153,33 +158,32 @@ def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells) -> Ragged:
         at = int(np.flatnonzero(~good)[0])
         text = cells[given & ~special[:, None]][at].decode("latin-1")
         raise fault(cards, int(rows[owner[at]]), f"{text!r} is not an integer", spec.name)
-    lists = [expand_thru(cards, int(rows[i]), cells[i][given[i]].tolist(), spec.name) for i in np.flatnonzero(special)]
-    more = np.repeat(np.flatnonzero(special), [len(x) for x in lists])
-    values = np.concatenate([values, *(np.array(x, dtype=np.int64) for x in lists)])
-    owner = np.concatenate([owner, more])
+    which = np.flatnonzero(special)
+    lists = [_expanded(cards, int(rows[i]), cells[i][given[i]].tolist(), spec.name, there) for i in which]
+    values = np.concatenate([values, *lists])
+    owner = np.concatenate([owner, np.repeat(which, [x.size for x in lists])])
     count = np.bincount(owner, minlength=rows.size)
     return Ragged(values[np.argsort(owner, kind="stable")], np.concatenate([[0], np.cumsum(count)]))
 
 
-def expand_thru(cards: Cards, card: int, words: Sequence[bytes], field: str) -> list[int]:
-    """`1 THRU 9 BY 2` as integers; the list ends at a real."""
-    out: list[int] = []
+def _expanded(cards: Cards, card: int, words: Sequence[bytes], field: str, there: Int | None) -> Int:
+    """`1 THRU 9 BY 2` as integers, of `there` if given; the list ends at a real."""
+    out = [np.empty(0, dtype=np.int64)]
     i = 0
-    while i < len(words):
-        if words[i] == b"THRU":
-            tail = words[i + 1 : i + 4]
-            step = _whole(cards, card, tail[2], field) if len(tail) == 3 and tail[1] == b"BY" else 1
-            last = _whole(cards, card, tail[0] if tail else b"", field)
-            if not out or last < out[-1] or step < 1:
+    while i < len(words) and b"." not in words[i]:
+        first = last = _whole(cards, card, words[i], field)
+        step, i = 1, i + 1
+        if words[i : i + 1] == [b"THRU"]:
+            last, i = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field), i + 2
+            if words[i : i + 1] == [b"BY"]:
+                step, i = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field), i + 2
+            if last < first or step < 1:
                 raise fault(cards, card, f"a THRU b needs a <= b, got {b' '.join(words).decode('latin-1')}", field)
-            out.extend(range(out[-1] + step, last + 1, step))
-            i += 4 if len(tail) == 3 and tail[1] == b"BY" else 2
-            continue
-        if b"." in words[i]:
-            break
-        out.append(_whole(cards, card, words[i], field))
-        i += 1
-    return out
+            if there is not None:
+                out.append(there[(there >= first) & (there <= last) & ((there - first) % step == 0)])
+                continue
+        out.append(np.arange(first, last + 1, step))
+    return np.concatenate(out)
 
 
 def _whole(cards: Cards, card: int, word: bytes, field: str) -> int:
