@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
-from ringtrue.io.modes_json import modes_to_json, read_modes, write_modes
+from ringtrue.io.modes_json import modes_to_json, read_modes, read_std, write_modes
 from ringtrue.io.sheets import read_sensor_sheet
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
@@ -88,6 +89,22 @@ def test_json_is_null_where_unknown(tmp_path: Path) -> None:
     (tmp_path / "m.json").write_text("[]")
     with pytest.raises(DataError, match="not a table of modes"):
         read_modes(tmp_path / "m.json")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("frequency_hz", None, "mode 1 has no frequency_hz"),
+        ("damping", "x", "mode 1: damping is 'x'; it must be a number"),
+        ("std_frequency_hz", [0.1], r"mode 1: std_frequency_hz is \[0.1\]; it must be a number"),
+    ],
+)
+def test_json_of_modes_with_a_wrong_number(tmp_path: Path, key: str, value: object, message: str) -> None:
+    table = modes_to_json(ModeSet(np.array([1.0]), np.array([0.01]), np.ones((1, 1)), ("1+X",)))
+    table["modes"][0][key] = value
+    (tmp_path / "m.json").write_text(json.dumps(table))
+    with pytest.raises(DataError, match=message):
+        read_std(tmp_path / "m.json")
 
 
 SHEET = [

@@ -95,12 +95,14 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
     try:
         rows, channels = table["modes"], tuple(str(c) for c in table["channels"])
         shapes = np.array([_shape(row) for row in rows], dtype=np.complex128)
-        frequency = np.array([_float(r["frequency_hz"]) for r in rows])
-        damping = np.array([_float(r.get("damping")) for r in rows])
-        confidence = np.array([_float(r.get("confidence"), 1.0) for r in rows])
+        frequency, damping = (_column(rows, key) for key in ("frequency_hz", "damping"))
+        confidence = _column(rows, "confidence", 1.0)
         norm = Norm(table.get("scaling") or Norm.UNSCALED)
     except (KeyError, TypeError, ValueError) as exc:
         raise DataError(f"{source}: not a table of modes ({type(exc).__name__}: {exc})") from exc
+    if not np.isfinite(frequency).all():
+        at = int(np.flatnonzero(~np.isfinite(frequency))[0])
+        raise DataError(f"{source}: mode {at + 1} has no frequency_hz")
     shapes = shapes.reshape(len(rows), -1).T if rows else np.zeros((len(channels), 0), dtype=np.complex128)
     if shapes.shape[0] != len(channels):
         raise DataError(f"{source}: shapes of {shapes.shape[0]} components for {len(channels)} channels")
@@ -117,8 +119,13 @@ def _shape(row: Mapping[str, Any]) -> Complex:
     return np.asarray(re + 1j * im)
 
 
-def _float(x: Any, default: float = float("nan")) -> float:
-    return default if x is None else float(x)
+def _column(rows: Sequence[Mapping[str, Any]], key: str, default: float = math.nan) -> Float:
+    """One number a mode; `default` where it is null or missing."""
+    given = [row.get(key) for row in rows]
+    for k, x in enumerate(given, start=1):
+        if not (x is None or isinstance(x, int | float)):
+            raise ValueError(f"mode {k}: {key} is {x!r}; it must be a number")
+    return np.array([default if x is None else x for x in given], dtype=np.float64)
 
 
 def write_modes(
@@ -189,9 +196,10 @@ def read_std(path: str | Path) -> tuple[Float, Float]:
     modes = read_modes(path)
     if path.suffix.lower() == ".json":
         rows = json.loads(path.read_text(encoding="utf-8"))["modes"]
-        keys = ("std_frequency_hz", "std_damping")
-        frequency, damping = (np.array([_float(row.get(k)) for row in rows], dtype=np.float64) for k in keys)
-        return frequency, damping
+        try:
+            return _column(rows, "std_frequency_hz"), _column(rows, "std_damping")
+        except ValueError as exc:
+            raise DataError(f"{path}: {exc}") from exc
     if path.suffix.lower() in _HDF5:
         with h5py.File(path, "r") as file:
             found = codec.load(file["uncertainty"]) if "uncertainty" in file else None
