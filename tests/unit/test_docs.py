@@ -12,7 +12,7 @@ from typer.main import get_command
 from ringtrue.cli.main import COMMANDS, application
 from ringtrue.io.choices import read_choice
 from ringtrue.study.config import parse_config
-from ringtrue.study.stages.identify import read_log
+from ringtrue.study.log import read_log
 
 ROOT = Path(__file__).parents[2]
 PAGES = {p.name: p.read_text(encoding="utf-8") for p in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]}

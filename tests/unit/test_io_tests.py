@@ -10,7 +10,7 @@ import openpyxl
 import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
@@ -173,3 +173,23 @@ def test_sheet_notes_doubtful_orientations(tmp_path: Path) -> None:
     notes = read_sensor_sheet(write_sheet(tmp_path / "s.csv", rows)).notes
     assert len(notes) == 3
     assert all(w in n for w, n in zip(("oppose", "left-handed", "right angles"), notes, strict=True))
+
+
+def test_a_sheet_tells_what_a_record_does_not(tmp_path: Path) -> None:
+    """Volts and channels without a unit by the sheet; units of the record and channels elsewhere stand."""
+    rows = [list(r) for r in SHEET] + [[104, "", "", "", "+Z", "N", 0.002, "", "F:104+Z"]]
+    sheet = read_sensor_sheet(write_sheet(tmp_path / "s.csv", rows))
+    assert "F:104+Z" not in sheet.model.channels
+    channels = (
+        Channel("101+X"),
+        Channel("101-Y", unit="V"),
+        Channel("skewed", "velocity", "m/s"),
+        Channel("F:104+Z"),
+        Channel("other"),
+    )
+    record = TimeHistory(np.ones((5, 4)), 100.0, channels)
+    found, notes = sheet.scaled(record)
+    np.testing.assert_allclose(found.data[:, 0], [98.0665, 98.0665, 1.0, 500.0, 1.0])
+    assert [c.unit for c in found.channels] == ["m/s^2", "m/s^2", "m/s", "N", ""]
+    assert notes == ("3 channels without a unit taken as the sensor sheet says: 101+X 101-Y F:104+Z",)
+    assert sheet.scaled(found) == (found, ())

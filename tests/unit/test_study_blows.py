@@ -44,6 +44,39 @@ def identified(study: Path) -> IdentifyStage:
     return run_study(study, until="identify").results["identify"]
 
 
+def in_volts(folder: Path) -> None:
+    """Tables of volts without units; the sensitivities, unlike for each channel, stand on the sheet alone."""
+    log = json.loads((folder / "campaign.json").read_text())
+    rows = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]
+    at = {name: rows[0].index(name) for name in ("channel", "quantity", "unit", "sensitivity")}
+    gain = {r[at["channel"]]: 0.01 * (1 + 0.5 * (-1) ** k) for k, r in enumerate(rows[1:])}
+    for record in log["tests"][0]["records"]:
+        blows = read_record(folder / record["file"])
+        record["file"] = str(Path(record["file"]).with_suffix(".csv"))
+        data = [x * gain.get(c.id, 0.002) for x, c in zip(blows.data, blows.channels, strict=True)]
+        bare = tuple(Channel(c.id, unit="V" if k % 2 else "") for k, c in enumerate(blows.channels))
+        write_history(folder / record["file"], replace(blows, data=np.array(data), channels=bare))
+    for row in rows[1:]:
+        row[at["unit"]], row[at["sensitivity"]] = "g", str(gain[row[at["channel"]]] * 9.80665)
+    for r in small_study.REFERENCES:
+        row = dict.fromkeys(rows[0], "") | {"point": r[:-2], "direction": r[-2:], "channel": f"F:{r}"}
+        rows.append(list((row | {"quantity": "force", "unit": "N", "sensitivity": "0.002"}).values()))
+    (folder / "sensors.csv").write_text("\n".join(",".join(r) for r in rows))
+    (folder / "campaign.json").write_text(json.dumps(log))
+
+
+def test_the_sheet_scales_records_in_volts(tmp_path: Path) -> None:
+    study = small_study.write_study(tmp_path, STUDY, ambient=False)
+    given = identified(study)
+    in_volts(tmp_path / "data")
+    found = identified(study)
+    assert found.frfs is not None
+    assert given.frfs is not None
+    assert found.test.channels == given.test.channels
+    np.testing.assert_allclose(found.frfs.data, given.frfs.data, rtol=1e-3, atol=1e-5 * np.abs(given.frfs.data).max())
+    assert "without a unit taken as the sensor sheet says" in " ".join(found.records[0].notes)
+
+
 def test_acquisitions_of_one_blow_each_are_read(tmp_path: Path) -> None:
     study = small_study.write_study(tmp_path, STUDY, ambient=False)
     blocks = identified(study)

@@ -255,11 +255,15 @@ def test_a_suspension_without_rigid_body_modes_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("edit", "told"),
     [
-        (lambda log: log["tests"][0].update(kind="ambiant"), "kind 'ambiant'; did you mean 'ambient'"),
-        (lambda log: log["tests"][1].pop("block_samples"), "block_samples missing"),
-        (lambda log: log["tests"][0].pop("records"), "entry 'records' is missing"),
+        (lambda log: log["tests"][0].update(kind="ambiant"), r"tests\.0\.kind: .*'ambient'.*got 'ambiant'"),
+        (lambda log: log["tests"][1].pop("block_samples"), r"tests\.1.*block_samples missing"),
+        (lambda log: log["tests"][1].update(pretrigger_samples=1e5), r"tests\.1\.pretrigger_samples: .*integer"),
+        (lambda log: log["tests"][1].update(pretriger_samples=16), "'pretriger_samples'; did you mean 'pretrigger_s"),
+        (lambda log: log["tests"][0].pop("records"), r"tests\.0\.records: Field required"),
+        (lambda log: log["tests"][0]["records"][0].update(file=3), r"records\.0\.file: .*string \(got 3\)"),
+        (lambda log: log.update(sensors={"g": {"quantity": "velocity", "corner_hz": 4.5}}), "sensors.g: .*damping"),
         (lambda log: log.update(tests=[]), "no record in any test"),
-        (lambda log: log.update(tests=3), "not a log"),
+        (lambda log: log.update(tests=3), "tests: .*valid list"),
     ],
 )
 def test_a_wrong_log_is_explained(tmp_path: Path, edit: object, told: str) -> None:

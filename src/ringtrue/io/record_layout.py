@@ -66,6 +66,11 @@ class RecordChannel:
         to_si(self.unit, self.quantity)
 
     @property
+    def tells(self) -> bool:
+        """Whether it says more than a name and a place."""
+        return self.quantity != "unknown" or self.sensitivity != 1.0
+
+    @property
     def to_si(self) -> float:
         """SI units per volt."""
         return to_si(self.unit, self.quantity)[1] / self.sensitivity

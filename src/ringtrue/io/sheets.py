@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import openpyxl
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.files import existing
@@ -48,7 +49,7 @@ class SensorSheet:
     ----------
     model : TestModel
     channels : tuple of RecordChannel
-        In the order of `model.channels`.
+        Those of `model.channels` in their order, and forces.
     notes : tuple of str
         Doubts about orientations; empty when there are none.
     """
@@ -56,6 +57,26 @@ class SensorSheet:
     model: TestModel
     channels: tuple[RecordChannel, ...]
     notes: tuple[str, ...]
+
+    def scaled(self, history: TimeHistory) -> tuple[TimeHistory, tuple[str, ...]]:
+        """A record with what it does not tell itself taken from the sheet, and what is to be said of it.
+
+        A channel without a unit, or in volts, is divided by its sensitivity and becomes SI of its unit; units that a
+        record tells stand. The type of a sensor is that of the sheet where the record has none.
+        """
+        rows = {c.id: c for c in self.channels}
+        channels, factors = list[Channel](), np.ones(len(history.channels))
+        for k, c in enumerate(history.channels):
+            row = rows.get(c.id)
+            if row is not None and c.quantity == "unknown" and row.tells:
+                factors[k], c = row.to_si, row.channel()
+            channels.append(replace(c, sensor=c.sensor or (row.sensor if row else "")))
+        if tuple(channels) == history.channels:
+            return history, ()
+        told = [new.id for old, new in zip(history.channels, channels, strict=True) if old.quantity != new.quantity]
+        note = f"{len(told)} channels without a unit taken as the sensor sheet says: {' '.join(told[:8])}"
+        data = history.data if (factors == 1).all() else history.data * factors[:, None]
+        return replace(history, data=data, channels=tuple(channels)), (note,) if told else ()
 
 
 def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> SensorSheet:
@@ -91,7 +112,11 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> Sens
     if lost := sorted({p for pair in pairs for p in pair} - set(points.tolist())):
         raise DataError(f"{path}: lines name points that are not there: {lost[:8]}")
     at = np.array([c.point for c in channels], dtype=np.int64)
-    model = TestModel(points, xyz, tuple(ids), at, axes, np.array(pairs, dtype=np.int64).reshape(-1, 2), groups)
+    motion = np.flatnonzero([c.quantity != "force" for c in channels])
+    here = tuple(ids[i] for i in motion)
+    model = TestModel(
+        points, xyz, here, at[motion], axes[motion], np.array(pairs, dtype=np.int64).reshape(-1, 2), groups
+    )
     return SensorSheet(model, channels, orientation_notes(model))
 
 
@@ -237,10 +262,11 @@ def _channel(row: Row, axis: Float, where: str) -> RecordChannel:
     point = _point(row, where)
     get = defaultdict(str, row)
     try:
+        quantity = to_si(get["unit"], get["quantity"])[0]
         return RecordChannel(
-            get["channel"] or _default_id(point, axis),
+            get["channel"] or ("F:" if quantity == "force" else "") + _default_id(point, axis),
             point,
-            to_si(get["unit"], get["quantity"])[0],
+            quantity,
             get["unit"],
             _number(row, "sensitivity", where, 1.0),
             _number(row, "range", where) if get["range"] else float("inf"),

@@ -13,6 +13,7 @@ from ringtrue.core.motions import SI_UNIT, Motion
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
+from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.hits import HammerSettings, HitReport, force_channel
 
 OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
@@ -39,6 +40,8 @@ class BlowFiles:
         The group of a `.tdms` or HDF5 file that is meant.
     channels : sequence of str
         Names in place of those of the file (`renamed`).
+    sheet : SensorSheet, optional
+        Tells units and sensitivities where the files do not.
     """
 
     force: str = ""
@@ -48,6 +51,7 @@ class BlowFiles:
     rate: float | None = None
     group: str = ""
     channels: Sequence[str] = ()
+    sheet: SensorSheet | None = None
 
 
 def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHistory:
@@ -156,10 +160,11 @@ def read_file(path: Path, how: BlowFiles | None = None) -> tuple[tuple[TimeHisto
 
 def _ready(path: Path, run: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHistory, Sequence[str]]:
     run = renamed(run, how.channels, path)
+    run, scaled = how.sheet.scaled(run) if how.sheet else (run, ())
     kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
     record, notes = _prepared(kept, how, point)
     refuse_bad_samples(record, path)
-    return record, notes
+    return record, [*scaled, *notes]
 
 
 def _runs(path: Path, how: BlowFiles) -> Iterator[TimeHistory]:

@@ -1,4 +1,4 @@
-"""What is wrong with a study.toml, in words: where, what was found, and the nearest allowed key."""
+"""What is wrong with a study.toml or a log, in words: where, what was found, and the nearest allowed key."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from ringtrue.errors import did_you_mean
 
 
-def explain(path: Path, error: ValidationError, top: type[BaseModel]) -> str:
+def explain(path: Path, error: ValidationError, top: type[BaseModel], whole: str = "study") -> str:
     """One line for each mistake in a file that should be a `top`."""
     lines = []
     for e in error.errors():
@@ -21,7 +21,7 @@ def explain(path: Path, error: ValidationError, top: type[BaseModel]) -> str:
         else:
             simple = isinstance(e["input"], str | int | float | list)
             got = f" (got {e['input']!r})" if simple and e["type"] != "missing" else ""
-            lines.append(f"{path}: {place or 'study'}: {e['msg'].removeprefix('Value error, ')}{got}")
+            lines.append(f"{path}: {place or whole}: {e['msg'].removeprefix('Value error, ')}{got}")
     return "\n".join(lines)
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +14,7 @@ from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.errors import ConfigError, DataError, about, did_you_mean
+from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.local import told_apart
@@ -24,7 +22,7 @@ from ringtrue.identify.merge import Contribution, merge_modes
 from ringtrue.identify.peaks import cmif
 from ringtrue.io.choices import read_choice
 from ringtrue.io.records import read_record, refuse_bad_samples
-from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
 from ringtrue.signal.frf import join_frfs, setups_of
@@ -36,25 +34,13 @@ from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
 from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows, renamed
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.forced import forced_frfs
+from ringtrue.study.log import Logged, SensorType, read_log
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
 from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, on_sheet, supplied_frfs, supplied_modes
 from ringtrue.study.workbench import Workbench
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
-KINDS = ("ambient", "hammer", "shaker")  # of tests in the log
 SHOWN, POINTS = 4, 1500  # channels and samples of a preview
-
-
-@dataclass(frozen=True, slots=True)
-class Logged:
-    """One record of the crew's log, with the test it belongs to."""
-
-    name: str
-    path: Path
-    test: str
-    kind: str
-    excitation: str
-    details: dict[str, Any]
 
 
 def section(desk: Workbench) -> TestSection:
@@ -65,62 +51,24 @@ def section(desk: Workbench) -> TestSection:
     return test
 
 
-def read_log(path: Path) -> tuple[list[Logged], dict[str, Any]]:
-    """The crew's log: its records, and the data sheets of the sensor types.
-
-    Raises
-    ------
-    DataError
-        If the file is not there, is not JSON, or misses an entry.
-    """
-    try:
-        log = json.loads(path.read_text(encoding="utf-8"))
-        records = [
-            Logged(Path(r["file"]).stem, path.parent / r["file"], t["name"], t["kind"], r["excitation"], {**t, **r})
-            for t in log["tests"]
-            for r in t["records"]
-        ]
-    except FileNotFoundError as e:
-        raise DataError(f"{path}: no such log") from e
-    except json.JSONDecodeError as e:
-        raise DataError(f"{path}:{e.lineno}: not JSON: {e.msg}") from e
-    except KeyError as e:
-        raise DataError(f"{path}: entry {e} is missing; a log has tests with name, kind and records") from e
-    except (TypeError, AttributeError) as e:
-        raise DataError(f"{path}: not a log: it must be an object with a list `tests` ({e})") from e
-    _check_log(path, records)
-    return records, log.get("sensors", {})
-
-
-_BLOCK = ("block_samples", "pretrigger_samples")
-
-
-def _check_log(path: Path, records: Sequence[Logged]) -> None:
-    if not records:
-        raise DataError(f"{path}: no record in any test")
-    for r in records:
-        if r.kind not in KINDS:
-            raise DataError(f"{path}: test {r.test!r}: kind {r.kind!r}{did_you_mean(r.kind, KINDS)}")
-        if r.kind == "hammer" and len(lost := [k for k in _BLOCK if k not in r.details]) == 1:
-            raise DataError(f"{path}: test {r.test!r}, record {r.path.name}: {lost[0]} missing; give both or none")
-
-
 def _check_sheet(path: Path, channels: Sequence[Channel], sheet: TestModel) -> None:
     """Every response in a record must have its place on the sheet; a force channel names its point itself."""
     on_sheet([c.id for c in channels if c.quantity != "force"], sheet, path)
 
 
-def _history(record: Logged, sheet: TestModel, lost: Sequence[str], *, gaps: bool = False) -> TimeHistory:
-    """A record without the channels `lost`; the others are checked and must be on the sheet.
+def _history(
+    record: Logged, sheet: SensorSheet, lost: Sequence[str], *, gaps: bool = False
+) -> tuple[TimeHistory, tuple[str, ...]]:
+    """A record without the channels `lost`, and what the sheet told; the others are checked and must be on the sheet.
 
     With `gaps` samples may be missing.
     """
-    history = read_record(record.path, record.details.get("rate_hz"), check=False, gaps=gaps)
-    history = renamed(history, record.details.get("channels", ()), record.path)
+    history = read_record(record.path, record.rate_hz, check=False, gaps=gaps)
+    history = renamed(history, record.channels, record.path)
     history = history.pick([c.id for c in history.channels if c.id not in set(lost)])
     refuse_bad_samples(history, record.path, gaps=gaps)
-    _check_sheet(record.path, history.channels, sheet)
-    return history
+    _check_sheet(record.path, history.channels, sheet.model)
+    return sheet.scaled(history)
 
 
 def files(desk: Workbench) -> list[Path]:
@@ -131,19 +79,31 @@ def files(desk: Workbench) -> list[Path]:
     return [*(desk.base / f for f in names if f), *(r.path for r in records)]
 
 
-def corrected(history: TimeHistory, sensors: dict[str, Any]) -> tuple[TimeHistory, float, str]:
-    """The history with the corner of its sensors taken out where the signal allows, from which frequency, and why."""
-    types = {c.sensor for c in history.channels}
-    corners = {sensors[t]["corner_hz"]: sensors[t] for t in types if sensors.get(t, {}).get("corner_hz")}
-    if not corners or all(s.get("quantity") != "velocity" for s in corners.values()):
+def corrected(history: TimeHistory, sensors: Mapping[str, SensorType]) -> tuple[TimeHistory, float, str]:
+    """The history with the corners of its geophones taken out where the signals allow, from which frequency, and why.
+
+    Channels of other sensors stay as they are.
+    """
+    types = sorted({c.sensor for c in history.channels} & {t for t, sheet in sensors.items() if sheet.corrected})
+    if not types:
         return history, 0.0, ""
-    (corner, sheet), *_ = corners.items()
+    parts = {t: history.pick([c.id for c in history.channels if c.sensor == t]) for t in types}
+    low = max(_lowest(parts[t], sensors[t]) for t in types)
+    fixed: dict[str, tuple[Channel, Float]] = {}
+    for t, part_ in parts.items():
+        whole = deconvolve(part_, Geophone(sensors[t].corner_hz, sensors[t].damping or 0.0), low=low)
+        fixed |= {c.id: (w, d) for c, w, d in zip(part_.channels, whole.channels, whole.data, strict=True)}
+    every = [fixed.get(c.id, (c, d)) for c, d in zip(history.channels, history.data, strict=True)]
+    corners = " and ".join(f"{sensors[t].corner_hz:g}" for t in types)
+    note = f"{corners} Hz corner corrected from {low:.2f} Hz on"
+    return replace(history, channels=tuple(c for c, _ in every), data=np.stack([d for _, d in every])), low, note
+
+
+def _lowest(history: TimeHistory, sheet: SensorType) -> float:
+    """From where on the signals of geophones stand above their noise, Hz."""
     psd = csd(history, Welch(0.1))
     level = np.median(np.real(np.einsum("fii->fi", psd.data)), axis=1)
-    noise = np.full(psd.freqs.shape, sheet.get("noise", 0.0) ** 2)
-    low = max(lowest_frequency(psd.freqs, level, noise), corner * 0.6)
-    fixed = deconvolve(history, Geophone(corner, sheet["damping"]), low=low)
-    return fixed, low, f"{corner:g} Hz corner corrected from {low:.2f} Hz on"
+    return max(lowest_frequency(psd.freqs, level, np.full(psd.freqs.shape, sheet.noise**2)), sheet.corner_hz * 0.6)
 
 
 def summary(record: Logged, history: TimeHistory, notes: Sequence[str], *, draw: bool = True) -> RecordSummary:
@@ -186,7 +146,7 @@ def _listed(record: Logged, history: TimeHistory, notes: Sequence[str]) -> Recor
 
 
 def _setup(record: Logged) -> str:
-    return str(record.details.get("setup", ""))
+    return str(record.setup)
 
 
 def _peaks(data: Float, step: int) -> Float:
@@ -218,8 +178,8 @@ def _reason(parts: Sequence[Contribution], found: Sequence[IdentifiedRecord]) ->
 def ambient(
     desk: Workbench,
     records: Sequence[Logged],
-    sensors: dict[str, Any],
-    sheet: TestModel,
+    sensors: Mapping[str, SensorType],
+    sheet: SensorSheet,
     choice: Choice,
     progress: Progress,
 ) -> tuple[list[IdentifiedRecord], list[RecordSummary]]:
@@ -228,20 +188,21 @@ def ambient(
     found, shown = [], []
     for i, record in enumerate(records):
         progress(i / max(len(records), 1), f"ambient modes: {record.name}")
-        raw, gaps = bridged(_history(record, sheet, lost, gaps=True))
+        read, told = _history(record, sheet, lost, gaps=True)
+        raw, gaps = bridged(read)
         history, low, note = corrected(raw, sensors)
         fmin = max(low, settings.ambient_fmin or 0.0) or None
         with about(record.path):
             band = AmbientSettings(fmin=fmin, fmax=settings.ambient_fmax)
             result = identify_ambient(gaps.marked(history), band, choice=choice.of(record.name))
-        notes = [n for n in (note, *gaps.channels, *result.notes) if n]
+        notes = [n for n in (*told, note, *gaps.channels, *result.notes) if n]
         found.append(IdentifiedRecord(record.name, result.modes, result.uncertainty, result.reasons, result.diagrams))
         shown.append(summary(record, history, notes))
     return found, shown
 
 
 def struck(
-    records: Sequence[Logged], sheet: TestModel, lost: Sequence[str], progress: Progress
+    records: Sequence[Logged], sheet: SensorSheet, lost: Sequence[str], progress: Progress
 ) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...], tuple[FrfSet, ...]]:
     """FRFs of all setups, what is shown of the records, the hits that do not count, and the FRFs of each setup."""
     read = [_blows(r, sheet, lost) for r in records]
@@ -249,7 +210,7 @@ def struck(
     for r in records:
         ranges |= full_scale(r.path)
     histories = [h for blows, _ in read for h in blows]
-    want = _block(records[0].details, histories[0].rate)
+    want = _block(records[0], histories[0].rate)
     found = forced_frfs(histories, want, full_scale=ranges, progress=progress)
     shown = []
     for record, (blows, notes) in zip(records, read, strict=True):
@@ -261,28 +222,28 @@ def struck(
     return join_frfs(found.columns), shown, refused_blows(found.hits), setups_of(found.columns)
 
 
-def _blows(record: Logged, sheet: TestModel, lost: Sequence[str]) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
+def _blows(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
     """The acquisitions of a hammer record, and what is to be said of them."""
-    told = record.details
     how = BlowFiles(
-        force=told.get("force_channel", ""),
-        struck=(told["reference"],) if told.get("reference") else (),
+        force=record.force_channel,
+        struck=(record.reference,) if record.reference else (),
         leave_out=tuple(lost),
-        rate=told.get("rate_hz"),
-        channels=told.get("channels", ()),
+        rate=record.rate_hz,
+        channels=record.channels,
+        sheet=sheet,
     )
     runs, notes = read_file(record.path, how)
     for run in runs:
-        _check_sheet(record.path, run.channels, sheet)
+        _check_sheet(record.path, run.channels, sheet.model)
     names = [record.name] if len(runs) == 1 else [f"{record.name} #{k + 1}" for k in range(len(runs))]
     return tuple(replace(r, source=name) for r, name in zip(runs, names, strict=True)), notes
 
 
-def _block(details: dict[str, Any], rate: float) -> HammerSettings:
+def _block(record: Logged, rate: float) -> HammerSettings:
     """The block of a blow that the log tells; without, as long as the blows are apart or the acquisition lasts."""
-    if _BLOCK[0] not in details:
+    if record.block_samples is None or record.pretrigger_samples is None:
         return HammerSettings()
-    block, pre = (details[k] / rate for k in _BLOCK)
+    block, pre = record.block_samples / rate, record.pretrigger_samples / rate
     return HammerSettings(block=block - pre, pretrigger=pre)  # the peak comes a little after the trigger
 
 
@@ -323,13 +284,13 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     if hits and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     choice = _by_hand(desk, records)
-    found, shown = ambient(desk, quiet, sensors, sheet.model, choice, part(progress, 0.0, 0.5))
+    found, shown = ambient(desk, quiet, sensors, sheet, choice, part(progress, 0.0, 0.5))
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
     frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, test.leave_out), tuple[str, ...]()
     batches: tuple[FrfSet, ...] = ()
     if hits:
-        frfs, more, rejected, batches = struck(hits, model, test.leave_out, part(progress, 0.5, 0.7))
+        frfs, more, rejected, batches = struck(hits, sheet, test.leave_out, part(progress, 0.5, 0.7))
         frfs = exchanged(frfs)[0]
         shown += more
     result = _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
