@@ -24,7 +24,7 @@ from ringtrue.cli.main import COMMANDS, application, run
 from ringtrue.cli.show import listed, rows
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import NotConverged
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes_json import read_modes, write_modes
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
 Capture = pytest.CaptureFixture[str]
@@ -158,6 +158,22 @@ def test_modes_that_the_deck_asks_for(tmp_path: Path, capsys: Capture) -> None:
     springs = "".join(f"CELAS4,{i},{i}.,{i}\nCMASS4,{10 + i},1.,{i}\n" for i in range(1, 10))
     (tmp_path / "d.bdf").write_text(f"CEND\nMETHOD = 4\nBEGIN BULK\nEIGRL,4,,,3\n{springs}")
     assert len(parsed(capsys, "modes", tmp_path / "d.bdf")["modes"]) == 3
+
+
+def test_complex_modes_of_a_deck(tmp_path: Path, capsys: Capture) -> None:
+    """1 kg on 100 N/m and 0.4 N s/m: |s| = 10 rad/s, damping 0.4 / (2 · 10); beside it one with GE = 0.06."""
+    deck, target = tmp_path / "d.bdf", tmp_path / "m.json"
+    damped = "CELAS4,1,100.,1\nCMASS4,2,1.,1\nCDAMP4,3,0.4,1\nGRID,5,,,,,,23456\nCELAS2,4,400.,5,1,,,0.06\n"
+    deck.write_text(f"BEGIN BULK\n{damped}CONM2,6,5,,1.\n")
+    found = parsed(capsys, "modes", deck, "--complex", "--out", target)
+    s = 20 * np.sqrt(-1 - 0.06j)
+    assert [2 * np.pi * m["frequency_hz"] for m in found["modes"]] == pytest.approx([10, abs(s)])
+    assert [m["damping"] for m in found["modes"]] == pytest.approx([0.02, abs(s.real) / abs(s)])
+    assert (found["scaling"], read_modes(target).norm) == ("unit modal A", "unit modal A")
+    assert "do not oscillate" in call(capsys, "modes", deck, "--complex", "--band", 1, 2)[1]
+    assert "only the embedded" in refused(capsys, "modes", deck, "--complex", "--solver", "slepc")
+    deck.write_text("BEGIN BULK\nCELAS4,1,100.,1\nCMASS4,2,1.,1\n")
+    assert "no damping" in refused(capsys, "modes", deck, "--complex")
 
 
 def test_json_goes_to_a_file_whole(deck: Path, tmp_path: Path, capsys: Capture) -> None:

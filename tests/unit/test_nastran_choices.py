@@ -243,6 +243,6 @@ def test_the_modes_that_the_method_asks_for(tmp_path: Path, card: str, wanted: l
     assert (asked is None) == (wanted is None)
     if asked and wanted:
         with EmbeddedSolver().open(model) as analysis:
-            found = asked.of(analysis)
+            found = asked.of(analysis.modes)
         assert found.modes.frequencies / UNIT == pytest.approx(wanted)
         assert found.residuals.size == len(wanted)

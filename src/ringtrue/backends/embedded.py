@@ -145,6 +145,11 @@ class EmbeddedAnalysis:
         loads = np.asarray(loads, dtype=np.float64).reshape(len(self.dofs), -1)
         return np.asarray(self.system.transform @ self.pencil.at(0.0).solve(self.system.transform.T @ loads))
 
+    @property
+    def has_damping(self) -> bool:
+        """Whether the model has damping of its own."""
+        return bool(self.system.viscous.count_nonzero() or self.system.structural.count_nonzero())
+
     @cached_property
     def dynamic(self) -> DynamicStiffness:
         """s²M + sD + K + iH with the model's damping."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from ringtrue.backends.registry import solver
+from ringtrue.backends.embedded import EmbeddedAnalysis
+from ringtrue.backends.registry import EMBEDDED, solver
 from ringtrue.checks.deck import check_deck
 from ringtrue.checks.edges import free_edges_in_words, shell_edges
 from ringtrue.checks.findings import Finding
@@ -23,7 +26,7 @@ from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes_json import dump_modes, write_modes
 from ringtrue.io.nastran.reader import Survey, read_deck, survey
 from ringtrue.model.method import asked_modes
-from ringtrue.model.ports import ModesRequest
+from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
 
 ROUNDING = 1e-12  # of the largest value: below is 0
 
@@ -43,17 +46,22 @@ def modes(
         str, typer.Option("--solver", help="The engine: embedded, mystran, nastran, slepc or a plug-in.")
     ] = "embedded",
     ranks: Annotated[int | None, typer.Option(help="Processes of the slepc engine.", min=1)] = None,
+    damped: Annotated[
+        bool, typer.Option("--complex", help="Complex modes, by the dashpots, GE, PARAM G and DMIG of the deck.")
+    ] = False,
     target: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="Write the modes: .h5, .json or .uff.")
     ] = None,
     json: Json = None,
 ) -> int:
-    """Natural modes of a deck, with the proof that none is missing.
+    """Natural modes of a deck, with the proof that none is missing; or its complex modes (--complex).
 
     Example: ringtrue modes wing.bdf --band 0 50 --json modes.json
     """
     if band is not None and not band[0] < band[1]:
         raise ConfigError(f"--band {band[0]} {band[1]}: must be F0 < F1")
+    if damped and solver_name != EMBEDDED:
+        raise ConfigError(f"--complex with --solver {solver_name}: only the embedded engine has complex modes")
     with progress("modes") as show:
         engine = solver(solver_name, ranks=ranks, progress=part(show, 0.2, 1.0))
         show(0.0, f"reading {deck}")
@@ -61,21 +69,38 @@ def modes(
         show(0.2, "solving")
         asked = asked_modes(model) if n is None and band is None else None
         with engine.open(model) as analysis:
-            result = asked.of(analysis) if asked else analysis.modes(ModesRequest(n or 20, band))
+            solve = _complex(analysis) if damped else analysis.modes
+            result = asked.of(solve) if asked else solve(ModesRequest(n or 20, band))
     if json:
         with json_file(json) as file:
             dump_modes(file, result.modes, more={"complete": result.complete, "proof": result.proof})
     if target:
         write_modes(target, writable(result.modes, target))
     if json != "-":
-        body = [
-            (i + 1, f"{f:.5g}", "-" if np.isnan(r) else f"{r:.1e}")
-            for i, (f, r) in enumerate(zip(result.modes.frequencies, result.residuals, strict=True))
-        ]
-        rows(f"{deck}: {len(body)} modes", ("#", "f [Hz]", "residual"), body)
-        out.print(result.proof)
+        _print_modes(deck, result, damped)
     unproved = bool(np.isnan(result.residuals).all())  # a program that hands back no matrices, and may count nothing
     return 0 if result.complete or unproved else 1
+
+
+def _complex(analysis: Analysis) -> Callable[[ModesRequest], ModesResult]:
+    """How the embedded analysis of a model with damping solves for complex modes."""
+    if not (isinstance(analysis, EmbeddedAnalysis) and analysis.has_damping):
+        raise ConfigError("--complex: the deck has no damping; it is that of dashpots, GE, PARAM G, ALPHA1 and ALPHA2")
+    return partial(analysis.damped_modes, problem="full")
+
+
+def _print_modes(deck: Path, result: ModesResult, damped: bool) -> None:
+    """A line a mode, of complex ones with the damping ratio."""
+    made = zip(result.modes.frequencies, result.modes.damping, result.residuals, strict=True)
+    body = [
+        (i + 1, f"{f:.5g}", *([f"{100 * z:.4g}"] if damped else []), "-" if np.isnan(r) else f"{r:.1e}")
+        for i, (f, z, r) in enumerate(made)
+    ]
+    heads = ("#", "f [Hz]", *(["damping [%]"] if damped else []), "residual")
+    rows(f"{deck}: {len(body)} {'complex ' if damped else ''}modes", heads, body)
+    out.print(result.proof)
+    if damped:
+        out.print("motions that do not oscillate, rigid-body ones among them, are not listed")
 
 
 def check(deck: Deck, json: Json = None) -> int:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ringtrue.model.model import Model
-from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
+from ringtrue.model.ports import ModesRequest, ModesResult
 
 _LIMITS = {"EIGRL": ("V1", "V2"), "EIGR": ("F1", "F2")}
 # of EIGR: their F1 and F2 count only where ND is blank (MSC Nastran Quick Reference Guide, EIGR)
@@ -23,13 +24,13 @@ class AskedModes:
     high: float
     count: int
 
-    def of(self, analysis: Analysis) -> ModesResult:
-        """The modes of an analysis; it is asked for more until they are enough or pass the upper limit."""
+    def of(self, solve: Callable[[ModesRequest], ModesResult]) -> ModesResult:
+        """The modes of a solution; it is asked for more until they are enough or pass the upper limit."""
         if not self.count:
-            return analysis.modes(ModesRequest(band=(max(self.low, -1.0), self.high)))
+            return solve(ModesRequest(band=(max(self.low, -1.0), self.high)))
         wanted = min(self.count, FIRST) if np.isfinite(self.high) else self.count
         while True:
-            found = analysis.modes(ModesRequest(wanted))
+            found = solve(ModesRequest(wanted))
             f = found.modes.frequencies
             at = np.flatnonzero((f >= self.low) & (f <= self.high))[: self.count]
             if at.size == self.count or (f > self.high).any() or f.size < wanted:
