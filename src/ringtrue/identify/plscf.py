@@ -103,7 +103,8 @@ def _factor(h: Complex, place: Float, n: int) -> Float:
     normal = big_t - v.T @ v
     flip = np.arange(size).reshape(n + 1, m)[::-1].ravel()
     normal = normal[np.ix_(flip, flip)]
-    ridge = 1e-13 * np.trace(normal) / size  # exact data make the matrix singular
+    # exact data make the matrix singular, or less than the rounding of what it is the difference of
+    ridge = max(1e-13 * np.trace(normal), 1e-15 * np.trace(big_t)) / size
     return np.asarray(cholesky(normal + ridge * np.eye(size), lower=True))
 
 
