@@ -20,7 +20,7 @@ from ringtrue.eigen import damped
 from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
 from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.eigen.engines import Method
-from ringtrue.eigen.factor import Pencil
+from ringtrue.eigen.factor import RESIDUAL_LIMIT, Pencil
 from ringtrue.eigen.problem import EigenModes, eigenvalue
 from ringtrue.eigen.residual import residual_vectors
 from ringtrue.eigen.solve import solve_modes
@@ -36,6 +36,7 @@ from ringtrue.model.ports import ModesRequest, ModesResult
 STILL = 12  # modes that do not oscillate, for which the basis of complex modes is widened
 LOCAL = 200  # DOFs with dashpots, up to which each gets a residual vector
 ROUNDING = 1e-12  # of a row of the damping: less than that is no dashpot beside Rayleigh damping
+NOT_HELD = "no displacements balance the loads: the model is not held against rigid-body motion (SPC, springs)"
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 
 
@@ -138,12 +139,17 @@ class EmbeddedAnalysis:
         Raises
         ------
         SingularModel
-            If the model is not held.
+            If the model is not held: no displacements balance the loads.
         """
         if self.spins:
             raise SingularModel(list(self.spins.labels()), "a motion has neither stiffness nor mass (a mechanism)")
         loads = np.asarray(loads, dtype=np.float64).reshape(len(self.dofs), -1)
-        return np.asarray(self.system.transform @ self.pencil.at(0.0).solve(self.system.transform.T @ loads))
+        loads = self.system.transform.T @ loads
+        moved = self.pencil.at(0.0).solve(loads)
+        rest = np.abs(self.system.stiffness @ moved - loads).max(axis=0, initial=0.0)
+        if not (rest <= RESIDUAL_LIMIT * np.abs(loads).max(axis=0, initial=0.0)).all():
+            raise SingularModel(self._labels(np.argsort(-np.abs(moved).max(axis=1))[:6]), NOT_HELD)
+        return np.asarray(self.system.transform @ moved)
 
     @property
     def has_damping(self) -> bool:

@@ -24,13 +24,12 @@ from ringtrue.cli.identify import (
     check_band,
     check_method,
     choice_of,
-    file_target,
     kept_channels,
     told,
     write_pages,
 )
 from ringtrue.cli.levels import check_levels, levels_json, print_levels
-from ringtrue.cli.show import progress, tell, write_json
+from ringtrue.cli.show import file_target, progress, tell, write_json
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about
@@ -145,8 +144,8 @@ def ema(
         typer.Option(
             "--write-frfs",
             metavar="FILE",
-            help="Write the FRFs with their coherence (.h5, .uff).",
-            callback=file_target("--write-frfs", ".h5", ".uff"),
+            help="Write the FRFs with their coherence (.h5, .uff, .csv).",
+            callback=file_target("--write-frfs", ".h5", ".uff", ".csv"),
         ),
     ] = None,
     json: Json = None,

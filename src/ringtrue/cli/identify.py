@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.show import json_target, progress, rows, tell, write_json
+from ringtrue.cli.show import file_target, json_target, progress, rows, tell, write_json
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
@@ -32,19 +32,6 @@ from ringtrue.signal.faults import find_faults
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import without_machines
 from ringtrue.signal.preprocess import harmonics
-
-
-def file_target(option: str, *endings: str) -> object:
-    """A check of a file to write: its folder is there and its ending allowed, before any work is done."""
-
-    def check(value: Path | None) -> Path | None:
-        if value is not None and not value.parent.is_dir():
-            raise ConfigError(f"{option} {value}: no folder {value.parent}")
-        if value is not None and value.suffix.lower() not in endings:
-            raise ConfigError(f"{option} {value}: format {value.suffix!r}{did_you_mean(value.suffix, endings)}")
-        return value
-
-    return check
 
 
 class AmbientMethod(StrEnum):

@@ -25,6 +25,8 @@ COMMANDS = {  # where each stands; in the order of the help
     "report": ("study", "report"),
     "modes": ("model", "modes"),
     "check": ("model", "check"),
+    "frf": ("respond", "frf"),
+    "static": ("respond", "static"),
     "plan": ("plan", "plan"),
     "oma": ("identify", "oma"),
     "ema": ("ema", "ema"),

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
 
+from ringtrue.checks.units import UNIT_SYSTEMS
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
@@ -85,6 +86,19 @@ def json_target(value: str | None) -> str | None:
     return value
 
 
+def file_target(option: str, *endings: str) -> object:
+    """A check of a file to write: its folder is there and its ending allowed, before any work is done."""
+
+    def check(value: Path | None) -> Path | None:
+        if value is not None and not value.parent.is_dir():
+            raise ConfigError(f"{option} {value}: no folder {value.parent}")
+        if value is not None and value.suffix.lower() not in endings:
+            raise ConfigError(f"{option} {value}: format {value.suffix!r}{did_you_mean(value.suffix, endings)}")
+        return value
+
+    return check
+
+
 @contextmanager
 def json_file(target: str) -> Iterator[TextIO]:
     """What `--json` names, written whole or not at all; `-` is standard output."""
@@ -100,6 +114,14 @@ def write_json(value: Any, target: str) -> None:
     text = json.dumps(value, indent=1, allow_nan=False) + "\n"
     with json_file(target) as file:
         file.write(text)
+
+
+def unit_mass(units: str) -> float:
+    """Kilograms a unit of mass of the system that `--units` names, of those with seconds."""
+    if units not in (named := [u for u in UNIT_SYSTEMS if not u.endswith("-ms")]):
+        raise ConfigError(f"--units {units}{did_you_mean(units, named)}")
+    one = UNIT_SYSTEMS[units]
+    return one.density * one.length**3
 
 
 def unit_length(units: str) -> float:

@@ -12,7 +12,9 @@ SI_UNIT: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration
 FRF_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 POWER: dict[str, int] = {FRF_KIND[motion]: n for motion, n in DERIVATIVE.items()}  # of s, over the receptance
 
+BASE = "base "  # how the name of a base begins
+
 
 def base_motion(name: str) -> Channel:
     """The input of transmissibilities, the motion of a base; by its name no response is its driving point."""
-    return Channel(f"base {name}", "acceleration", SI_UNIT["acceleration"])
+    return Channel(BASE + name, "acceleration", SI_UNIT["acceleration"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import FRF_KIND, SI_UNIT, base_motion
+from ringtrue.core.motions import BASE, FRF_KIND, SI_UNIT, base_motion
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError
+from ringtrue.io.atomic import atomic_write
 from ringtrue.io.delimited import read_columns
 from ringtrue.io.si import known, to_si
 
@@ -100,6 +102,24 @@ def read_frf_table(path: Path) -> FrfSet:
         FRF_KIND[kind],
         source=str(path),
     )
+
+
+def write_frf_table(path: Path, frfs: FrfSet) -> None:
+    """Write FRFs as CSV that `read_frf_table` reads: real and imaginary parts, 9 digits, coherence where known."""
+    head, columns = ["Frequency [Hz]"], [frfs.freqs]
+    for j, force in enumerate(frfs.inputs):
+        based = force.quantity != "force"
+        for i, c in enumerate(frfs.outputs):
+            pair = f"{c.id}/{force.id.removeprefix(BASE) if based else force.id}"
+            unit = "g/g" if based else f"{c.unit}/N"  # of one motion over the other
+            head += [f"{pair} real [{unit}]", f"{pair} imag [{unit}]"]
+            columns += [frfs.data[:, i, j].real, frfs.data[:, i, j].imag]
+            if np.isfinite(frfs.coherence[:, i, j]).all():
+                head.append(f"{pair} coherence")
+                columns.append(frfs.coherence[:, i, j])
+    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(head)
+        np.savetxt(file, np.stack(columns, axis=1), fmt=["%.12g", *["%.9g"] * (len(columns) - 1)], delimiter=",")
 
 
 def _title(name: str) -> _Title | None:

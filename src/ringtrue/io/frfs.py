@@ -20,7 +20,7 @@ from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing
 from ringtrue.io.frf_arrays import holds_frf_arrays, read_frf_arrays
-from ringtrue.io.frf_tables import is_frf_table, read_frf_table
+from ringtrue.io.frf_tables import is_frf_table, read_frf_table, write_frf_table
 from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY
 from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions, write_frf_sets
 
@@ -119,13 +119,16 @@ def _own(path: Path) -> bool:
 
 
 def write_frfs(path: str | Path, frfs: FrfSet) -> None:
-    """Write FRFs as `.h5` (everything) or `.uff` (data sets 58: lines, coherence, points)."""
+    """Write FRFs as `.h5` (everything), `.uff` (data sets 58) or `.csv` (those two without the origin)."""
     path = Path(path)
+    if path.suffix.lower() == ".csv":
+        write_frf_table(path, frfs)
+        return
     if path.suffix.lower() in _UFF:
         write_frf_sets(path, frfs)
         return
     if path.suffix.lower() not in _HDF5:
-        raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, [*_HDF5, *_UFF])}")
+        raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, [*_HDF5, *_UFF, '.csv'])}")
     with atomic_write(path) as part, h5py.File(part, "w") as file:
         codec.save(file.create_group(GROUP), frfs)
 

@@ -1,0 +1,255 @@
+"""`frf` and `static`: how a deck answers to forces."""
+
+from __future__ import annotations
+
+from csv import writer
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
+from ringtrue.cli.ema import Motion
+from ringtrue.cli.model import Deck, Json
+from ringtrue.cli.show import err, file_target, progress, rows, unit_length, unit_mass, write_json
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.motions import FRF_KIND, SI_UNIT
+from ringtrue.core.progress import part
+from ringtrue.core.signals import Channel, FrfKind, FrfSet
+from ringtrue.errors import ConfigError
+from ringtrue.io.atomic import atomic_write
+from ringtrue.io.frfs import write_frfs
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.statics import COLUMNS
+from ringtrue.model.ports import ModesRequest
+from ringtrue.plots.responses import frf_page
+
+ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
+
+Units = Annotated[str, typer.Option(help="Of the deck: SI, mm-t-s, in-lbf-s, ft-lbf-s; what is written is in SI.")]
+
+
+def frf(
+    deck: Deck,
+    fmax: Annotated[float, typer.Option("--fmax", metavar="HZ", help="The highest line.")],
+    force: Annotated[
+        list[str], typer.Option("--force", metavar="POINT", help="Node and direction (3+Z) of a force; repeat it.")
+    ],
+    at: Annotated[
+        list[str] | None,
+        typer.Option("--at", metavar="POINT", help="Of a response; repeat it. If not given: where forces act."),
+    ] = None,
+    fmin: Annotated[
+        float | None, typer.Option("--fmin", metavar="HZ", help="The lowest line; if not given: one step above 0.")
+    ] = None,
+    lines: Annotated[int, typer.Option(help="Lines, in equal steps.", min=3)] = 800,
+    damping: Annotated[
+        float | None, typer.Option(metavar="RATIO", help="Of all modes (0.01), in place of the damping of the deck.")
+    ] = None,
+    quantity: Annotated[Motion, typer.Option(help="Of the responses.")] = Motion.ACCELERATION,
+    direct: Annotated[bool, typer.Option("--direct", help="Solve the full model at each line, without modes.")] = False,
+    units: Units = "SI",
+    target: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            help="Write the FRFs: .h5, .uff or .csv.",
+            callback=file_target("--out", ".h5", ".uff", ".csv"),
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            "--plot", metavar="FILE", help="Write the curves as a page.", callback=file_target("--plot", ".html")
+        ),
+    ] = None,
+    json: Json = None,
+) -> int:
+    """Frequency responses of a deck: its modes with residual vectors, or the full model line by line.
+
+    Directions are those of the basic frame. Without --damping the deck's own counts: dashpots, GE, PARAM G.
+
+    Example: ringtrue frf wing.bdf --force 101+Z --at 205+Z --fmax 200 --damping 0.01 --out frf.h5 --plot frf.html
+    """
+    lowest = fmax / lines if fmin is None else fmin
+    if not 0 <= lowest < fmax:
+        raise ConfigError(f"--fmin {lowest:g} --fmax {fmax:g}: must be 0 <= fmin < fmax")
+    if direct and damping is not None:
+        raise ConfigError("--direct has the damping of the deck; --damping is for modes")
+    if damping is not None and not 0 < damping < 1:
+        raise ConfigError(f"--damping {damping:g}: must be a ratio between 0 and 1, such as 0.01")
+    into, heard = translations("--force", force), translations("--at", at or force)
+    kilogram, freqs = unit_mass(units), np.linspace(lowest, fmax, lines)
+    with progress("frf") as show:
+        show(0.0, f"reading {deck}")
+        model = read_deck(deck)
+        with EmbeddedSolver(progress=part(show, 0.2, 1.0)).open(model) as analysis:
+            if damping is None and not analysis.has_damping:
+                raise ConfigError("the deck has no damping of its own (dashpots, GE, PARAM G): give --damping 0.01")
+            _warn_of_held(analysis, heard, into)
+            h = _responses(analysis, (heard, into), freqs, damping, FRF_KIND[quantity], direct) / kilogram
+    found = FrfSet(
+        h,
+        freqs,
+        tuple(Channel(c, quantity.value, SI_UNIT[quantity]) for c in heard.labels()),
+        tuple(Channel(c, "force", "N") for c in into.labels()),
+        kind=FRF_KIND[quantity],
+        source=str(deck),
+        sharp=True,
+    )
+    if target:
+        write_frfs(target, found)
+    if plot:
+        with atomic_write(plot) as path:
+            path.write_text(frf_page(str(deck), found), encoding="utf-8")
+    if json:
+        write_json(_frf_json(found), json)
+    if json != "-":
+        _print_frfs(deck, found)
+    return 0
+
+
+def translations(option: str, points: list[str]) -> DofSet:
+    """Points such as 101+Z as DOFs.
+
+    Raises
+    ------
+    InputError
+        If one is no DOF, or is given twice.
+    ConfigError
+        If one is a rotation or has no direction.
+    """
+    dofs = DofSet.parse(p for text in points for p in text.split(","))
+    turned = np.flatnonzero((np.abs(dofs.direction) > 3) | (dofs.direction == 0))
+    if turned.size:
+        raise ConfigError(f"{option} {dofs.labels()[turned[0]]}: must be a node and X, Y or Z, such as 101+Z")
+    return dofs
+
+
+def _responses(
+    analysis: EmbeddedAnalysis,
+    ends: tuple[DofSet, DofSet],
+    freqs: Float,
+    damping: float | None,
+    kind: FrfKind,
+    direct: bool,
+) -> Complex:
+    heard, into = ends
+    if direct:
+        return analysis.frf_direct(heard, into, freqs, kind=kind)
+    basis = ModesRequest(band=(0.0, ABOVE * float(freqs[-1])))
+    return analysis.frf(heard, into, freqs, basis, damping=damping, kind=kind)
+
+
+def _warn_of_held(analysis: EmbeddedAnalysis, *ends: DofSet) -> None:
+    free = np.diff(analysis.system.transform.indptr) > 0
+    held = [c for end in ends for c, ok in zip(end.labels(), free[analysis.dofs.align(end)[0]], strict=True) if not ok]
+    for c in dict.fromkeys(held):
+        err.print(f"warning: {c} is held: it does not move, and a force there moves nothing")
+
+
+def _print_frfs(deck: Path, found: FrfSet) -> None:
+    size = np.abs(found.data)
+    body = [
+        (c.id, f.id, f"{size[:, i, j].max():.4g}", f"{found.freqs[size[:, i, j].argmax()]:.5g}")
+        for j, f in enumerate(found.inputs)
+        for i, c in enumerate(found.outputs)
+    ]
+    heads = ("response", "force", f"largest [{found.outputs[0].unit}/N]", "at Hz")
+    rows(f"{deck}: {found.kind}, {found.freqs[0]:.4g} to {found.freqs[-1]:.4g} Hz", heads, body)
+
+
+def _frf_json(found: FrfSet) -> dict[str, object]:
+    return {
+        "kind": found.kind,
+        "unit": f"({found.outputs[0].unit})/N",
+        "frequencies_hz": found.freqs.tolist(),
+        "frfs": [
+            {"response": c.id, "force": f.id, "re": h.real.tolist(), "im": h.imag.tolist()}
+            for i, c in enumerate(found.outputs)
+            for j, f in enumerate(found.inputs)
+            for h in [found.data[:, i, j]]
+        ],
+    }
+
+
+def static(
+    deck: Deck,
+    force: Annotated[
+        list[str],
+        typer.Option("--force", metavar="POINT[=N]", help="A load case: 3+Z=250 is 250 N, 3+Z 1 N; repeat it."),
+    ],
+    at: Annotated[
+        list[str] | None,
+        typer.Option("--at", metavar="POINT", help="Of a deflection; repeat it. If not given: where forces act."),
+    ] = None,
+    units: Units = "SI",
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--csv",
+            metavar="FILE",
+            help="Write the table that a static test of a study has.",
+            callback=file_target("--csv", ".csv"),
+        ),
+    ] = None,
+    json: Json = None,
+) -> int:
+    """Deflections of a deck under single forces, each a load case of its own.
+
+    Directions are those of the basic frame. The loads of the deck itself are not read.
+
+    Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
+    """
+    points, newtons = zip(*(_load(text) for text in force), strict=True)
+    into, heard = translations("--force", list(points)), translations("--at", at or list(points))
+    metres = unit_length(units)
+    loads = np.asarray(newtons) / (unit_mass(units) * metres)
+    with progress("static") as show:
+        show(0.0, f"reading {deck}")
+        model = read_deck(deck)
+        show(0.3, "solving")
+        with EmbeddedSolver().open(model) as analysis:
+            _warn_of_held(analysis, heard, into)
+            row, sign = analysis.dofs.align(into)
+            acting = np.zeros((len(analysis.dofs), len(into)))
+            acting[row, np.arange(len(into))] = sign * loads
+            row, sign = analysis.dofs.align(heard)
+            deflections = analysis.static(acting)[row] * sign[:, None] * metres
+    cases = list(zip(into.labels(), newtons, deflections.T.tolist(), strict=True))
+    if table:
+        _write_static(table, cases, heard.labels())
+    if json:
+        named = [{"force": c, "newton": n, "metre": dict(zip(heard.labels(), u, strict=True))} for c, n, u in cases]
+        write_json({"deck": str(deck), "cases": named}, json)
+    if json != "-":
+        body = [(c, f"{n:g}", p, f"{x:.6g}") for c, n, u in cases for p, x in zip(heard.labels(), u, strict=True)]
+        rows(f"{deck}: {len(cases)} load cases", ("force", "N", "at", "deflection [m]"), body)
+    return 0
+
+
+def _load(text: str) -> tuple[str, float]:
+    """Point and force, N, of `3+Z=250` or `3+Z`."""
+    point, given, value = text.partition("=")
+    try:
+        size = float(value) if given else 1.0
+    except ValueError:
+        size = 0.0
+    if not (np.isfinite(size) and size):
+        raise ConfigError(f"--force {text}: the form is 101+Z or 101+Z=250, with a force in N")
+    return point, size
+
+
+def _write_static(path: Path, cases: list[tuple[str, float, list[float]]], heard: tuple[str, ...]) -> None:
+    """A row a case and channel, as `io.statics.read_statics` reads them."""
+    with atomic_write(path) as part_, part_.open("w", newline="", encoding="utf-8") as file:
+        sheet = writer(file)
+        sheet.writerow(COLUMNS)
+        for point, newton, deflections in cases:
+            if point not in heard:
+                sheet.writerow((point, point, f"{newton:.9g}", ""))
+            for channel, deflection in zip(heard, deflections, strict=True):
+                sheet.writerow((point, channel, f"{newton:.9g}" if channel == point else "", f"{deflection:.9g}"))

@@ -1,0 +1,132 @@
+"""`frf` and `static`: two masses of which all is known.
+
+2 kg at node 5 hang on 800 N/m with a loss factor of 0.04 along X, 1 kg at node 6 on 100 N/m with 0.4 N s/m. Node 7 is
+held, 8 and 9 are joined to each other only.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ringtrue.cli.main import run
+from ringtrue.io.frfs import read_frfs, write_frfs
+from ringtrue.io.statics import read_statics
+
+Capture = pytest.CaptureFixture[str]
+MM_T_S = {"m": 1e-3, "k": 1e-3}  # tonnes and N/mm
+
+
+def written(path: Path, *, m: float = 1.0, k: float = 1.0, damped: bool = True) -> Path:
+    loss, dashpot = (",,,0.04", f"CDAMP2,3,{0.4 * k!r},6,1\n") if damped else ("", "")
+    path.write_text(
+        "BEGIN BULK\nGRID,5,,,,,,23456\nGRID,6,,10.,,,,23456\nGRID,7,,20.,,,,123456\n"
+        "GRID,8,,30.,,,,23456\nGRID,9,,40.,,,,23456\n"
+        f"CELAS2,1,{800 * k!r},5,1{loss}\nCELAS2,2,{100 * k!r},6,1\n{dashpot}"
+        f"CONM2,11,5,,{2 * m!r}\nCONM2,12,6,,{m!r}\nCELAS2,4,{k!r},8,1,9,1\nCONM2,13,8,,{m!r}\n"
+    )
+    return path
+
+
+def accelerance(f: Any) -> Any:
+    """Of both masses, (line, 2)."""
+    w = 2 * np.pi * f
+    first, second = 800 * (1 + 0.04j) - 2 * w**2, 100 + 0.4j * w - w**2
+    return np.stack([-(w**2) / first, -(w**2) / second], axis=1)
+
+
+@pytest.mark.parametrize("more", [(), ("--direct",)])
+@pytest.mark.parametrize(("units", "scale"), [("SI", {}), ("mm-t-s", MM_T_S)])
+def test_frfs_are_the_closed_form_in_si(
+    tmp_path: Path, units: str, scale: dict[str, float], more: tuple[str, ...]
+) -> None:
+    deck, target = written(tmp_path / "d.bdf", **scale), tmp_path / "f.h5"
+    words = ["frf", str(deck), "--force", "5+X", "--force", "6-X", "--at", "5+X,6+X", "--fmin", "0.5", "--fmax", "5"]
+    assert run([*words, "--units", units, "--out", str(target), *more]) == 0
+    found = read_frfs(target)
+    want = accelerance(found.freqs)
+    assert found.freqs[[0, -1]].tolist() == [0.5, 5.0]
+    np.testing.assert_allclose(found.data[:, 0, 0], want[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(found.data[:, 1, 1], -want[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(found.data[:, 0, 1], 0, atol=1e-9)
+    assert found.sharp
+
+
+def test_a_ratio_stands_in_place_of_the_damping_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
+    deck = written(tmp_path / "d.bdf", damped=False)
+    words = ["frf", str(deck), "--force", "5+X", "--fmax", "5", "--quantity", "displacement"]
+    assert run(words) == 2
+    assert "give --damping" in capsys.readouterr().err
+    assert run([*words, "--damping", "0.03", "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    w = 2 * np.pi * np.array(found["frequencies_hz"])
+    (one,) = found["frfs"]
+    want = 1 / (800 - 2 * w**2 + 2j * 0.03 * 20 * 2 * w)
+    np.testing.assert_allclose(np.array(one["re"]) + 1j * np.array(one["im"]), want, rtol=1e-6)
+    assert (one["response"], one["force"], found["unit"]) == ("5+X", "5+X", "(m)/N")
+
+
+@pytest.mark.parametrize("ending", ["uff", "csv", "h5"])
+def test_frfs_are_written_so_that_modes_are_found_in_them(tmp_path: Path, ending: str, capsys: Capture) -> None:
+    deck, target, page = written(tmp_path / "d.bdf"), tmp_path / f"f.{ending}", tmp_path / "f.html"
+    words = ["frf", str(deck), "--force", "5+X", "--fmax", "5", "--out", str(target), "--plot", str(page)]
+    assert run(words) == 0
+    found = read_frfs(target)
+    np.testing.assert_allclose(found.data[:, 0, 0], accelerance(found.freqs)[:, 0], rtol=1e-6)
+    capsys.readouterr()
+    assert run(["ema", str(target), "--json", "-"]) == 0
+    modes = json.loads(capsys.readouterr().out)["modes"]
+    assert [m["frequency_hz"] for m in modes] == pytest.approx([20 / 2 / np.pi], rel=1e-3)
+    assert [m["damping"] for m in modes] == pytest.approx([0.02], rel=1e-2)
+    assert "Force at 5+X" in page.read_text("utf-8")
+
+
+def test_tables_keep_coherence_and_transmissibilities(tmp_path: Path) -> None:
+    table = tmp_path / "t.csv"
+    cells = "1,2.5,-0.5,0.9\n2,3.5,-1.5,0.8\n3,1.5,-2.5,0.7\n"
+    table.write_text(f"Frequency [Hz],1+Z/9+Z real [g/g],1+Z/9+Z imag [g/g],1+Z/9+Z coherence\n{cells}")
+    read = read_frfs(table)
+    write_frfs(tmp_path / "u.csv", read)
+    again = read_frfs(tmp_path / "u.csv")
+    np.testing.assert_allclose(again.data, read.data)
+    np.testing.assert_allclose(again.coherence, read.coherence)
+    assert again.inputs == read.inputs
+
+
+@pytest.mark.parametrize(("units", "scale"), [("SI", {}), ("mm-t-s", MM_T_S)])
+def test_static_deflections_are_force_over_stiffness(tmp_path: Path, units: str, scale: dict[str, float]) -> None:
+    deck, table = written(tmp_path / "d.bdf", **scale), tmp_path / "s.csv"
+    deck.write_text(deck.read_text() + "CELAS2,9,1.0,8,1\n")
+    words = ["static", str(deck), "--force", "5+X=4", "--force", "6-X", "--at", "5-X", "--at", "6+X"]
+    assert run([*words, "--units", units, "--csv", str(table)]) == 0
+    tests = read_statics(table)
+    assert (tests.cases, tests.channels) == (("5+X", "6-X"), ("5+X", "5-X", "6+X", "6-X"))
+    np.testing.assert_allclose(tests.deflections[1], [-4 / 800, 0], atol=1e-12)
+    np.testing.assert_allclose(tests.deflections[2], [0, -1 / 100], atol=1e-12)
+    assert tests.loads[0, 0] == 4.0
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "told"),
+    [
+        (("frf", "--force", "5+RX", "--fmax", "5"), 2, "must be a node and X, Y or Z"),
+        (("frf", "--force", "5+X", "--fmax", "5", "--fmin", "6"), 2, "0 <= fmin < fmax"),
+        (("frf", "--force", "5+X", "--fmax", "5", "--direct", "--damping", "0.1"), 2, "--damping is for modes"),
+        (("frf", "--force", "5+X", "--fmax", "5", "--damping", "2"), 2, "between 0 and 1"),
+        (("frf", "--force", "55+X", "--fmax", "5"), 2, "55+X"),
+        (("frf", "--force", "5+X", "--fmax", "5", "--units", "mm-kg-ms"), 2, "did you mean"),
+        (("frf", "--force", "7+X", "--fmax", "5"), 0, "warning: 7+X is held"),
+        (("static", "--force", "5+X=much"), 2, "the form is"),
+        (("static", "--force", "8+X"), 1, "singular"),
+    ],
+)
+def test_what_cannot_be_is_told(
+    tmp_path: Path, words: tuple[str, ...], status: int, told: str, capsys: Capture
+) -> None:
+    deck = written(tmp_path / "d.bdf")
+    assert run([words[0], str(deck), *words[1:]]) == status
+    assert told in capsys.readouterr().err
