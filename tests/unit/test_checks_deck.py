@@ -59,6 +59,10 @@ def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
         ("MAT2,2,1.,2.,,1.,,1.\n", "error", 8, "MAT2 2: its elasticity matrix has a negative"),
         ("GRID,9,,.51,.51,0.\nCQUAD4,2,1,1,2,9,4\n", "warning", 9, "CQUAD4 2: has corner Jacobians"),
         ("GRID,9,,.1,0.,0.\nCTRIA6,2,1,1,2,3,9\n", "error", 9, "CTRIA6 2: has a mid-side node outside"),
+        ("CTRIA3,1,1,1,2,3\n", "warning", 8, "CTRIA3 1: CQUAD4 has the same number"),
+        ("SNORM,1,,0.,0.,1.\n", "info", 0, "SNORM: kept, not applied"),
+        ("DESVAR,1,T,2.\n", "info", 0, "DESVAR: kept, not applied"),
+        ("MDLPRM,OFFDEF,NOMASS\n", "info", 0, "MDLPRM: kept, not applied"),
         ("CTRIA3,2,1,1,2,3\n", "info", 0, "2 shell edges between elements of opposite normals, at nodes 1 2 3"),
     ],
 )  # fmt: skip

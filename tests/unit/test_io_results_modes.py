@@ -131,7 +131,7 @@ def write_h5(path: Path) -> np.ndarray:
     return motion
 
 
-WRITERS = {"m.op2": write_op2, "m.f06": write_f06, "m.pch": write_punch, "m.h5": write_h5}
+WRITERS = {"m.op2": write_op2, "m.f06": write_f06, "m.out": write_f06, "m.pch": write_punch, "m.h5": write_h5}
 
 
 @pytest.mark.parametrize("name", WRITERS)

@@ -233,6 +233,8 @@ UNIT = 50 / np.pi
         (f"EIGR,7,SINV,0.,{8.5 * UNIT},,4\n+,MAX", [1, 2, 3, 4]),
         (f"EIGR,7,MGIV,0.,{0.1 * UNIT},,3\n+,MAX", [1, 2, 3]),  # their range counts where ND is blank
         (f"EIGR,7,HOU,0.,{2.5 * UNIT}", [1, 2]),
+        (f"EIGRA,7,{1.5 * UNIT},{5.5 * UNIT}", [2, 3, 4, 5]),
+        ("EIGRA,7,,,3", [1, 2, 3]),
         ("EIGRL,7", None),
         ("EIGRL,8,,,3", None),
     ],

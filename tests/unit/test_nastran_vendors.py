@@ -195,12 +195,17 @@ DECKS = {
     "large and small": small((BAR + b"\n", MIXED)),
     "continued by +": PLAIN.replace(BAR, BAR + b"                    +\n+       0.      0."),
     "continued by blanks": PLAIN.replace(BAR, BAR + b"\n        0.      0."),
+    "continued by +, indented": PLAIN.replace(BAR, BAR + b"                     +P1\n +P1    0.      0."),
+    "continued elsewhere, indented": small(
+        (BAR, BAR + b"                    +P1"), (b"ENDDATA", b" +P1    0.\nENDDATA")
+    ),
     "free, then fixed": PLAIN.replace(BAR, b"PBAR,1,1,.01,1.-5,2.-5,1.-5\n+       0.      0."),
     "fixed, then free": PLAIN.replace(BAR, BAR + b"\n,0.,0."),
     "comments before the continuation": PLAIN.replace(BAR, BAR + b"\n$ and\n\n        0.      0."),
     "continued elsewhere": small((BAR, BAR + b"                    +P1"), (b"ENDDATA", b"+P1     0.\nENDDATA")),
     "quotes and sets": PLAIN.replace(b"CEND", b"CEND\nTITLE='a = b, SPC=7'\nSET 1 = 1 THRU 5,\n 7, 9\nDISP=1"),
     "subcases": PLAIN.replace(b"  SPC = 1", b"  SPC = 9\nSUBCASE 1\n  spc=1 $ c\n  ANALYSIS=MODES\nSUBCASE 2\n  SPC=3"),
+    "a slip in BEGIN BULK": small((b"BEGIN BULK", b"BEGING BULK")),
     "other sections": b"ASSIGN OUTPUT2='a.op2',UNIT=12\n" + small((b"BEGIN BULK", b"begin   bulk  $ x")),
 }  # fmt: skip
 

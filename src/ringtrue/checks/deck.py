@@ -20,6 +20,7 @@ from ringtrue.checks.unapplied import unapplied
 from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
 from ringtrue.io.nastran.constraint_sets import empty_choices
+from ringtrue.model.cards import columns
 from ringtrue.model.choices import CONSTRAINTS, idle
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged
@@ -67,7 +68,7 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
         If the unit system is not known.
     """
     lost = list(_missing(model))
-    checks = [*lost, *_unconnected(model)]
+    checks = [*lost, *_unconnected(model), *_shared_numbers(model)]
     if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
         checks += [*check_geometry(model), *_coincident(model), *check_units(model, units), *hinge_findings(model)]
     checks += [*_unused(model), *_unchosen(model), *_lost_sets(model), *unapplied(model)]
@@ -101,6 +102,16 @@ def _unconnected(model: Model) -> list[Finding]:
         return [Finding("error", "the deck has no GRID")]
     rows = np.flatnonzero(~np.isin(model["GRID"].ids, _used_nodes(model)))
     return [at_rows(model, "GRID", rows, "warning", "no element is connected to it")] if rows.size else []
+
+
+def _shared_numbers(model: Model) -> Iterator[Finding]:
+    """Elements whose number one of another card has, too."""
+    cards = sorted(c for c, t in model.tables.items() if len(t) and columns(c)[0].name == "EID")
+    for i, card in enumerate(cards):
+        for other in cards[:i]:
+            if (rows := np.flatnonzero(np.isin(model[card].ids, model[other].ids))).size:
+                text = f"{other} has the same number; Nastran wants numbers of elements to be unique"
+                yield at_rows(model, card, rows, "warning", text)
 
 
 def _groups(model: Model) -> Iterator[tuple[Int, Int]]:

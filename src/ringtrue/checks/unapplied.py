@@ -21,6 +21,12 @@ _KEPT = (  # cards that are kept and what becomes of them
         "kept, not applied: the modes are those at rest, without gyroscopic terms",
     ),
     (("CYAX", "CYJOIN", "CYSYM"), _SEGMENT),
+    (
+        ("SNORM",),
+        "kept, not applied: normals of shells are the mean of the elements around a node, as PARAM,SNORM has it",
+    ),
+    (("MDLPRM",), "kept, not applied: offsets are rigid arms, and mass moves with them"),
+    (("DESVAR",), "kept, not applied: the fields of the cards count as they stand, not the start XINIT"),
     (("TF",), "kept, not applied: transfer functions act in the solutions of responses only"),
 )
 RECTANGULAR = 9  # form of DMIG that are loads

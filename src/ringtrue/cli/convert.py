@@ -21,7 +21,7 @@ _TRANSLATIONS_ONLY = (".uff", ".unv", ".55")
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(help="Modes: .op2 .f06 .pch .h5 of a solver, or .json .h5 .uff.")],
+    source: Annotated[Path, typer.Argument(help="Modes: .op2 .f06 (.out) .pch .h5 of a solver, or .json .h5 .uff.")],
     target: Annotated[Path, typer.Argument(help="What to write: .h5 .json .uff.")],
     deck: Annotated[
         Path | None, typer.Option(help="The deck of the run: turns displacement frames (CD) to the basic frame.")

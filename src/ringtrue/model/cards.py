@@ -92,6 +92,7 @@ SPCADD  SID *S
 MPCADD  SID *S
 NSMADD  SID *S
 EIGRL   SID V1:f=nan V2:f=nan ND MSGLVL MAXSET SHFSCL:f NORM:s _ _ _ _ _ _ _ _
+EIGRA   SID V1:f=nan V2:f=nan ND MSGLVL AMPFFACT:f SHFSCL:f NORM:s
 EIGR    SID METHOD:s F1:f=nan F2:f=nan NE ND _ _ NORM:s G C
 """
 

@@ -1,4 +1,4 @@
-"""What the deck itself asks for: the EIGRL or EIGR that case control names."""
+"""What the deck itself asks for: the EIGRL, EIGRA (OptiStruct) or EIGR that case control names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
-_LIMITS = {"EIGRL": ("V1", "V2"), "EIGR": ("F1", "F2")}
+METHODS = {"EIGRL": ("V1", "V2"), "EIGRA": ("V1", "V2"), "EIGR": ("F1", "F2")}  # and their limits, Hz
 # of EIGR: their F1 and F2 count only where ND is blank (MSC Nastran Quick Reference Guide, EIGR)
 _BY_COUNT = frozenset(("GIV", "MGIV", "AGIV", "HOU", "MHOU", "AHOU"))
 FIRST = 40  # modes asked for at first where a deck limits both their number and their frequency
@@ -41,14 +41,14 @@ class AskedModes:
 
 def asked_modes(model: Model) -> AskedModes | None:
     """By the method that case control names, or the only one of a deck that names none; None where none asks."""
-    rows = [(card, i) for card in _LIMITS if card in model for i in range(len(model[card]))]
+    rows = [(card, i) for card in METHODS if card in model for i in range(len(model[card]))]
     if model.case.method:
         rows = [(card, i) for card, i in rows if model[card].ids[i] == model.case.method]
     if len(rows) != 1:
         return None
     card, i = rows[0]
     table = model[card]
-    low, high = (float(table[name][i]) for name in _LIMITS[card])
+    low, high = (float(table[name][i]) for name in METHODS[card])
     if card == "EIGR" and table["ND"][i] > 0 and str(table["METHOD"][i]).upper() in _BY_COUNT:
         low, high = np.nan, np.nan
     asked = AskedModes(low if low > 0 else -np.inf, np.inf if np.isnan(high) else high, int(table["ND"][i]))

@@ -14,10 +14,11 @@ from ringtrue.io.nastran.bulk_special import SPECIAL
 from ringtrue.io.nastran.writer import format_card, format_real
 from ringtrue.model.cards import CARDS, FieldSpec, columns
 from ringtrue.model.dimensions import MADE
+from ringtrue.model.method import METHODS
 from ringtrue.model.model import Model, Table
 
 TOO_LONG = 10**8  # an id of more than eight characters
-NOT_MODEL = frozenset(("EIGRL", "EIGR"))  # the caller's choice, not the model's
+NOT_MODEL = frozenset(METHODS)  # the caller's choice, not the model's
 Text = NDArray[np.str_]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ringtrue.errors import DeckError
 from ringtrue.model.choices import CONSTRAINTS
+from ringtrue.model.method import METHODS
 from ringtrue.model.model import CaseControl, Model, Table
 
 
@@ -56,7 +57,7 @@ def empty_choices(model: Model) -> list[str]:
     """What case control chooses and the deck has none of: the structure is free of it, its modes are not limited."""
     chosen = {kind: int(getattr(model.case, kind.lower())) for kind in CONSTRAINTS}
     out = [f"{kind} = {n}: the deck has no {kind}" for kind, n in chosen.items() if n and not sets(model.tables, kind)]
-    methods = [i for card in ("EIGRL", "EIGR") if card in model for i in model[card].ids.tolist()]
+    methods = [i for card in METHODS if card in model for i in model[card].ids.tolist()]
     if model.case.method not in (0, *methods) and "EIGB" not in model.kept:
         out.append(f"METHOD = {model.case.method}: the deck has no EIGRL or EIGR of that number")
     return out

@@ -16,7 +16,7 @@ from ringtrue.errors import DeckError
 
 log = logging.getLogger(__name__)
 _INCLUDE = re.compile(rb"(?i)[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?")
-_BEGIN = re.compile(rb"(?i)[ \t]*BEGIN\b[^\r\n$]*")
+_BEGIN = re.compile(rb"(?i)[ \t]*BEGIN\w*[^\r\n$]*")
 _CEND = re.compile(rb"(?i)[ \t]*CEND\b")
 WIDTH = 80
 

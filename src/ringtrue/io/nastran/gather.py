@@ -159,6 +159,10 @@ def cards(deck: Deck) -> Cards:
     first = np.ascontiguousarray(text[:, :8])
     blank = first.view(np.uint64)[:, 0] == _BLANKS
     follows = blank | (first[:, 0] == 43) | (first[:, 0] == 42)
+    indented = np.flatnonzero((first[:, 0] == 32) & ~blank)  # column 1 may be blank before the name, too
+    if indented.size:
+        begins = np.strings.lstrip(first[indented].view("S8")[:, 0]).astype("S1")
+        follows[indented] = (begins == b"+") | (begins == b"*")
     star = (first == 42).any(axis=1)
     field_1: Names = first.view("S8")[:, 0]
     style = (star + 2 * free).astype(np.int8)

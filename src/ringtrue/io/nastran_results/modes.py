@@ -11,18 +11,20 @@ from ringtrue.io.nastran_results.hdf5 import read_nastran_h5
 from ringtrue.io.nastran_results.op2 import read_op2
 from ringtrue.io.nastran_results.punch import read_punch
 from ringtrue.io.nastran_results.recorded import RecordedModes, to_mode_set
+from ringtrue.model.method import METHODS
 from ringtrue.model.model import Model
 
 READERS = {
     ".op2": read_op2,
     ".f06": read_f06,
+    ".out": read_f06,  # of Autodesk Nastran and others
     ".pch": read_punch,
     ".h5": read_nastran_h5,
 }
 
 
 def read_recorded(path: str | Path) -> RecordedModes:
-    """Modes as the file gives them, by its ending: .op2, .f06, .pch or .h5.
+    """Modes as the file gives them, by its ending: .op2, .f06 (.out), .pch or .h5.
 
     Raises
     ------
@@ -42,7 +44,7 @@ def read_nastran_modes(path: str | Path, model: Model | None = None, *, mass_nor
     Parameters
     ----------
     path : path
-        .op2, .f06, .pch or .h5 (of MSC Nastran).
+        .op2, .f06 (.out), .pch or .h5 (of MSC Nastran).
     model : Model, optional
         The deck of the run: turns shapes from the displacement frames (CD) and knows how they were scaled.
     mass_normalised : bool
@@ -62,8 +64,8 @@ def read_nastran_modes(path: str | Path, model: Model | None = None, *, mass_nor
 
 
 def asks_for_unit_mass(model: Model) -> bool:
-    """Whether the deck's EIGRL or EIGR scales the shapes to unit modal mass, as it does if it says nothing."""
-    tables = [model[card] for card in ("EIGRL", "EIGR") if card in model]
+    """Whether the deck's EIGRL, EIGRA or EIGR scales the shapes to unit modal mass, as it does if it says nothing."""
+    tables = [model[card] for card in METHODS if card in model]
     named = [t["NORM"][(t["SID"] == model.case.method) | (model.case.method == 0)].tolist() for t in tables]
     chosen = [str(n).upper() for names in named for n in names]
     return bool(chosen) and all(n in ("", "MASS") for n in chosen)
