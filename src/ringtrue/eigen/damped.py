@@ -105,10 +105,10 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) ->
     need = REACH * upper
     n, count = 2 * system.size, max(2 * expected, 4) + 8
     for _ in range(ROUNDS):
-        count = min(count, n - 2)
+        count = min(count, n)
         s, shapes = _nearest(system, shift, upper, count)
         radius = float(np.abs(s - shift).max(initial=0.0))
-        if radius >= need or count == n - 2:
+        if radius >= need or count == n:
             break
         count *= 2
     else:
@@ -120,7 +120,7 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) ->
 
 
 def _nearest(system: DynamicStiffness, shift: complex, scale: float, count: int) -> tuple[Complex, Complex]:
-    """The `count` poles nearest to the shift, and their shapes (f, count).
+    """The `count` poles nearest to the shift, or all of a small system, and their shapes (f, k).
 
     State [φ; sφ/scale], both parts of one size; p solves Q(σ)p = −(M(v + σx) + Dx), then [p; x + σp].
     """
@@ -132,6 +132,8 @@ def _nearest(system: DynamicStiffness, shift: complex, scale: float, count: int)
         p = -system.solve(shift, load[:, None])[:, 0]
         return np.concatenate([p, (x + shift * p) / scale])
 
+    if count >= 2 * n - 1:  # more than Arnoldi can have
+        return _poles(shift, n, *linalg.eig(np.stack([apply(e) for e in np.eye(2 * n, dtype=np.complex128)], axis=1)))
     start = np.random.default_rng(0).standard_normal(2 * n).astype(np.complex128)
     space = min(2 * count + 10, 2 * n)
     try:
@@ -139,6 +141,10 @@ def _nearest(system: DynamicStiffness, shift: complex, scale: float, count: int)
         theta, z = eigs(operator, count, ncv=space, v0=apply(start), tol=TOLERANCE, maxiter=200)
     except ArpackNoConvergence as e:
         raise NotConverged(f"complex modes: {len(e.eigenvalues)} of {count} poles converged") from e
+    return _poles(shift, n, theta, z)
+
+
+def _poles(shift: complex, n: int, theta: Complex, z: Complex) -> tuple[Complex, Complex]:
     good = np.abs(theta) > 1e-12 * np.abs(theta).max()
     return shift + 1 / theta[good], z[:n, good]
 
