@@ -55,6 +55,23 @@ def test_against_recorded_msc_results(deck: str, frequencies: tuple[float, ...])
 
 @pytest.mark.solver
 @pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("place", ["", ",0.5", ",0.25", ",,0,1.,2.,3."])
+def test_bushes_between_nodes_apart_have_their_place(tmp_path: Path, place: str) -> None:
+    """Three in a row of 10 each, with their springs half way, at a quarter, or where S1 to S3 say."""
+    path = tmp_path / "a.bdf"
+    lines = [f"GRID,{i + 1},,0.,0.,{10.0 * i}\n" for i in range(4)]
+    lines += [f"CBUSH,{i},1,{i},{i + 1},1.,0.,0.\n{place}\n" for i in (1, 2, 3)]
+    lines += [f"CONM2,{10 + i},{i},,1.\n,1.,,1.,,,1.\n" for i in (2, 3, 4)]
+    path.write_text("".join(lines) + "PBUSH,1,K,100.,200.,300.,400.,500.,600.\nSPC1,1,123456,1\n")
+    found = []
+    for engine in (EmbeddedSolver(), MystranSolver()):
+        with engine.open(read_deck(path)) as analysis:
+            found.append(analysis.modes(ModesRequest(6)).modes.frequencies)
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6)
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("coupled", ["", "PARAM,COUPMASS,1\n"])
 def test_coupled_mass_is_lumped_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture, coupled: str) -> None:
     path = tmp_path / "a.bdf"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,15 +87,15 @@ def _column(table: Table, spec: FieldSpec, width: int) -> Text:
         return np.full(len(table), "", dtype=f"U{width}")
     values = table[spec.name]
     if spec.kind == "f":
-        return _reals(values, spec.default, width)
+        return _reals(values, width)
     text = values.astype(f"U{width}")
     return np.where(values == spec.default, "", text) if spec.default in (0, -1) else text
 
 
-def _reals(values: Float, default: Any, width: int) -> Text:
-    """Reals as text, blank where they are the default; each different value is formatted once."""
+def _reals(values: Float, width: int) -> Text:
+    """Reals as text, defaults too: MYSTRAN has 0 for a blank S of a CBUSH. Each different value is formatted once."""
     unique, at = np.unique(values, return_inverse=True)
-    text = ["" if np.isnan(v) or (v == default and default != 0.0) else format_real(v, width) for v in unique.tolist()]
+    text = ["" if np.isnan(v) else format_real(v, width) for v in unique.tolist()]
     return np.array(text, dtype=f"U{width}")[at.reshape(-1)]
 
 
