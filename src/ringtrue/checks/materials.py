@@ -6,8 +6,9 @@ import numpy as np
 
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.core.arrays import Float
-from ringtrue.model.model import Model
+from ringtrue.model.model import Model, Table
 
+_FIT = 0.01  # of E / (2 (1 + NU) G)
 _ZERO = 1e-12  # of the largest eigenvalue: round-off
 
 
@@ -30,7 +31,21 @@ def _poisson(model: Model) -> list[Finding]:
     if alone.size:
         what = "NU and one of E and G are blank: both are 0 then, as in Nastran"
         found.append(at_rows(model, "MAT1", alone, "info", what))
-    return found
+    return found + _three_moduli(table, implied, model)
+
+
+def _three_moduli(table: Table, implied: Float, model: Model) -> list[Finding]:
+    """MAT1 whose E, G and NU are given and do not fit (the limit of Nastran's warning)."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # NU = -1 is told above
+        fit = (1 + implied) / (1 + table["NU"])
+    rows = np.flatnonzero(np.abs(fit - 1) > _FIT)  # never where one is blank
+    if not rows.size:
+        return []
+    what = (
+        f"E / (2 (1 + NU) G) is {fit[rows[0]]:.3g}, not 1: "
+        "solids and the membrane and bending of shells take E and NU, torsion and transverse shear take G"
+    )
+    return [at_rows(model, "MAT1", rows, "warning", what)]
 
 
 def _orthotropic(model: Model) -> list[Finding]:
