@@ -212,12 +212,13 @@ def test_blows_that_follow_before_the_structure_is_quiet() -> None:
     """A seventh of the response is left at the next blow, is cut off there and rings on; the fit knows both.
 
     Errors of frequency and damping over three seeds, in stated deviations: rms near 1 (0.5 to 2 for 24 values);
-    without the end of the block the damping is some three times as wrong.
+    without the end of the block the damping is some three times as wrong, and without the earlier blows the scale.
     """
-    score, error = [], []
+    score, error, scale, points = [], [], [], [1, *RESPONSES]
+    size = np.linalg.norm(PHI[points], axis=0)
     for seed in range(3):
         gaps = 2.5 + 0.1 * np.random.default_rng(seed).random(8)
-        blows = record(1, RESPONSES, seed, starts=1.0 + np.cumsum(gaps), noise=0.005)
+        blows = record(1, points, seed, starts=1.0 + np.cumsum(gaps), noise=0.005)
         frfs, hits = estimate_frf(blows)
         assert sum(h.accepted for h in hits) >= 7
         for kept in (frfs.kept, np.inf):
@@ -227,8 +228,13 @@ def test_blows_that_follow_before_the_structure_is_quiet() -> None:
             if np.isfinite(kept):
                 score += [(r.modes.frequencies - FN) / r.uncertainty.frequency]
                 score += [(r.modes.damping - ZETA) / r.uncertainty.damping]
+        for known in (frfs.blows, None):
+            r = identify_hammer(replace(frfs, blows=known), HammerModes(fmax=80.0))
+            scale.append(np.abs(np.linalg.norm(r.modes.shapes, axis=0) / size - 1))
     assert 0.5 < np.sqrt(np.mean(np.square(score))) < 2.0
     assert max(error[::2]) < 0.01
+    assert np.max(scale[::2]) < 0.01
+    assert np.max(scale[1::2]) > 0.02
     assert np.mean(error[1::2]) > 3 * np.mean(error[::2])
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.signal.frf import estimate_frf, estimators, frf_variance, join_frfs
+from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance, join_frfs
 from ringtrue.signal.hits import HammerSettings, input_id
 
 RATE = 512.0
@@ -152,6 +152,29 @@ def test_roving_responses_and_hammers_become_one_set() -> None:
     assert len(reports) == 24
     with pytest.raises(DataError, match="were not measured"):
         estimate_frf(parts[:3])
+
+
+def test_earlier_blows_are_known_row_by_row_and_column_by_column() -> None:
+    """Two setups of sensors under two points: each FRF has the factor of its own record, also with ends exchanged."""
+    pole = np.array([-0.3 + 2j * np.pi * 11.0])
+    gaps = [np.array([1.0, 3.1, 5.3]), np.array([1.0, 3.4, 5.5, 7.9])]
+    sensors = [0, 1], [2, 3, 4]
+    records = [record(hit, sensors[k], k, starts=gaps[k]) for k in (0, 1) for hit in (1, 3)]
+    parts = estimate_columns(records)[0]
+    joined = join_frfs(parts)
+    assert joined.blows is not None
+    np.testing.assert_allclose(joined.blows.weight.sum(axis=0), 1.0, rtol=1e-12)
+    for k, one in enumerate(parts):
+        mine = joined.blows.take(np.array(sensors[k // 2]), np.array([k % 2])).factors(pole)
+        assert one.blows is not None
+        alone = one.blows.factors(pole)
+        np.testing.assert_allclose(mine[0] * mine[1], alone[0] * alone[1], rtol=1e-12)
+    shape, part = joined.blows.factors(pole)
+    turned = joined.blows.exchanged().factors(pole)
+    both = np.tensordot(joined.blows.weight, joined.blows.each(pole), (0, 0))[..., 0]
+    least = np.linalg.svd(both)[1][1]  # of what no product of shape and participation leaves
+    assert least <= np.linalg.norm(shape @ part - both) < 1.5 * least
+    assert least <= np.linalg.norm(turned[0] @ turned[1] - both.T) < 1.5 * least
 
 
 def test_joining_averages_what_was_measured_twice_and_refuses_unlike_sets() -> None:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float, freeze_fields
+from ringtrue.core.blows import Blows
 from ringtrue.errors import DataError
 
 Quantity = Literal["acceleration", "velocity", "displacement", "force", "strain", "unknown"]
@@ -102,6 +103,8 @@ class FrfSet:
         How long after the blow the response was cut off by the end of the block; inf where it was not, or is unknown.
     sharp : bool
         Known to be free of leakage, however few lines a mode has: of a periodic force, or with transients estimated.
+    blows : Blows, optional
+        The blows behind the FRFs, where they are known.
     """
 
     data: Complex
@@ -115,6 +118,7 @@ class FrfSet:
     source: str = ""
     kept: float = float("inf")
     sharp: bool = False
+    blows: Blows | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -157,6 +161,7 @@ class FrfSet:
             data=self.data[at],
             coherence=self.coherence[at],
             averages=self.averages[i],
+            blows=self.blows.take(o, i) if self.blows else None,
             outputs=tuple(self.outputs[k] for k in o),
             inputs=tuple(self.inputs[k] for k in i),
         )

@@ -31,6 +31,7 @@ from ringtrue.identify.frf_input import (
 from ringtrue.identify.judge import Candidates, Verdict, judge
 from ringtrue.identify.lsfd import (
     Lines,
+    blow_factors,
     likeness,
     lsfd,
     noise,
@@ -382,6 +383,8 @@ def _report(
         verdict.confidence[told],
     )
     phi = np.abs(model.shapes * alpha)
+    heard, driven = blow_factors(lines, fit.poles)
+    fit = replace(fit, shapes=fit.shapes / heard, participation=fit.participation / driven)
     shape = shape_deviations(lines, fit, pairs) * phi
     for i, j in twins(fit.poles):  # any turn in their plane is as good
         shape[:, [i, j]] = np.hypot(shape[:, [i, j]], phi[:, [j, i]] / np.sqrt(2))

@@ -21,7 +21,7 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer, mode_scale
-from ringtrue.identify.lsfd import noise, normalise, prepare
+from ringtrue.identify.lsfd import blow_factors, noise, normalise, prepare
 from ringtrue.identify.refine import refine, shape_deviations
 from ringtrue.shapes.mac import mac
 
@@ -177,6 +177,8 @@ def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Loca
     used = replace(batch, data=batch.data[at], freqs=batch.freqs[at], coherence=batch.coherence[at])
     lines = prepare(used, noise(used))
     fit = refine(lines, start.poles, start.participation)
+    heard, driven = blow_factors(lines, fit.poles)
+    fit = replace(fit, shapes=fit.shapes / heard, participation=fit.participation / driven)
     common = start.participation
     factor = (common.conj() * fit.participation).sum(axis=1) / (np.abs(common) ** 2).sum(axis=1)
     std = np.stack([fit.std_frequency, fit.std_damping])

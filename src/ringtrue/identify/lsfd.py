@@ -14,6 +14,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ringtrue.core.arrays import Any_, Complex, Float
+from ringtrue.core.blows import Blows
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import Norm
@@ -120,6 +121,8 @@ class Lines:
         p of `kind`.
     kept : float, s
         Length of response behind the FRFs, `FrfSet.kept`.
+    blows : Blows, optional
+        `FrfSet.blows`.
     """
 
     s: Complex
@@ -133,6 +136,7 @@ class Lines:
     input: Float
     order: int
     kept: float
+    blows: Blows | None
 
 
 def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
@@ -156,7 +160,8 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     terms = np.linalg.qr(beside)[0]
     y = without(terms, without(flat, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1)))
     power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
-    return Lines(s, kind, y, power, weight, terms, flat, 1 / sigma.response, given, POWER[frfs.kind], frfs.kept)
+    order, response = POWER[frfs.kind], 1 / sigma.response
+    return Lines(s, kind, y, power, weight, terms, flat, response, given, order, frfs.kept, frfs.blows)
 
 
 def polynomials(x: Float, count: int) -> Float:
@@ -271,8 +276,18 @@ def lsfd(
     shapes = solve_shapes(lines, poles, participation)
     rest = frfs.data - modal_part(lines, poles, shapes, participation)
     lower, upper = _residuals(rest, lines)
-    model = ModalModel(poles, shapes, participation, lower, upper, frfs.outputs, frfs.inputs, frfs.kind)
+    shape, part = blow_factors(lines, poles)
+    shapes, part = shapes / shape, participation / part
+    model = ModalModel(poles, shapes, part, lower, upper, frfs.outputs, frfs.inputs, frfs.kind)
     return normalise(model, pairs)
+
+
+def blow_factors(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
+    """What rings on from earlier blows makes of the shapes (out, m) and participations (m, in) of a fit."""
+    if lines.blows is None:
+        one = np.ones((1, 1), dtype=np.complex128)
+        return one, one
+    return lines.blows.factors(poles)
 
 
 def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Complex) -> Complex:
@@ -309,7 +324,8 @@ def noise_left(lines: Lines, rest: Complex) -> Noise:
 
 def synthesise_windowed(model: ModalModel, lines: Lines) -> Complex:
     """(freq, out, in) the FRFs of the model as measured: under the exponential window of the data."""
-    h = modal_part(lines, model.poles, model.shapes, model.participation)
+    shape, part = blow_factors(lines, model.poles)
+    h = modal_part(lines, model.poles, model.shapes * shape, model.participation * part)
     s = lines.s[:, None, None]
     return np.asarray(h + (model.lower / s**2 + model.upper) * lines.kind[:, None, None])
 

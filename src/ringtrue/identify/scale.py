@@ -1,7 +1,7 @@
 """How well driving points tell the modal mass: what the fit of the FRFs alone cannot see.
 
-An error that all responses to a blow share, as of a weak force or of what rings on from the blow before, is an error of
-the participation factors and leaves nothing in the fit; the coherence tells it. Where points disagree about the scale
+An error that all responses to a blow share is an error of the participation factors and leaves nothing in the fit: the
+noise on the force, known where there are records, and what else the coherence tells. Where points disagree about the scale
 of a mode, a blow was skewed, a sensor stood beside the point, or a sensitivity is wrong.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import FrfSet
 from ringtrue.identify.lsfd import Pairs
 from ringtrue.identify.refine import Refined
@@ -20,7 +20,7 @@ TOLD = 0.1  # of the residues at the driving points
 
 
 def scale_deviations(frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs) -> tuple[Float, str]:
-    """Relative standard deviations (m,) of the scale of the modes, beside that of their residues, and a note.
+    """Relative standard deviations (out, m) of the shapes, beside that of their residues, and a note.
 
     Parameters
     ----------
@@ -33,13 +33,26 @@ def scale_deviations(frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs) 
         Driving points.
     """
     if not pairs or not fit.poles.size:
-        return np.zeros(fit.poles.size), ""
-    _, i, _ = (np.array(x) for x in zip(*pairs, strict=True))
+        return np.zeros(fit.shapes.shape), ""
+    o, i, _ = (np.array(x) for x in zip(*pairs, strict=True))
     weight = np.abs(fit.participation[:, i]) ** 2
     weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, i]).sum(axis=1)
     apart, error = _apart(fit, pairs)
-    return np.sqrt(shared + apart**2), _note(frfs, pairs, error)
+    noise = _of_the_force(frfs, fit.poles, weight, o, i)
+    return np.sqrt(shared + apart**2 + noise), _note(frfs, pairs, error)
+
+
+def _of_the_force(frfs: FrfSet, poles: Complex, weight: Float, o: Int, i: Int) -> Float:
+    """(out, m) relative variance of the shapes by the noise on the force of each blow, known from the records.
+
+    φ_o is the mean of R_oi/φ_i over the driving points i, by their `weight` (m, pair), where R_ii = φ_i².
+    """
+    if frfs.blows is None:
+        return np.zeros((1, poles.size))
+    share = frfs.blows.weight[:, :, i] - 0.5 * frfs.blows.weight[:, o, i][:, None]
+    noise = frfs.blows.noise_at(np.abs(poles) / (2 * np.pi))
+    return np.asarray((0.5 * noise[:, None] * (share @ weight.T) ** 2).sum(axis=0))
 
 
 def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
@@ -50,11 +63,13 @@ def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
         return out
     far = np.abs(2 * np.pi * frfs.freqs[:, None] - poles.imag)
     near = far <= np.maximum(far.min(axis=0), np.abs(poles.real) + frfs.window_decay)
+    explained = frfs.blows.scatter(poles) if frfs.blows else np.zeros((poles.size, 1, 1))
     for k, at in enumerate(near.T):  # a few dozen modes, each with its own lines
         g = np.clip(frfs.coherence[at], 1e-3, 1.0)
         power = np.abs(frfs.data[at]) ** 2
         size = np.maximum(power.sum(axis=0), 1e-300)
         due = (power * (1 - g) / g).sum(axis=0) / size / np.maximum(n - 1, 1)
+        due = due - explained[k] / np.maximum(n - 1, 1)
         left = (np.abs(frfs.data[at] - fitted[at]) ** 2).sum(axis=0) / size
         due, left = np.median(due, axis=0), np.median(left, axis=0)
         out[k] = np.where((due > SHARED * left) & (n > 1), 0.5 * (due - left), 0.0)

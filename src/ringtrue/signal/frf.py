@@ -10,10 +10,12 @@ import numpy as np
 from scipy.special import bdtr
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
+from ringtrue.core.blows import Blows, joined
 from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.signal.earlier import blows_of
 from ringtrue.signal.hits import (
     Estimator,
     HammerSettings,
@@ -171,8 +173,10 @@ class _Sums:
     xx: Float  # (freq, out)
     kept: float  # s, of the response
     quiet: float  # power that the noise on the force leaves at a line
+    blows: Blows | None  # of equal weight in all FRFs
 
     def plus(self, other: _Sums) -> _Sums:
+        both = self.blows, other.blows
         return replace(
             self,
             count=self.count + other.count,
@@ -180,6 +184,7 @@ class _Sums:
             xf=self.xf + other.xf,
             xx=self.xx + other.xx,
             quiet=self.quiet + other.quiet,
+            blows=joined(both, [b.weight for b in both if b]),
             kept=(self.kept * self.count + other.kept * other.count) / (self.count + other.count),
         )
 
@@ -273,20 +278,24 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
     outputs = tuple(c for i, c in enumerate(cut.record.channels) if i != at)
     ff = np.zeros(lines)
     xf, xx = np.zeros((lines, len(outputs)), dtype=np.complex128), np.zeros((lines, len(outputs)))
-    kept, quiet, noise = 0.0, 0.0, _noise(np.asarray(cut.record.data[at], dtype=np.float64))
+    kept, pulses, quiet = 0.0, list[Float](), list[float]()
+    noise = _noise(np.asarray(cut.record.data[at], dtype=np.float64))
     for hit in hits.tolist():  # a few dozen hits; all at once would hold the record twice
         start = min(hit - lead, last)
         block = _block(cut.record.data, start, length)
         window = _force_window(block[at], hit - start, rate, settings, noise)
         pulse = block[at] * window
-        quiet += noise**2 * float(np.square(window * fade).sum())
+        quiet.append(noise**2 * float(np.square(window * fade).sum()))
         kept += (length - float(np.arange(length) @ pulse) / float(pulse.sum())) / rate / hits.size
         f = np.fft.rfft(pulse * fade)
         x = np.fft.rfft(np.delete(block, at, axis=0) * fade, axis=1).T
-        ff += np.abs(f) ** 2
+        pulses.append(np.abs(f) ** 2)
+        ff += pulses[-1]
         xf += x * f.conj()[:, None]
         xx += np.abs(x) ** 2
-    return _Sums(input_id(cut.record.channels[at].id), outputs, rate, length, int(hits.size), ff, xf, xx, kept, quiet)
+    name, force = input_id(cut.record.channels[at].id), np.asarray(cut.record.data[at], dtype=np.float64)
+    blows = blows_of(force - np.median(force), rate, cut.hits, hits, pulses, quiet)
+    return _Sums(name, outputs, rate, length, int(hits.size), ff, xf, xx, kept, sum(quiet), blows)
 
 
 def estimators(ff: Float, xf: Complex, xx: Float, which: Estimator) -> tuple[Complex, Float]:
@@ -334,6 +343,7 @@ def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, sour
         decay,
         source,
         s.kept,
+        blows=s.blows.spread(len(s.outputs)) if s.blows else None,
     )
 
 
@@ -362,12 +372,16 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
     row, column = {k: i for i, k in enumerate(outputs)}, {k: i for i, k in enumerate(inputs)}
     shape = (first.freqs.size, len(outputs), len(inputs))
     data, weight, coherence = np.zeros(shape, dtype=np.complex128), np.zeros(shape[1:]), np.zeros(shape)
+    blows = []
     for p in parts:  # a few setups
         at = np.array([row[c.id] for c in p.outputs])[:, None], np.array([column[c.id] for c in p.inputs])
         n = np.broadcast_to(np.where(np.isfinite(p.averages), p.averages, 1.0), (len(p.outputs), len(p.inputs)))
         data[:, at[0], at[1]] += p.data * n
         coherence[:, at[0], at[1]] += p.coherence * n
         weight[at] += n
+        if p.blows:
+            blows.append(np.zeros((len(p.blows.weight), *shape[1:])))
+            blows[-1][:, at[0], at[1]] = p.blows.weight * n
     if (weight == 0).any():
         o, i = np.argwhere(weight == 0)[0]
         raise DataError(
@@ -382,5 +396,6 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
         averages=np.median(weight, axis=0),
         kept=float(kept.mean()) if same else np.inf,
         sharp=all(p.sharp for p in parts),
+        blows=joined([p.blows for p in parts], [b / weight for b in blows]),
         source=", ".join(dict.fromkeys(p.source for p in parts if p.source)),
     )

@@ -34,6 +34,7 @@ def exchanged(frfs: FrfSet) -> tuple[FrfSet, str]:
         inputs=tuple(Channel(c.id, "force", "N") for c in frfs.outputs),
         coherence=frfs.coherence.swapaxes(1, 2),
         averages=np.full(len(frfs.outputs), np.min(frfs.averages)),
+        blows=frfs.blows.exchanged() if frfs.blows else None,
     )
     return there, (
         f"roving hammer: {len(frfs.inputs)} points struck, {len(frfs.outputs)} fixed sensors; by reciprocity the "
