@@ -15,6 +15,7 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance, join_frfs
 from ringtrue.signal.hits import HammerSettings, input_id
+from ringtrue.study.forced import forced_frfs
 
 RATE = 512.0
 FN = np.array([12.0, 15.0, 15.3, 55.0])
@@ -262,5 +263,11 @@ def test_lines_end_where_the_force_sinks_into_its_noise(blows: int) -> None:
     channels = (Channel("F:1+Z", "force", "N"), Channel("1+Z", "acceleration", "m/s^2"))
     y = np.convolve(force, np.exp(-np.arange(500) / 50.0))[: t.size]
     data = np.vstack([force, y]) + np.array([[0.5], [1e-3]]) * rng.standard_normal((2, t.size))
-    frfs, _ = estimate_frf(TimeHistory(data, RATE, channels, "soft"))
+    history = TimeHistory(data, RATE, channels, "soft")
+    frfs, _ = estimate_frf(history)
     assert 50 < frfs.freqs[-1] < 150
+    (end,) = forced_frfs([history], HammerSettings()).notes
+    assert f"the force ends at {frfs.freqs[-1]:.4g} Hz: beyond it is noise, and the lines are left out" in end
+    asked = forced_frfs([history], HammerSettings(keep_to=200.0))
+    assert asked.columns[0].freqs[-1] == pytest.approx(200.0, abs=0.2 * blows)
+    assert "so may be the modes that are asked for" in asked.notes[0]

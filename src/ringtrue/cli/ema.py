@@ -165,7 +165,7 @@ def ema(
     by_hand = choice_of(choice, files[0])
     how = BlowFiles(force, tuple(struck or ()), tuple(leave_out or ()), quantity.value if quantity else "", rate, group)
     want = HammerSettings(force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end)
-    want = replace(want, estimator=estimator.value)
+    want = replace(want, estimator=estimator.value, keep_to=fmax)
     band = HammerModes(fmin=fmin, fmax=fmax)
     only = {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram, "--level": level}
     check_method(method, FrfMethod.PLSCF, only)

@@ -63,6 +63,11 @@ class Blows:
         """(blow, m) noise at the frequencies (m,), Hz."""
         return np.array([np.interp(frequencies, self.freqs, n) for n in self.noise])
 
+    def heard(self) -> float:
+        """The highest line, Hz, at which the force of the typical blow stands 10 dB out of its noise."""
+        clear = np.flatnonzero(np.median(self.noise, axis=0) < 0.1)
+        return float(self.freqs[clear[-1]]) if clear.size else 0.0
+
     def spread(self, outputs: int) -> Blows:
         """Of one input, weights (blow, 1, 1) of any sum, for the FRFs of so many outputs."""
         return replace(self, weight=np.repeat(self.weight / self.weight.sum(), outputs, axis=1))

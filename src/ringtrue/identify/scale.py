@@ -1,8 +1,8 @@
 """How well driving points tell the modal mass: what the fit of the FRFs alone cannot see.
 
 An error that all responses to a blow share is an error of the participation factors and leaves nothing in the fit: the
-noise on the force, known where there are records, and what else the coherence tells. Where points disagree about the scale
-of a mode, a blow was skewed, a sensor stood beside the point, or a sensitivity is wrong.
+noise on the force, known where there are records, and what else the coherence tells. Where points disagree about the
+scale of a mode, a blow was skewed, a sensor stood beside the point, or a sensitivity is wrong.
 """
 
 from __future__ import annotations

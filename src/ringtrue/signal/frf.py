@@ -122,7 +122,10 @@ def estimate_columns(
         sums[key] = sums[key].plus(new) if key in sums else new
     source = ", ".join(dict.fromkeys(r.source for r in records if r.source))
     struck = np.all([s.ff > _NO_FORCE * s.ff.max(initial=0.0) for s in sums.values()], axis=0)
-    struck &= np.arange(struck.size) <= min(_last_heard(s) for s in sums.values())
+    last = max(
+        min(_last_heard(s) for s in sums.values()), int((settings.keep_to or 0.0) * length / cuts[0].record.rate)
+    )
+    struck &= np.arange(struck.size) <= last
     columns = tuple(_column(s, struck, decay, settings, source) for s in sums.values())
     return columns, tuple(r for rep in reports for r in rep)
 

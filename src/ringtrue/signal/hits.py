@@ -50,6 +50,8 @@ class HammerSettings:
     estimator : {"H1", "H2", "Hv"}
     fmax : float, Hz, optional
         Highest line kept.
+    keep_to : float, Hz, optional
+        Lines are kept up to here though the force be noise there; all are up to where it stands out of its noise.
     """
 
     force: str = ""
@@ -62,6 +64,7 @@ class HammerSettings:
     exp_end: float | None = None
     estimator: Estimator = "H1"
     fmax: float | None = None
+    keep_to: float | None = None
 
     def __post_init__(self) -> None:
         if self.estimator not in ("H1", "H2", "Hv"):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.signal.frf import estimate_columns
@@ -14,6 +16,7 @@ from ringtrue.signal.periodic import period, periodic_frfs
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
 
+_BEYOND = 1.05  # times the end of the force
 _ENDS = 0.45  # of the rate: an anti-aliasing filter ends there too
 
 
@@ -64,18 +67,23 @@ def forced_frfs(
     """
     if resolution is None and not all(runs_on(r) for r in records):
         columns, hits = estimate_columns(records, settings, full_scale=full_scale, progress=progress)
-        return Forced(columns, hits, _force_end(columns[0], records[0].rate))
+        return Forced(columns, hits, _force_end(columns, records[0].rate))
     parts = tuple(_shaken(records, resolution, settings.estimator))
     step, averages = parts[0].freqs[1] - parts[0].freqs[0], parts[0].averages[0]
     said = f"the force runs all the time: lines {step:.3g} Hz apart, {averages:.3g} averages at each"
     return Forced(parts, notes=(said,))
 
 
-def _force_end(frfs: FrfSet, rate: float) -> tuple[str, ...]:
-    """A line where the FRFs of blows sampled at `rate`, Hz, end because the force does."""
-    if frfs.freqs[-1] > _ENDS * rate:
+def _force_end(columns: Sequence[FrfSet], rate: float) -> tuple[str, ...]:
+    """A line where the force of blows sampled at `rate`, Hz, ends before the lines that could be."""
+    last, heard = columns[0].freqs[-1], min((c.blows.heard() for c in columns if c.blows), default=np.inf)
+    if last > heard * _BEYOND:
+        return (
+            f"the force ends at about {heard:.3g} Hz: beyond it is noise, and so may be the modes that are asked for",
+        )
+    if last > _ENDS * rate:
         return ()
-    return (f"the force ends at {frfs.freqs[-1]:.4g} Hz: beyond it is noise, and the lines are left out",)
+    return (f"the force ends at {last:.4g} Hz: beyond it is noise, and the lines are left out (--fmax for more)",)
 
 
 def _shaken(records: Sequence[TimeHistory], resolution: float | None, estimator: Estimator) -> Sequence[FrfSet]:

@@ -202,7 +202,7 @@ def ambient(
 
 
 def struck(
-    records: Sequence[Logged], sheet: SensorSheet, lost: Sequence[str], progress: Progress
+    records: Sequence[Logged], sheet: SensorSheet, lost: Sequence[str], fmax: float | None, progress: Progress
 ) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...], tuple[FrfSet, ...]]:
     """FRFs of all setups, what is shown of the records, the hits that do not count, and the FRFs of each setup."""
     read = [_blows(r, sheet, lost) for r in records]
@@ -210,7 +210,7 @@ def struck(
     for r in records:
         ranges |= full_scale(r.path)
     histories = [h for blows, _ in read for h in blows]
-    want = _block(records[0], histories[0].rate)
+    want = replace(_block(records[0], histories[0].rate), keep_to=fmax)
     found = forced_frfs(histories, want, full_scale=ranges, progress=progress)
     shown = []
     for record, (blows, notes) in zip(records, read, strict=True):
@@ -289,8 +289,9 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     merged = merge_modes(parts) if parts else None
     frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, test.leave_out), tuple[str, ...]()
     batches: tuple[FrfSet, ...] = ()
+    fmax = desk.config.identify.hammer_fmax
     if hits:
-        frfs, more, rejected, batches = struck(hits, sheet, test.leave_out, part(progress, 0.5, 0.7))
+        frfs, more, rejected, batches = struck(hits, sheet, test.leave_out, fmax, part(progress, 0.5, 0.7))
         frfs = exchanged(frfs)[0]
         shown += more
     result = _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
