@@ -88,8 +88,27 @@ def test_what_was_struck_is_named_and_frfs_are_written(tmp_path: Path, capsys: C
     out = capsys.readouterr().out
     assert "12 of 12 hits kept" in out
     assert "shapes are not scaled to unit modal mass" in out
-    with pytest.raises(ConfigError, match="3 points for 2 files"):
+    with pytest.raises(ConfigError, match="--struck: given 3 times for 2 files"):
         read_blows(files, BlowFiles(struck=("1+Z", "2+Z", "3+Z")))
+
+
+def test_files_name_their_hammers_differently(tmp_path: Path) -> None:
+    """A pattern or a name each; channels without units."""
+    files = [tmp_path / "0.csv", tmp_path / "1.csv"]
+    for k, path in enumerate(files):
+        b = record(1, RESPONSES, seed=k)
+        bare = tuple(replace(c, quantity="unknown", unit="") for c in b.channels[1:])
+        write_history(path, replace(b, channels=(Channel(f"PCB 086 no {k}"), *bare)))
+    point = ("2+Z",)
+    for force in (("PCB*",), ("PCB 086 no 0", "PCB 086 no 1")):
+        records, *_ = read_blows(files, BlowFiles(force, point))
+        assert [r.channels[0].id for r in records] == ["F:2+Z", "F:2+Z"]
+    with pytest.raises(DataError, match="may be 1\\+Z 3\\+Z"):
+        read_blows(files, BlowFiles(("*+Z",)))
+    with pytest.raises(DataError, match="no channel 'PCB 086 no 0'"):
+        read_blows(files, BlowFiles(("PCB 086 no 0",)))
+    with pytest.raises(ConfigError, match="--force: given 3 times for 2 files"):
+        read_blows(files, BlowFiles(("a", "b", "c")))
 
 
 def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_point(tmp_path: Path) -> None:

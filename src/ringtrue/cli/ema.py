@@ -94,8 +94,13 @@ def ema(
         FrfMethod, typer.Option(help="Refined pLSCF, or another method for a second opinion.")
     ] = FrfMethod.PLSCF,
     force: Annotated[
-        str, typer.Option(metavar="CHANNEL", help="Force channel; by default that with a unit of force, or so named.")
-    ] = "",
+        list[str] | None,
+        typer.Option(
+            metavar="CHANNEL",
+            help="Force channel or a pattern (Hammer*), once or for each file in order; by default that with a unit of "
+            "force, or so named.",
+        ),
+    ] = None,
     struck: Annotated[
         list[str] | None,
         typer.Option(metavar="POINT", help="Point and direction struck (3+Z), once or for each file in order."),
@@ -163,7 +168,8 @@ def ema(
     """
     check_band(fmin, fmax)
     by_hand = choice_of(choice, files[0])
-    how = BlowFiles(force, tuple(struck or ()), tuple(leave_out or ()), quantity.value if quantity else "", rate, group)
+    named, points, lost = (tuple(x or ()) for x in (force, struck, leave_out))
+    how = BlowFiles(named, points, lost, quantity.value if quantity else "", rate, group)
     want = HammerSettings(force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end)
     want = replace(want, estimator=estimator.value, keep_to=fmax)
     band = HammerModes(fmin=fmin, fmax=fmax)
@@ -201,9 +207,8 @@ def _at_levels(
     read, want, shaker, decay = how
     found, notes = [], list[str]()
     for k, path in enumerate(files):
-        mine = replace(read, struck=read.struck[k : k + 1] or read.struck[:1])
         with progress(f"level {levels[k]:g}") as show, about(path):
-            measured = _measured((path,), mine, want, shaker, show)
+            measured = _measured((path,), read.of(k), want, shaker, show)
             result = identify_hammer(_windowed(measured.frfs, decay), band, progress=show)
         notes += [f"{path}: {n}" for n in (*measured.notes, *result.notes)]
         found.append((result.modes, result.uncertainty))

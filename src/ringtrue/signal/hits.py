@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,8 +30,8 @@ class HammerSettings:
     Attributes
     ----------
     force : str
-        Id of the force channel; by default the only channel whose quantity is force, or, where none is, the only one
-        of unknown quantity with a name such as `Force` or `hammer`.
+        Id of the force channel, or a pattern of it (`Hammer*`); by default the only channel whose quantity is force,
+        or, where none is, the only one of unknown quantity with a name such as `Force` or `hammer`.
     block : float, s, optional
         Length of a block; by default what fits between the hits.
     pretrigger : float, s
@@ -117,9 +118,14 @@ def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
     """
     ids = [c.id for c in record.channels]
     if settings.force:
-        if settings.force not in ids:
+        like = [settings.force] if settings.force in ids else fnmatch.filter(ids, settings.force)
+        if not like:
             raise DataError(f"{record.source}: no channel {settings.force!r}{did_you_mean(settings.force, ids)}")
-        return ids.index(settings.force)
+        if len(like) > 1:
+            raise DataError(
+                f"{record.source}: {settings.force!r} may be {' '.join(like[:20])}; there must be one force"
+            )
+        return ids.index(like[0])
     at = [i for i, c in enumerate(record.channels) if c.quantity == "force"]
     at = at or [i for i, c in enumerate(record.channels) if c.quantity == "unknown" and _HAMMER.search(c.id)]
     if len(at) != 1:

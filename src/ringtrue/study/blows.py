@@ -25,8 +25,9 @@ class BlowFiles:
 
     Attributes
     ----------
-    force : str
-        Id of the force channel; by default found by its quantity, or else by its name.
+    force : tuple of str
+        Id of the force channel or a pattern of it (`Hammer*`), one for all files or one a file; by default found by its
+        quantity, or else by its name.
     struck : tuple of str
         Point and direction struck, such as `3+Z`, one for all files or one a file; by default the id of the force.
     leave_out : tuple of str
@@ -44,7 +45,7 @@ class BlowFiles:
         Tells units and sensitivities where the files do not.
     """
 
-    force: str = ""
+    force: tuple[str, ...] = ()
     struck: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
     quantity: str = ""
@@ -52,6 +53,11 @@ class BlowFiles:
     group: str = ""
     channels: Sequence[str] = ()
     sheet: SensorSheet | None = None
+
+    def of(self, k: int) -> BlowFiles:
+        """How file k is to be read."""
+        force, struck = (x[k : k + 1] or x[:1] for x in (self.force, self.struck))
+        return replace(self, force=force, struck=struck)
 
 
 def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHistory:
@@ -120,11 +126,13 @@ def read_blows(
     DataError
         If a file has no force channel, no motion, or samples that are constant or not finite.
     ConfigError
-        If there are neither one nor as many points struck as files, or no file has a channel to be left out.
+        If there are neither one nor as many points struck, or names of the force, as files, or no file has a channel to
+        be left out.
     """
     how = how or BlowFiles()
-    if len(how.struck) not in (0, 1, len(paths)):
-        raise ConfigError(f"--struck: {len(how.struck)} points for {len(paths)} files; one for all, or one each")
+    for option, given in (("--struck", how.struck), ("--force", how.force)):
+        if len(given) not in (0, 1, len(paths)):
+            raise ConfigError(f"{option}: given {len(given)} times for {len(paths)} files; once for all, or once each")
     runs = [(i, p, run) for i, p in enumerate(paths) for run in _runs(p, how)]
     known = {c.id for *_, run in runs for c in run.channels}
     if lost := [c for c in how.leave_out if c not in known]:
@@ -133,8 +141,7 @@ def read_blows(
         )
     records, notes = [], dict[str, None]()
     for i, path, run in runs:
-        point = how.struck[min(i, len(how.struck) - 1)] if how.struck else ""
-        record, said = _ready(path, run, how, point)
+        record, said = _ready(path, run, how.of(i))
         records.append(record)
         notes.update(dict.fromkeys(said))
     ranges: dict[str, float] = {}
@@ -154,15 +161,15 @@ def read_file(path: Path, how: BlowFiles | None = None) -> tuple[tuple[TimeHisto
         As `read_blows` does.
     """
     how = how or BlowFiles()
-    ready = [_ready(path, run, how, "".join(how.struck[:1])) for run in _runs(path, how)]
+    ready = [_ready(path, run, how) for run in _runs(path, how)]
     return tuple(r for r, _ in ready), tuple(dict.fromkeys(n for _, notes in ready for n in notes))
 
 
-def _ready(path: Path, run: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHistory, Sequence[str]]:
+def _ready(path: Path, run: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, Sequence[str]]:
     run = renamed(run, how.channels, path)
     run, scaled = how.sheet.scaled(run) if how.sheet else (run, ())
     kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
-    record, notes = _prepared(kept, how, point)
+    record, notes = _prepared(kept, how)
     refuse_bad_samples(record, path)
     return record, [*scaled, *notes]
 
@@ -173,10 +180,11 @@ def _runs(path: Path, how: BlowFiles) -> Iterator[TimeHistory]:
         yield replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}")
 
 
-def _prepared(record: TimeHistory, how: BlowFiles, point: str) -> tuple[TimeHistory, list[str]]:
+def _prepared(record: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, list[str]]:
     """The force, named after the point struck, and the motions; several forces where shakers run together."""
-    at = [i for i, c in enumerate(record.channels) if c.quantity == "force"] if not how.force else []
-    at = at if len(at) > 1 else [force_channel(record, HammerSettings(force=how.force))]
+    force, point = ("".join(x[:1]) for x in (how.force, how.struck))
+    at = [i for i, c in enumerate(record.channels) if c.quantity == "force"] if not force else []
+    at = at if len(at) > 1 else [force_channel(record, HammerSettings(force=force))]
     notes = list[str]()
     if point and len(at) > 1:
         raise ConfigError(f"--struck {point}: {record.source} has {len(at)} forces; their names tell their points")

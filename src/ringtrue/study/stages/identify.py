@@ -225,7 +225,7 @@ def struck(
 def _blows(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
     """The acquisitions of a hammer record, and what is to be said of them."""
     how = BlowFiles(
-        force=record.force_channel,
+        force=(record.force_channel,) if record.force_channel else (),
         struck=(record.reference,) if record.reference else (),
         leave_out=tuple(lost),
         rate=record.rate_hz,
