@@ -118,8 +118,8 @@ def wandering(seed: int, share: float) -> AmbientResult:
 
 
 def test_a_frequency_that_wanders_is_named_and_its_damping_in_doubt():
-    """By 0.75 %, where the damping is 0.8 to 1.3 %: the peak is widened by more than its scatter."""
-    moved, still = wandering(3, 0.0075), wandering(3, 0.0)
+    """By 0.9 %, where the damping is 0.8 to 1.3 %: the peak is widened by more than its scatter."""
+    moved, still = wandering(3, 0.009), wandering(3, 0.0)
     assert not any("wanders" in x for x in still.reasons)
     assert len(moved.modes) == len(still.modes) == 3
     assert all("its frequency wanders by " in x for x in moved.reasons)

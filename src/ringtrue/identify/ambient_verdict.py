@@ -215,16 +215,17 @@ def reason(found: Found, i: int) -> str:
 def overtones(modes: ModeSet, std: Float, reasons: tuple[str, ...]) -> tuple[ModeSet, tuple[str, ...]]:
     """Modes and reasons of a clipped record: the half of the confidence where a mode is an overtone of surer ones.
 
-    Clipping makes responses at a + b, 2a, 3a and 2a ± b of the frequencies a, b of strong modes, as far as these are
-    known: `std` (m,), Hz.
+    Clipping makes responses at a + b, 2a, 3a and 2a ± b of the frequencies a, b of strong modes, whose bandwidths add
+    up in them. `std` (m,), Hz, is what is known of the frequencies.
     """
-    f, sure = modes.frequencies, modes.confidence.copy()
+    f, half, sure = modes.frequencies, modes.frequencies * modes.damping, modes.confidence.copy()
     told = list(reasons)
     for k in range(len(modes)):
-        base = f[(f < f[k]) & (modes.confidence > modes.confidence[k])]
+        base = np.flatnonzero((f < f[k]) & (modes.confidence > modes.confidence[k]))
         a, b = (x.ravel() for x in np.meshgrid(base, base))
-        made = np.concatenate([a + b, 3 * base, 2 * a + b, 2 * a - b])
-        if made.size and np.abs(made - f[k]).min() < max(OVERTONE * f[k], 2 * std[k]):
+        made = np.concatenate([f[a] + f[b], 2 * f[a] + f[b], 2 * f[a] - f[b]])
+        wide = np.concatenate([half[a] + half[b], 2 * half[a] + half[b], 2 * half[a] + half[b]])
+        if (np.abs(made - f[k]) < np.maximum(wide, max(OVERTONE * f[k], 2 * std[k]))).any():
             sure[k] *= 0.5
             told[k] += "; may be made by clipping, as an overtone of other modes"
     return replace(modes, confidence=sure), tuple(told)
