@@ -92,3 +92,11 @@ def test_three_overlapping_modes_of_much_damping() -> None:
     assert len(r.modes) == 3, (r.modes.frequencies, r.notes)
     np.testing.assert_allclose(r.modes.frequencies, f, rtol=0.06)
     np.testing.assert_allclose(r.modes.damping, z, rtol=0.35)
+
+
+def test_a_mode_beside_the_line_of_an_unsteady_machine_stays() -> None:
+    """A line of wandering phase, 0.24 Hz, or 3.5 lines of its spectrum, below the lowest mode."""
+    turns = 1.96 * TIME + 0.006 * np.cumsum(np.random.default_rng(8).standard_normal(N)) / 2 / np.pi
+    r = identify_ambient(record(forces() + 3 * PUSH * np.sin(2 * np.pi * turns)))
+    check(r)
+    assert any(n.startswith("pole at 1.96 Hz left out") for n in r.notes)

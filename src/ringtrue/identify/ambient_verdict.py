@@ -159,12 +159,14 @@ def without_noise(c: Candidates, sure: Float, duration: float) -> Float:
 def machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: float, duration: float) -> Harmonic | None:
     """The line that a pole stands on, if its width is no more than that of a line.
 
+    The window of the spectra shows a line at half of its `resolution` to each side; a pole farther off than that, and
+    than its own half bandwidth, is beside it.
     Within few cycles the amplitude of a mode is steady too: the logarithm of its fourth moment, 2, scatters by
     1/sqrt(2π ζ f T). A pole with a width is a line only where that of the line is far below.
     """
     cycles = 2 * np.pi * zeta * f * duration
     told = np.log(2 * cycles / (cycles + 1)) - STEADY / np.sqrt(cycles)
-    near = [h for h in lines if abs(h.frequency - f) < max(1.5 * resolution, 1e-3 * f)]
+    near = [h for h in lines if abs(h.frequency - f) < max(0.5 * resolution, zeta * f, 1e-3 * f)]
     near = [h for h in near if zeta < 2e-3 or (zeta < resolution / f and np.log(h.moment) < told)]
     return near[0] if near else None
 
