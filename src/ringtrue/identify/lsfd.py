@@ -210,17 +210,18 @@ def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
 
 def functions(lines: Lines, poles: Complex) -> Complex:
     """Weighted `resonances` of the poles and of the conjugate ones, (freq, 2 m), residual terms projected out."""
-    return _beside_terms(lines, resonances(lines, np.concatenate([poles, poles.conj()]))[0])
+    return _beside_terms(lines, lines.weight[:, None] * resonances(lines, augment(poles))[0])
 
 
 def functions_slopes(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
     """`functions` and their derivatives by the poles."""
-    value, slope = resonances(lines, np.concatenate([poles, poles.conj()]))
-    return _beside_terms(lines, value), _beside_terms(lines, slope)
+    value, slope = resonances(lines, augment(poles))
+    weight = lines.weight[:, None]
+    return _beside_terms(lines, weight * value), _beside_terms(lines, weight * slope)
 
 
-def _beside_terms(lines: Lines, q: Complex) -> Complex:
-    return without(lines.terms, without(lines.smooth, lines.weight[:, None] * q))
+def _beside_terms(lines: Lines, y: Complex) -> Complex:
+    return without(lines.terms, without(lines.smooth, y))
 
 
 def mirrored(a: Complex) -> Complex:
@@ -294,18 +295,20 @@ def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Com
     """(freq, out, in) what the modes contribute, at the lines and in the kind of the data."""
     residue = (shapes.T[:, :, None] * participation[:, None, :]).reshape(poles.size, -1)
     both = np.concatenate([residue, residue.conj()])
-    h = resonances(lines, np.concatenate([poles, poles.conj()]))[0] @ both
+    h = resonances(lines, augment(poles))[0] @ both
     return np.asarray(h.reshape(lines.s.size, shapes.shape[0], participation.shape[1]))
 
 
-def weighted_rest(lines: Lines, q: Complex, participation: Complex, shapes: Complex) -> Complex:
-    """(in, freq, out) what modes of the `functions` q and residual terms leave of the data, in units of the noise.
+def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: Complex) -> Complex:
+    """(in, freq, out) what modes and residual terms leave of the data, in units of the noise.
 
     `participation` is that of the weighted data.
     """
-    part = augment(participation).T[:, :, None]
-    model = q @ (part * augment(shapes.T * lines.response))
-    return np.asarray(lines.y * lines.response - model)
+    part = augment(participation).T[:, :, None] * augment(shapes.T * lines.response)
+    if 2 * poles.size <= part.shape[0] * part.shape[2]:  # residual terms come out of the fewer columns
+        return np.asarray(lines.y * lines.response - functions(lines, poles) @ part)
+    modes = lines.weight[:, None] * (resonances(lines, augment(poles))[0] @ part)
+    return _beside_terms(lines, lines.y * lines.response - modes)
 
 
 def noise_left(lines: Lines, rest: Complex) -> Noise:

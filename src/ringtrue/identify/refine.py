@@ -14,10 +14,12 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.outcome import Outcome
-from ringtrue.identify.lsfd import Lines, augment, functions_slopes, mirrored, mirrored_rows, weighted_rest
+from ringtrue.identify.condense import condensed
+from ringtrue.identify.lsfd import Lines, augment, functions_slopes, weighted_rest
 
 ITERATIONS = 20
 REACH = 2.0  # half bandwidths
+NEAR = 0.5  # of the reach, for which lines are condensed at a time
 TOLERANCE = 1e-6  # relative fall of the objective
 FLAT = 1e-8  # of the curvature: nothing but rounding
 
@@ -90,8 +92,6 @@ class State:
     shape_var: Float
     slope: Complex  # of the augmented shapes by each parameter, times the shape of its mode
     free: Int
-    functions: Complex
-    slopes: Complex
 
 
 def refine(
@@ -118,11 +118,15 @@ def refine(
     reach = REACH * np.abs(poles.real) + np.diff(lines.s.imag).mean()
     part = participation * lines.input
     part = part / np.linalg.norm(part, axis=1, keepdims=True)
-    state = _evaluate(lines, poles, part)
+    near, few, centre = NEAR * reach, condensed(lines, poles, NEAR * reach), poles
+    state = _evaluate(few, poles, part)
     damping, outcome = 1e-3, Outcome.MAX_ITERATIONS
     for _ in range(iterations if poles.size else 0):
-        new = _try(lines, state, damping, poles, reach)
-        if new is None:
+        trial = _step(state, damping, poles, reach)
+        if trial is not None and (np.abs(trial[0] - centre) > near).any():
+            few, centre = condensed(lines, trial[0], near), trial[0]
+        new = None if trial is None else _evaluate(few, *trial)
+        if new is None or new.cost > state.cost:
             damping *= 10
             if damping > 1e6:
                 outcome = Outcome.STALLED
@@ -136,8 +140,11 @@ def refine(
     return _result(lines, state, outcome, local)
 
 
-def _try(lines: Lines, state: State, damping: float, start: Complex, reach: Float) -> State | None:
-    """One Levenberg-Marquardt step with every pole held within reach of its start; None if nothing is gained."""
+def _step(state: State, damping: float, start: Complex, reach: Float) -> tuple[Complex, Complex] | None:
+    """Poles and participations a Levenberg-Marquardt step on, every pole held within reach of its start.
+
+    None if a pole is no longer one of a damped mode.
+    """
     free = state.free
     h = state.hessian[np.ix_(free, free)]
     scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
@@ -151,8 +158,7 @@ def _try(lines: Lines, state: State, damping: float, start: Complex, reach: Floa
     if not np.isfinite(d).all() or (poles.imag <= 0).any() or (poles.real >= 0).any():
         return None
     part = state.part + d[1:].T
-    new = _evaluate(lines, poles, part / np.linalg.norm(part, axis=1, keepdims=True))
-    return new if new.cost <= state.cost else None
+    return poles, part / np.linalg.norm(part, axis=1, keepdims=True)
 
 
 def _free(part: Complex, moving: Bool) -> Int:
@@ -166,10 +172,7 @@ def _free(part: Complex, moving: Bool) -> Int:
 def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input; value, conj)."""
     m, n_in = part.shape
-    q, dq = functions_slopes(lines, poles)
-    qh, dqh = q.conj().T, dq.conj().T
-    cc, cd, dd = mirrored(qh @ q), mirrored(qh @ dq), mirrored(dqh @ dq)
-    cy, dy = mirrored_rows(qh @ lines.y), mirrored_rows(dqh @ lines.y)
+    cc, cd, dd, cy, dy = _products(lines, poles)
     l = augment(part).T[:, :, None]
     ll = (l.conj() * l.transpose(0, 2, 1)).sum(axis=0)
     xx = cc * ll
@@ -190,7 +193,27 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
     var = 2 * np.diag(inverse).real[:m]
     shape_var = np.maximum(var, 0) / w2[:, None]
-    return State(poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void), q, dq)
+    return State(poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void))
+
+
+def _products(lines: Lines, poles: Complex) -> tuple[Complex, Complex, Complex, Complex, Complex]:
+    """Products of the functions and slopes, and of both with the data, over lines and their mirror images.
+
+    In augmented coordinates; formed with those of the real and imaginary parts of residues, which are real.
+    """
+    m = poles.size
+    both = functions_slopes(lines, poles)
+    parts = np.concatenate([x for f in both for x in (f[:, :m] + f[:, m:], 1j * (f[:, :m] - f[:, m:]))], axis=1)
+    z = np.concatenate([parts.real, parts.imag])
+    y = np.concatenate([lines.y.real, lines.y.imag], axis=1)
+    gram = 2 * (z.T @ z).reshape(2, 2 * m, 2, 2 * m)
+    data = 2 * (z.T @ y).reshape(y.shape[0], 2, 2 * m, -1)
+    eye = 0.5 * np.eye(m)
+    turn = np.block([[eye, eye], [-1j * eye, 1j * eye]])
+    back = turn.conj().T
+    cc, cd, dd = (back @ gram[i, :, k] @ turn for i, k in ((0, 0), (0, 1), (1, 1)))
+    cy, dy = back @ data[:, 0], back @ data[:, 1]
+    return cc, cd, dd, cy, dy
 
 
 def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
@@ -207,7 +230,7 @@ def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
 
 def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refined:
     m = state.poles.size
-    rest = weighted_rest(lines, state.functions, state.part, state.shapes)
+    rest = weighted_rest(lines, state.poles, state.part, state.shapes)
     cov, own, error2 = _covariance(lines, state, rest if local else None)
     slope = _slopes(state.poles)
     real = slope @ _real(cov[: 2 * m, : 2 * m], m) @ slope.T
@@ -256,7 +279,7 @@ def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Floa
     """
     m, n_out = state.poles.size, state.shapes.shape[0]
     part = (np.abs(state.part) ** 2).T[:, None]
-    by_shape, by_pole = (part * np.abs(q[:, :m]) ** 2 for q in (state.functions, state.slopes))
+    by_shape, by_pole = (part * np.abs(q[:, :m]) ** 2 for q in functions_slopes(lines, state.poles))
     by_shape, by_pole = (w / w.sum(axis=(0, 1)) for w in (by_shape, by_pole))  # (in, freq, mode)
     early = _early(lines, rest, state.poles)
     seen = state.shapes * lines.response[:, None]
