@@ -206,17 +206,22 @@ def identify_hammer(
 def band_limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
     """The reported band, Hz; where not given, up to where the coherence, or the likeness of next lines, ends."""
     f = frfs.freqs
+    low = settings.fmin if settings.fmin is not None else float(f[f > 0][0])
+    high = settings.fmax if settings.fmax is not None else _usable_to(frfs)
+    if np.count_nonzero((f >= low) & (f <= high)) < 32:
+        raise DataError(f"{frfs.source}: fewer than 32 lines between {low:g} and {high:g} Hz; widen fmin, fmax")
+    return low, min(high, float(f[-1]))
+
+
+def _usable_to(frfs: FrfSet) -> float:
+    """Frequency, Hz, of the last line at which the coherence, or the likeness of next lines, is usable."""
+    f = frfs.freqs
     known = bool(np.isfinite(frfs.coherence).all())
     good = np.median(frfs.coherence, axis=(1, 2)) if known else likeness(frfs.data, f)
     wide = max(5, f.size // 50) | 1
     good = np.convolve(np.pad(good, wide // 2, mode="edge"), np.ones(wide) / wide, "valid")
     usable = f[good > _USABLE]
-    low, high = float(f[f > 0][0]), float(usable[-1]) if usable.size else float(f[-1])
-    low = settings.fmin if settings.fmin is not None else low
-    high = settings.fmax if settings.fmax is not None else high
-    if np.count_nonzero((f >= low) & (f <= high)) < 32:
-        raise DataError(f"{frfs.source}: fewer than 32 lines between {low:g} and {high:g} Hz; widen fmin, fmax")
-    return low, min(high, float(f[-1]))
+    return float(usable[-1] if usable.size else f[-1])
 
 
 def _end_note(frfs: FrfSet, settings: HammerModes, high: float) -> str:
@@ -367,7 +372,7 @@ def _report(
 ) -> HammerResult:
     fit, verdict = found.refined, found.verdict
     lines, pairs = search.lines, search.pairs
-    model = lsfd(frfs, fit.poles, fit.participation, lines, pairs)
+    model = lsfd(frfs, fit.poles, fit.participation, lines, pairs, shapes=fit.shapes)
     f = model.frequencies
     order = np.argsort(f, kind="stable")
     told = order[(f[order] >= band[0]) & (f[order] <= band[1])]

@@ -188,10 +188,9 @@ def without(basis: Any_, y: Complex) -> Complex:
     """(..., freq, n) the part of `y` outside the span of an orthonormal basis (freq, t)."""
     if not basis.shape[1]:
         return y
-    if np.iscomplexobj(basis):
-        return np.asarray(y - basis @ (basis.conj().T @ y))
-    parts = np.ascontiguousarray(y).view(np.float64)
-    return np.asarray((parts - basis @ (basis.T @ parts)).view(np.complex128))
+    parts = y if np.iscomplexobj(basis) else np.ascontiguousarray(y).view(np.float64)
+    inside = basis @ (basis.conj().T @ parts)
+    return np.asarray(np.subtract(parts, inside, out=inside).view(np.complex128))  # new memory costs as much again
 
 
 def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
@@ -254,7 +253,13 @@ def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> Comple
 
 
 def lsfd(
-    frfs: FrfSet, poles: Complex, participation: Complex, lines: Lines | None = None, pairs: Pairs | None = None
+    frfs: FrfSet,
+    poles: Complex,
+    participation: Complex,
+    lines: Lines | None = None,
+    pairs: Pairs | None = None,
+    *,
+    shapes: Complex | None = None,
 ) -> ModalModel:
     """The modal model of given poles and participation vectors.
 
@@ -267,6 +272,8 @@ def lsfd(
         By default those of `prepare(frfs, noise(frfs))`.
     pairs : sequence of (output, input, sign), optional
         Driving points; by default all that the names of the channels tell.
+    shapes : (out, m) complex128, optional
+        Where they are known already.
 
     Returns
     -------
@@ -274,7 +281,7 @@ def lsfd(
         Of unit modal A where there are driving points.
     """
     lines = lines or prepare(frfs, noise(frfs))
-    shapes = solve_shapes(lines, poles, participation)
+    shapes = solve_shapes(lines, poles, participation) if shapes is None else shapes
     rest = frfs.data - modal_part(lines, poles, shapes, participation)
     lower, upper = _residuals(rest, lines)
     shape, part = blow_factors(lines, poles)
@@ -306,7 +313,8 @@ def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: 
     """
     part = augment(participation).T[:, :, None] * augment(shapes.T * lines.response)
     if 2 * poles.size <= part.shape[0] * part.shape[2]:  # residual terms come out of the fewer columns
-        return np.asarray(lines.y * lines.response - functions(lines, poles) @ part)
+        modes = functions(lines, poles) @ part
+        return np.asarray(np.subtract(lines.y * lines.response, modes, out=modes))
     modes = lines.weight[:, None] * (resonances(lines, augment(poles))[0] @ part)
     return _beside_terms(lines, lines.y * lines.response - modes)
 
