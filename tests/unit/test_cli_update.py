@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import small_study
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.checks.mass import whole_mass
+from ringtrue.cli import update
 from ringtrue.cli.main import run
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.signals import Channel, FrfSet
@@ -20,6 +22,9 @@ from ringtrue.io.frfs import write_frfs
 from ringtrue.io.modes_json import read_modes, write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
+from ringtrue.study.config_update import UpdateSection
+from ringtrue.update.several import Problem
+from ringtrue.update.verified import Verified
 
 STUDY = '[model]\ndeck = "frame.bdf"\n' + "".join(
     f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\n' for i in small_study.TRUTH
@@ -74,6 +79,28 @@ def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path)
 )
 def test_options_lead_to_the_same_factors(capsys: Capture, folder: Path, words: tuple[str, ...]) -> None:
     status, out, err = call(capsys, folder, *words, "--json", "-")
+    assert status == 0, err
+    factors = [p["factor"] for p in json.loads(out)["parameters"]]
+    np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)
+
+
+def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
+    capsys: Capture, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    well = update._on_basis
+
+    def poor(problem: Problem, u: UpdateSection, *rest: Any) -> Verified:
+        """From the deck alone, as if it had ended there without any pair."""
+        done = well(problem, u, *rest)
+        if u.starts > 1:
+            return done
+        c, x = problem.configurations[0], 0 * done.solution.x
+        none = replace(c, target=replace(c.target, fixed=(np.zeros((0, 2), dtype=np.int64), ())))
+        end = replace(problem, configurations=(none,)).evaluate(x)
+        return replace(done, solution=replace(done.solution, x=x, y=x, factors=x + 1, history=(end,)))
+
+    monkeypatch.setattr(update, "_on_basis", poor)
+    status, out, err = call(capsys, folder, "--json", "-")
     assert status == 0, err
     factors = [p["factor"] for p in json.loads(out)["parameters"]]
     np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)

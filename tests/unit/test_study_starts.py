@@ -17,10 +17,12 @@ from ringtrue.study.stages import update
 
 def poor(lost: int) -> Any:
     """The updating from the deck, as if it had ended there with `lost` modes without partner."""
-    well = update._one
+    well = update.together
 
     def ended(*given: Any) -> tuple[SetResult, int]:
-        done, _ = well(*given)
+        done, other = well(*given)
+        if given[5] is not None:  # further starts
+            return done, other
         return replace(done, factor=np.ones(len(done.parameters)), criterion=done.criterion + 50.0), lost
 
     return ended
@@ -33,7 +35,7 @@ def updated(folder: Path) -> StudyRun:
 def test_a_lower_end_of_further_starts_takes_the_place_of_one_that_lost_modes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(update, "_one", poor(lost=2))
+    monkeypatch.setattr(update, "together", poor(lost=2))
     done = updated(tmp_path)
     stage = done.results["update"]
     best = stage.sets[stage.chosen]
@@ -44,6 +46,6 @@ def test_a_lower_end_of_further_starts_takes_the_place_of_one_that_lost_modes(
 
 
 def test_an_end_with_all_partners_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(update, "_one", poor(lost=0))
+    monkeypatch.setattr(update, "together", poor(lost=0))
     stage = updated(tmp_path).results["update"]
     np.testing.assert_array_equal(stage.sets[stage.chosen].factor, 1.0)

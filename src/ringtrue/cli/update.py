@@ -21,7 +21,7 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress, part
 from ringtrue.correlate.assign import PairingSettings
 from ringtrue.correlate.observe import at_dofs
-from ringtrue.errors import ConfigError, DataError, did_you_mean
+from ringtrue.errors import ConfigError, DataError, NumericalError, did_you_mean
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.nastran.edit import edit_fields, refuse_unwritable
 from ringtrue.io.nastran.reader import read_deck
@@ -38,7 +38,7 @@ from ringtrue.study.config_update import (
     StaticResidual,
     UpdateSection,
 )
-from ringtrue.study.course import begun, course_of
+from ringtrue.study.course import course_of, further, settled
 from ringtrue.study.measured import (
     LENGTH,
     Data,
@@ -58,7 +58,7 @@ from ringtrue.study.placing import placed
 from ringtrue.study.reference import measured_part
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.residuals import Weighted
-from ringtrue.update.settle import settled
+from ringtrue.update.settle import lost, whole_cost
 from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.trust import KINDS, Solution
 from ringtrue.update.verified import Verified, solve_verified
@@ -295,20 +295,38 @@ def _by_runs(
 
 
 def _solved(problem: Problem, u: UpdateSection, asked: Asked, show: Progress) -> Verified:
-    """As a study updates a set of parameters, on a basis verified by full solutions."""
-    full, course = problem.configurations[0].model, course_of(u)
-    each = show if isinstance(full, FullModel) else None
-    if each is not None:
-        course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
-    start = begun(problem, u, course, asked.seed, show, each, asked.checkpoint).y
+    """As a study updates a set of parameters, on a basis verified by full solutions.
 
-    def ended(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
-        end = settled(p, course, start=y, progress=each)
+    From further starts, too, where used modes are left without partner; the end of lower J.
+    """
+    if isinstance(problem.configurations[0].model, FullModel):
+        return _on_full(problem, u, asked, show)
+    done, more = _on_basis(problem, u, asked, show), further(u)
+    if more is None or asked.checkpoint is not None or not lost(problem, done.solution.end):
+        return done
+    show(0.5, "modes without partner: further starts")
+    try:
+        other = _on_basis(problem, more, asked, show)
+    except NumericalError:  # the end from the deck stands
+        return done
+    return min(done, other, key=lambda d: whole_cost(problem, d.solution.end))
+
+
+def _on_full(problem: Problem, u: UpdateSection, asked: Asked, show: Progress) -> Verified:
+    """On modes that a solver finds anew at each point."""
+    model, course = problem.configurations[0].model, course_of(u)
+    assert isinstance(model, FullModel)
+    course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
+    end = settled(problem, u, asked.seed, show, course=course, told=show, checkpoint=asked.checkpoint)
+    return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
+
+
+def _on_basis(problem: Problem, u: UpdateSection, asked: Asked, show: Progress) -> Verified:
+    def solved(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
+        end = settled(p, u, asked.seed, show, start=y, checkpoint=asked.checkpoint)
         return end.solution, end.problem
 
-    if isinstance(full, FullModel):
-        return Verified(*ended(problem, start), 0.0, full.ledger.runs)
-    return solve_verified(problem, solved=ended, start=start, tolerance=AGREE, progress=show)
+    return solve_verified(problem, solved=solved, tolerance=AGREE, progress=show)
 
 
 def _edited(model: Model, config: StudyConfig, done: Verified, folder: Path | None) -> list[Path]:

@@ -316,7 +316,7 @@ class StudyConfig(_Section):
 
     @property
     def joint(self) -> bool:
-        """Whether the updating needs the general objective: more than eigenvalues and shapes of one deck."""
+        """Whether sets are chosen by the general objective: more than eigenvalues and shapes of one deck."""
         return bool(self.configuration or self.residual or self.constraint or not self.update.plain)
 
     @property

@@ -34,7 +34,7 @@ class UpdateSection(_Section):
     propose: bool = False  # the proposal of the localisation is a parameter set; the only one without [[candidate]]
     choose: int = Field(default=6, gt=0)
     left_out: int = Field(default=5, ge=0)
-    step: Step = "gauss-newton"
+    step: Step = "trust-region"
     shape_weight: float = Field(default=1.0, ge=0)
     iterations: int = Field(default=30, gt=0)
     residuals: list[ModalKind] = ["eigenvalues", "shapes"]  # of the paired modes
@@ -66,9 +66,8 @@ class UpdateSection(_Section):
 
     @property
     def plain(self) -> bool:
-        """Whether eigenvalues and shapes are fitted by damped Gauss-Newton from the deck."""
-        usual = self.step in ("gauss-newton", "published") and self.loss == "squares"
-        usual = usual and self.prior == "study" and self.discrepancy != "evidence"
+        """Whether eigenvalues and shapes are compared by squares, with a prior and errors as given or left over."""
+        usual = self.loss == "squares" and self.prior == "study" and self.discrepancy != "evidence"
         return usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.starts == 1 and not self.stages
 
 

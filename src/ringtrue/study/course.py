@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,18 +11,48 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.update.multistart import latin_hypercube, multi_start
-from ringtrue.update.settle import Course
+from ringtrue.update.settle import Course, Settled
+from ringtrue.update.settle import settled as settled_from
 from ringtrue.update.several import Problem
 from ringtrue.update.trust import Method, Solution, solve, staged
 
 BEST = 3  # of several starts, that go on to the end
+STARTS = 8  # where one leaves modes without partner
 
 
-def course_of(u: UpdateSection, method: Method | None = None) -> Course:
-    """As asked for; a trust region where nothing is said."""
-    method = method or Method(u.step if "step" in u.model_fields_set else "trust-region")
+def course_of(u: UpdateSection) -> Course:
+    """As [update] asks for."""
     weighed = u.discrepancy if u.discrepancy != "found" or u.sharpened else "assumed"
-    return Course(method, u.iterations, "given" if u.prior == "study" else u.prior, weighed)
+    return Course(Method(u.step), u.iterations, "given" if u.prior == "study" else u.prior, weighed)
+
+
+def further(u: UpdateSection) -> UpdateSection | None:
+    """[update] from several starts, for an end that leaves used modes without partner; None where none are asked for.
+
+    Modes that change places between the deck and the structure make minima in which each is paired with its neighbour,
+    and some without partner.
+    """
+    return None if u.step == "published" or u.starts >= STARTS else u.model_copy(update={"starts": STARTS})
+
+
+def settled(
+    problem: Problem,
+    u: UpdateSection,
+    seed: int,
+    progress: Progress,
+    *,
+    start: Float | None = None,
+    course: Course | None = None,
+    told: Progress | None = None,
+    checkpoint: Path | None = None,
+) -> Settled:
+    """The end of an updating from a start that the gates have led to, or from where they lead."""
+    course = course or course_of(u)
+    if start is not None:
+        return settled_from(problem, course, start=start, progress=told)
+    rough = begun(problem, u, course, seed, progress, told, checkpoint)
+    end = settled_from(problem, course, start=rough.y, progress=told)
+    return replace(end, path=(*rough.history, *end.path[1:]))
 
 
 def begun(

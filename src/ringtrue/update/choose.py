@@ -17,7 +17,7 @@ from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.update.gauss_newton import update
 from ringtrue.update.identifiable import ALIKE
-from ringtrue.update.objective import Residual, Target, aicc, objective, residual
+from ringtrue.update.objective import Residual, Target, residual
 from ringtrue.update.several import Problem, held_to
 from ringtrue.update.trust import solve
 
@@ -238,12 +238,3 @@ def alike(sensitivities: Float, names: Sequence[str]) -> tuple[str, ...]:
         f"{names[i]} and {names[j]} act alike on the measured modes (cosine {cosine[i, j]:.3f})"
         for i, j in zip(a.tolist(), b.tolist(), strict=True)
     )
-
-
-def criterion(r: Residual, x: Float, prior: Float, target: Target) -> float:
-    """AICc of a set: the larger of n ln(J/n) with a penalty on the number of parameters.
-
-    n counts a frequency and a shape residual a used test mode; one without a partner pays `target.lost`, so that sets
-    that have paired different modes can be compared. Burnham and Anderson (2002), eq. 7.
-    """
-    return aicc(objective(target, r, x, prior), 2 * max(int(target.used.sum()), 1), x.size)

@@ -12,7 +12,7 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.update import joint
-from ringtrue.update.objective import Target, Weights
+from ringtrue.update.objective import DOUBT, Target, Weights
 from ringtrue.update.residuals import OF_FREQUENCY, Mac, Shapes, widened
 from ringtrue.update.several import Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve
@@ -88,6 +88,17 @@ def kept(problem: Problem) -> Float:
     f = [t.std for t in terms if isinstance(t, OF_FREQUENCY)]
     m = [t.mac if isinstance(t, Shapes) else t.std for t in terms if isinstance(t, Shapes | Mac)]
     return np.array([v[0] if v else np.nan for v in (f, m)])
+
+
+def lost(problem: Problem, at: Evaluated) -> int:
+    """How many used test modes of all configurations have no partner at a point."""
+    used = sum(int(c.target.used.sum()) for c in problem.configurations)
+    return used - sum(len(p.pairs) for p in at.points)
+
+
+def whole_cost(problem: Problem, at: Evaluated) -> float:
+    """J at an end, by the prior that was given, over all used test modes: each without partner costs `DOUBT`."""
+    return at.data + at.lost + float(at.x @ problem.precision @ at.x) + DOUBT * lost(problem, at)
 
 
 def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:

@@ -14,12 +14,12 @@ from ringtrue.core.progress import Progress
 from ringtrue.model.edit import carried
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.study.course import course_of
+from ringtrue.study.course import course_of, settled
 from ringtrue.study.iterates import Iterates
 from ringtrue.study.objective import names_of, problem_of
 from ringtrue.study.results import SetResult
 from ringtrue.study.stages.sensitivity import targets
-from ringtrue.study.stages.together import settled, summary
+from ringtrue.study.stages.together import summary
 from ringtrue.study.workbench import Workbench
 
 USUAL = 60  # runs of an updating, for the progress that is shown
@@ -51,8 +51,10 @@ def by_runs(
         runs = sum(m.ledger.runs for m in models)
         progress(runs / (runs + USUAL), f"{name}: {text}, {runs} runs of {desk.deck.solver}")
 
-    method = replace(course_of(u).method, step=PRINTED, gradient=UNTOLD)
-    end = settled(desk, u, problem, kept.start(name, members), progress, method, told)
+    course = course_of(u)
+    course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
+    start, seed = kept.start(name, members), desk.config.study.seed
+    end = settled(problem, u, seed, progress, start=start, course=course, told=told)
     kept.keep(name, end.solution.y)
     return summary(problem, aims, name, end), sum(m.ledger.runs for m in models)
 

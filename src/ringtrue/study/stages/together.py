@@ -13,7 +13,7 @@ from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.progress import Progress
 from ringtrue.model.ports import Linearisation
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.study.course import begun, course_of
+from ringtrue.study.course import settled
 from ringtrue.study.iterates import Iterates
 from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
@@ -21,10 +21,10 @@ from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
 from ringtrue.update import settle
-from ringtrue.update.objective import DOUBT, Target, aicc, residual
-from ringtrue.update.settle import Settled
+from ringtrue.update.objective import Target, aicc, residual
+from ringtrue.update.settle import Settled, lost, whole_cost
 from ringtrue.update.several import Configuration, Evaluated, Problem
-from ringtrue.update.trust import Method, Solution
+from ringtrue.update.trust import Solution
 
 
 def together(
@@ -34,10 +34,10 @@ def together(
     progress: Progress,
     kept: Iterates,
     u: UpdateSection | None = None,
-) -> SetResult:
+) -> tuple[SetResult, int]:
     """Update on the reduced models of all configurations until the full ones agree at the end point.
 
-    `u` stands in for the [update] of the study.
+    `u` stands in for the [update] of the study. Beside the result the number of used modes without partner.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def together(
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
-        end = settled(desk, u, _problem(desk, u, models, aims, members), start, progress)
+        end = settled(_problem(desk, u, models, aims, members), u, desk.config.study.seed, progress, start=start)
         path += end.path[1:] if path else end.path
         start = end.solution.y
         kept.keep(name, start)
@@ -62,8 +62,8 @@ def together(
     if error >= CLOSE:
         raise not_verified(error)
     problem = _problem(desk, u, models, aims, members)
-    end = settled(desk, u, problem, start, progress)
-    return summary(problem, aims, name, replace(end, path=(*path, *end.path[1:])))
+    end = settled(problem, u, desk.config.study.seed, progress, start=start)
+    return summary(problem, aims, name, replace(end, path=(*path, *end.path[1:]))), lost(problem, end.solution.end)
 
 
 def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
@@ -126,24 +126,6 @@ def _problem(
     return problem_of(desk, [_held(m, members) for m in models], aims, u)
 
 
-def settled(
-    desk: Workbench,
-    u: UpdateSection,
-    problem: Problem,
-    start: Float | None,
-    progress: Progress,
-    method: Method | None = None,
-    told: Progress | None = None,
-) -> Settled:
-    """The end of an updating from a start that the gates have led to, or from the deck."""
-    course = course_of(u, method)
-    if start is not None:
-        return settle.settled(problem, course, start=start, progress=told)
-    rough = begun(problem, u, course, desk.config.study.seed, progress, told)
-    end = settle.settled(problem, course, start=rough.y, progress=told)
-    return replace(end, path=(*rough.history, *end.path[1:]))
-
-
 def _verified(models: Sequence[AtChannels], members: Sequence[str], done: Solution) -> tuple[list[AtChannels], float]:
     """The models with their full solutions at the end, and the largest frequency error that they had there."""
     better, errors, at = [], [], dict(zip(members, done.x.tolist(), strict=True))
@@ -184,8 +166,6 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
     p, told = problem.parameters, [_errors(aims, at) for at in path]
     error, mac, used = told[-1]
     low, high = p.bounds()
-    lost = int(sum(aim.used.sum() for aim in aims)) - int(used.sum())
-    cost = done.end.data + done.end.lost + float(done.x @ problem.precision @ done.x)  # by the prior of the study
     size = np.maximum(np.linalg.norm(done.end.slope, axis=0), 1e-300)
     scaled = done.end.slope / size
     first = float(np.linalg.norm(problem.gradient(path[0]))) or 1.0
@@ -202,7 +182,7 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
         percent(np.mean, mac, used),
         spared(aims, [p.now for p in done.end.points]),
         float(np.linalg.cond(scaled.T @ scaled)),
-        aicc(cost + DOUBT * lost, data_count(problem, done.end), done.x.size),
+        aicc(whole_cost(problem, done.end), data_count(problem, done.end), done.x.size),
         done.outcome.value,
         np.array([at.cost for at in path]),
         np.array(steps),

@@ -18,9 +18,9 @@ from ringtrue.study.parametric import AtChannels, frequency_error
 from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
 from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import as_delivered, others_at
-from ringtrue.study.stages.update import weights_at
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.alike import effective_freedom, energy_shares, errors_of_shapes, likeness
+from ringtrue.update.joint import left_at
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
 from ringtrue.update.objective import Target, Weights, match
@@ -63,7 +63,7 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     first = Configuration(small, paired, terms_of(desk, OWN, small, desk.config.update))
     others = _others(desk, best, rng=np.random.default_rng([desk.config.study.seed, 8]), progress=progress)
     if desk.config.update.sharpened:
-        w = weights_at(paired, model, x)
+        w = left_at(Problem((first, *others)), x)
         first, others = _weighed(first, w), tuple(_weighed(c, w) for c in others)
     likely, held = with_discrepancy(
         first,

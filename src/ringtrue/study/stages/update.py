@@ -12,23 +12,16 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress, part
 from ringtrue.errors import NumericalError
 from ringtrue.model.edit import field_value
+from ringtrue.study.course import further
 from ringtrue.study.iterates import Iterates
-from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, not_verified, verified
 from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
 from ringtrue.study.stages.by_runs import by_runs
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
-from ringtrue.study.stages.together import percent, spared, together, told_data
+from ringtrue.study.stages.together import together, told_data
 from ringtrue.study.workbench import Workbench
-from ringtrue.update.alike import errors_of_shapes
 from ringtrue.update.candidates import elements_of
-from ringtrue.update.choose import criterion
-from ringtrue.update.gauss_newton import State, UpdateResult, update
-from ringtrue.update.objective import Target, Weights, objective, residual
 from ringtrue.update.pool import of_parameter
-from ringtrue.update.weights import in_turns, left_over
-
-STARTS = 8  # where one leaves modes without partner
 
 _log = logging.getLogger(__name__)
 
@@ -61,14 +54,9 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
             done, more = by_runs(desk, name, members, told, kept, asked)
             results.append(replace(done, settings=named[name].words() if own else ""))
             runs += more
-        elif own:
-            done = together(desk, name, members, progress, kept, asked)
-            results.append(replace(done, settings=named[name].words()))
-        elif desk.config.joint:
-            results.append(together(desk, name, members, progress, kept))
         else:
-            done, lost[name] = _one(desk, aim, name, members, progress, kept)
-            results.append(done)
+            done, lost[name] = together(desk, name, members, progress, kept, asked)
+            results.append(replace(done, settings=named[name].words() if own else ""))
     alike = [r.name not in named or named[r.name].comparable(desk.config.update) for r in results]
     chosen = _least(results, alike)
     if lost.get(results[chosen].name):
@@ -122,140 +110,20 @@ def _least(results: Sequence[SetResult], alike: Sequence[bool]) -> int:
 def _with_further_starts(
     desk: Workbench, results: list[SetResult], chosen: int, progress: Progress, kept: Iterates
 ) -> list[SetResult]:
-    """The sets, the one to be chosen from further starts as well where these end in a lower J.
-
-    Modes that change places between the deck and the structure make minima in which each is paired with its neighbour,
-    and some without partner.
-    """
-    best, u = results[chosen], desk.config.update
-    if u.step == "published":
+    """The sets, the one to be chosen from further starts as well where these end in a lower J."""
+    best, more = results[chosen], further(desk.config.update)
+    if more is None:
         return results
     progress(0.9, f"{best.name}: modes without partner, further starts")
-    name, more = f"{best.name}, further starts", u.model_copy(update={"starts": STARTS})
+    name = f"{best.name}, further starts"
     try:
-        other = together(desk, name, best.parameters, progress, kept, more)
+        other, _ = together(desk, name, best.parameters, progress, kept, more)
     except NumericalError as e:  # the end from the deck stands
         _log.info("%s: %s", name, e)
         return results
     if not other.criterion < best.criterion:
         return results
     return [replace(other, name=r.name) if r.parameters == best.parameters and not r.settings else r for r in results]
-
-
-def _one(
-    desk: Workbench, aim: Target, name: str, members: tuple[str, ...], progress: Progress, kept: Iterates
-) -> tuple[SetResult, int]:
-    """Update on the reduced model until the full one agrees at the end point.
-
-    By Gauss-Newton on one deck's modes alone. `together` ends at the same minimum, factors within 1e-6, by other steps.
-    Beside it the number of used modes without partner.
-    """
-    model = desk.candidates(progress)
-    every = model.parameters.names
-    at = [every.index(m) for m in members]
-    start = kept.start(name, members)
-    states: list[State] = []
-    error = np.inf
-    for _ in range(ROUNDS):
-        active = model.with_parameters(at, np.zeros(len(every)))
-        result, path, _ = _settled(desk, active, aim, start)
-        states += path[1:] if states else path
-        start = result.x
-        kept.keep(name, start)
-        better, error = verified(active, result.x)
-        model = better.with_parameters(range(len(every)), np.zeros(len(every)))
-        if error < CLOSE:
-            break
-    desk.keep(model)
-    if error >= CLOSE:
-        raise not_verified(error)
-    active = model.with_parameters(at, np.zeros(len(every)))
-    final, path, weights = _settled(desk, active, aim, start)
-    blind = spared((aim,), (active.linearise(final.x),))
-    done = _summary(desk, aim, name, members, final, [*states, *path[1:]], blind)
-    done = replace(done, discrepancy=np.array([weights.frequency, weights.mac]))
-    return done, int(aim.used.sum()) - int(final.residual.used.sum())
-
-
-def _settled(
-    desk: Workbench, active: AtChannels, aim: Target, start: Float | None
-) -> tuple[UpdateResult, list[State], Weights]:
-    """One updating in up to three parts: the result, the way there, and what the end was weighed by.
-
-    From the deck with the gates of the pairing, which far deviations need; then no pair costs more than a lost mode,
-    so that one paired wrongly on the way lets go; then with the pairs made there for good.
-    """
-    limit, published = desk.config.update.iterations, desk.config.update.step == "published"
-    states: list[State] = []
-    if start is None:
-        rough = update(active, aim, iterations=limit, published=published)
-        states += rough.history
-        start = rough.x
-    near = update(active, aim.doubting(), iterations=limit, start=start, published=published)
-    states += near.history[1:] if states else near.history
-    last = aim.settled(active.linearise(near.x))
-    if desk.config.update.sharpened:
-        result, weights = _sharpened(active, last, near.x, limit)
-    else:
-        result, weights = update(active, last, iterations=limit, start=near.x, published=published), aim.weights
-    return result, [*states, *result.history[1:]], weights
-
-
-def _sharpened(active: AtChannels, aim: Target, x: Float, limit: int) -> tuple[UpdateResult, Weights]:
-    """Updated with the discrepancy that is left over, until that stands; J at the end is as all sets have it."""
-
-    def updated(w: Weights, x: Float) -> tuple[UpdateResult, Float]:
-        done = update(active, replace(aim, weights=w), iterations=limit, start=x)
-        return done, done.x
-
-    done, found = in_turns(x, updated, lambda x: weights_at(aim, active, x))
-    r = residual(aim, active.linearise(done.x))
-    end = replace(done.history[-1], residual=r, value=objective(aim, r, done.x, active.parameters.std()))
-    return replace(done, history=(*done.history[:1], end)), found
-
-
-def weights_at(aim: Target, model: AtChannels, x: Float) -> Weights:
-    """The weights with the discrepancy that an updating of all parameters of a model has left at x."""
-    now = model.linearise(x)
-    r = residual(aim, now)
-    return left_over(aim.weights, r, r.slope * model.parameters.std(), aim.weights.data, errors_of_shapes(aim, now))
-
-
-def _summary(
-    desk: Workbench,
-    aim: Target,
-    name: str,
-    members: tuple[str, ...],
-    final: UpdateResult,
-    states: list[State],
-    blind: float,
-) -> SetResult:
-    candidates = desk.parameters
-    parameters = candidates.take([candidates.names.index(m) for m in members])
-    r = final.residual
-    low, high = parameters.bounds()
-    slope = parameters.slope(final.x) / final.factors
-    return SetResult(
-        name,
-        members,
-        final.factors,
-        final.std * slope,
-        np.stack([parameters.factors(low), parameters.factors(high)], axis=1),
-        final.identifiability,
-        percent(np.mean, r.frequency_error, r.used),
-        percent(np.max, r.frequency_error, r.used),
-        percent(np.mean, r.mac, r.used),
-        blind,
-        final.condition,
-        criterion(r, final.x, parameters.std(), aim.doubting()),
-        final.outcome.value,
-        np.array([s.value for s in states]),
-        np.array([0.0 if not np.isfinite(s.step) else s.step for s in states]),
-        np.array([percent(np.mean, s.residual.frequency_error, s.residual.used) for s in states]),
-        np.array([percent(np.mean, s.residual.mac, s.residual.used) for s in states]),
-        np.array([parameters.factors(s.x) for s in states]),
-        final.gradient,
-    )
 
 
 def chosen_factors(desk: Workbench) -> Float:
