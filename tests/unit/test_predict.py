@@ -28,8 +28,9 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
 from ringtrue.study.config import PredictSection
 from ringtrue.study.opened import Opened
+from ringtrue.study.results import DampedModes
 from ringtrue.study.run import run_study
-from ringtrue.study.stages.predict import _forces
+from ringtrue.study.stages.predict import _forces, scatter
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.harmonic import Damping, RegionDamping, Rows
 from ringtrue.update.predict import Output, RunUp, Unbalance, bands, plane, run_up, validated_band
@@ -107,6 +108,27 @@ def test_drawn_damping_scatters_as_told_and_is_never_negative() -> None:
     assert small.std() == pytest.approx(0.002, rel=0.06)
     wide = np.array([by_region(2 * ZETA, 0.1).drawn(rng)(lam, y)[0] for _ in range(200)])
     assert wide.min() == 0.0
+
+
+def test_each_mode_has_a_damping_of_its_own_beside_that_of_the_regions() -> None:
+    rng, lam, y = np.random.default_rng(4), np.array([K / M, 2 * K / M]), np.eye(2) / np.sqrt(M)
+    one = replace(by_region(2 * ZETA, 0.0), scatter=0.2)
+    drawn = np.log([one.drawn(rng)(lam, y) for _ in range(2000)]) - np.log([ZETA, ZETA / 2])
+    np.testing.assert_allclose(drawn.std(axis=0), 0.2, rtol=0.06)
+    assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.08  # 2000 draws: 0.02
+    np.testing.assert_allclose(one.drawn(None)(lam, y), [ZETA, ZETA / 2])
+
+
+@pytest.mark.parametrize(("own", "least", "most"), [(0.0, 0.0, 0.05), (0.3, 0.25, 0.35)])
+def test_scatter_of_damping_is_what_errors_of_test_and_regions_do_not_explain(
+    own: float, least: float, most: float
+) -> None:
+    rng, n = np.random.default_rng(5), 400
+    error, at = 0.1, np.full(n, 0.02)
+    measured = at * np.exp(np.hypot(own, error) * rng.standard_normal(n))
+    none = np.zeros(n)
+    modes = DampedModes(none, ("",) * n, none == 0, none, measured, error * measured, at, at, none, none, none)
+    assert least <= scatter(modes) <= most
 
 
 def test_bands_hold_what_a_machine_of_the_same_kind_does() -> None:
@@ -225,7 +247,7 @@ def test_the_stage_of_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ran = run_study(study)
     found = ran.results["predict"]
     assert found.residual < 0.02
-    assert found.damping == "loss factors and dashpots by region"
+    assert found.damping.startswith("loss factors and dashpots by region")
     assert found.run_up.freqs.size == 50
     assert run(["predict", str(study), "--json", "-"]) == 0
     told = json.loads(capsys.readouterr().out)

@@ -63,6 +63,8 @@ class RegionDamping:
         True for dashpots.
     base : (r, r), (r, r) float64
         Known damping matrix and imaginary stiffness beside them.
+    scatter : float
+        Standard deviation of ln ζ that each mode has of its own.
     """
 
     coefficients: Float
@@ -70,6 +72,7 @@ class RegionDamping:
     matrices: Float
     viscous: Bool
     base: tuple[Float, Float]
+    scatter: float = 0.0
 
     def __post_init__(self) -> None:
         f = np.float64
@@ -79,18 +82,19 @@ class RegionDamping:
             raise InputError(f"damping of {k} regions: matrices {self.matrices.shape} for {r} vectors")
 
     def drawn(self, rng: np.random.Generator | None) -> Ratios:
-        """ζ of modes at the best point, or with coefficients as drawn; none is below 0."""
-        c = self.coefficients
+        """ζ of modes at the best point, or with coefficients and scatter as drawn; none is below 0."""
+        c, own = self.coefficients, np.ones(self.base[0].shape[0])
         if rng is not None:
             size, turn = linalg.eigh(self.covariance)
             c = np.maximum(c + turn @ (np.sqrt(np.maximum(size, 0.0)) * rng.standard_normal(c.size)), 0.0)
+            own = np.exp(self.scatter * rng.standard_normal(own.size))
         d = self.base[0] + np.tensordot(c * self.viscous, self.matrices, axes=1)
         h = self.base[1] + np.tensordot(c * ~self.viscous, self.matrices, axes=1)
 
         def ratios(lam: Float, y: Float) -> Float:
             w = np.sqrt(np.maximum(lam, MASSLESS * float(lam.max(initial=1.0))))
             viscous, structural = (np.einsum("rm,rm->m", y, a @ y) for a in (d, h))
-            return np.asarray(viscous / (2 * w) + structural / (2 * w**2))
+            return np.asarray(own[: w.size] * (viscous / (2 * w) + structural / (2 * w**2)))
 
         return ratios
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -25,6 +26,7 @@ from ringtrue.study.objective import terms_of
 from ringtrue.study.opened import Opened
 from ringtrue.study.results import (
     CorrelateStage,
+    DampedModes,
     DampedRegions,
     DampingStage,
     FinalStage,
@@ -156,12 +158,25 @@ def _damping(desk: Workbench, v: Float) -> tuple[Damping | RegionDamping, str]:
     """Of the regions, where the study has found them; else the ratios of the test over frequency. And in words."""
     found: DampingStage | None = desk.get("damping") if "damping" in (*desk.results, *desk.store.stages()) else None
     if found is not None and found.regions is not None:
-        return _by_region(desk, found.regions, v), "loss factors and dashpots by region"
+        own = scatter(found.modes) if found.modes is not None else 0.0
+        each = f"{100 * own:.0f}"
+        words = "loss factors and dashpots by region" + (f", ± {each} % from mode to mode" if each != "0" else "")
+        return replace(_by_region(desk, found.regions, v), scatter=own), words
     final: FinalStage = desk.get("final")
     f, at = np.unique(final.observed.frequencies, return_index=True)
     keep = f > 0
     words = "damping ratios of the test, interpolated between its modes and constant beyond"
     return Damping(f[keep], np.maximum(final.damping[at][keep], 0.0), SPREAD), words
+
+
+def scatter(modes: DampedModes) -> float:
+    """Standard deviation of ln ζ that the tested modes have beside the damping of the regions and its errors."""
+    damped = (modes.measured > 0) & (modes.after > 0)
+    if not damped.any():
+        return 0.0
+    measured, found = modes.measured[damped], modes.after[damped]
+    known = np.hypot(modes.measured_std[damped] / measured, modes.after_std[damped] / found)
+    return discrepancy(np.log(measured / found), known)
 
 
 def _by_region(desk: Workbench, found: DampedRegions, v: Float) -> RegionDamping:
