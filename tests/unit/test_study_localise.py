@@ -72,6 +72,13 @@ def test_candidates_made_from_the_deck_are_proposed_and_updated(made: StudyRun) 
     assert {p["name"] for p in summary["parameters"]} == proposed
 
 
+@pytest.mark.parametrize("propose", [False, True])
+def test_parts_of_a_property_are_looked_at_but_not_updated(tmp_path: Path, propose: bool) -> None:
+    text = (AUTO if propose else PLAIN) + '[localise]\nkinds = ["region", "material"]\n'
+    found = run_study(small_study.write_study(tmp_path, text, ambient=False), until="localise").results["localise"]
+    assert any(p.targets[0].elements for p in found.parameters.parameters) is not propose
+
+
 def test_a_study_with_nothing_to_update_says_what_could_be(tmp_path: Path) -> None:
     run = run_study(small_study.write_study(tmp_path, PLAIN, ambient=False))
     assert len(run.results["localise"].proposal.members) >= 2

@@ -109,9 +109,13 @@ def _nominal(model: Model, parameter: Parameter, target: Target) -> float:
     return float(value)
 
 
+def has_fields(parameter: Parameter) -> bool:
+    """Whether it is a factor on the deck's own fields, as no motion of nodes, matrix or part of a property is."""
+    return not (parameter.shapes or parameter.substructures or any(t.elements or t.step for t in parameter.targets))
+
+
 def _refuse_what_no_field_holds(parameter: Parameter) -> None:
-    """Nodes that move, factors on matrices and parts of a property are no values of the deck's own fields."""
-    if parameter.shapes or parameter.substructures or any(t.elements or t.step for t in parameter.targets):
+    if not has_fields(parameter):
         raise InputError(
             f"parameter {parameter.name} moves nodes or places, or holds for some elements only: it has derivatives, "
             "but cannot be written into the deck's fields; give those elements a property of their own"

@@ -12,6 +12,7 @@ from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
 from ringtrue.io.nastran.edit import refuse_unwritable, unwritable
+from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.parametric import ReducedModel
@@ -99,6 +100,8 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
     if not asked.pool:
         return _Pool(())
     every = generate(model, CandidateSettings(tuple(asked.kinds), desk.deck.units))
+    if desk.config.propose:  # what is proposed is delivered
+        every = tuple(c for c in every if has_fields(c.parameter))
     springs = tuple(of_parameter(model, p) for p in desk.config.suspensions().parameters)
     taken = conflicts(model, (*every, *springs))[: len(every), len(every) :]
     never = unwritable(model, [t for c in every for t in c.parameter.targets])
