@@ -42,10 +42,14 @@ def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
     """
     if parameter.substructures:
         raise InputError(f"parameter {parameter.name} is a factor on element matrices: no model has them as fields")
-    targets = list(parameter.targets)
+    targets, own = list(parameter.targets), dict[tuple[str, int, tuple[int, ...]], int]()
     for i, t in enumerate(targets):
         if t.elements:
-            model, targets[i] = _own(model, parameter.name, t)
+            card = (t.card, t.id, t.elements)
+            if card not in own:  # several of its fields are changed in one copy
+                model, named = _own(model, parameter.name, t)
+                own[card] = named.id
+            targets[i] = replace(t, id=own[card], elements=())
     model = changed(model, parameter.name, targets, factor)
     for shape in parameter.shapes:
         model = moved(model, shape, float(np.real(factor)) - 1)
