@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_
+from ringtrue.core.arrays import Any_, Int
 from ringtrue.core.parameters import Parameter, Target
 from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.assembly import full_matrices
@@ -54,13 +54,13 @@ class Group:
         """What it scales, in words."""
         return ", ".join(sorted({f"{t.card} {t.field}" for t in self.targets})) or f"{self.matrix} of elements"
 
-    def scaled(self, part: Matrices, a: float | complex) -> Matrices:
-        """The matrices with its factor, if it is one on them."""
+    def scaled(self, part: Matrices, card: str, at: Int, a: float | complex) -> Matrices:
+        """The matrices of rows `at` of a card with its factor, if it is one on them."""
         if not self.matrix:
             return part
-        if self.matrix == "stiffness":
-            return replace(part, stiffness=part.stiffness * a)
-        return replace(part, mass=part.mass * a)
+        on = np.isin(at, self.rows.get(card, at[:0]))
+        matrix = part.stiffness if self.matrix == "stiffness" else part.mass
+        return replace(part, **{self.matrix: matrix * np.where(on, a, 1.0).reshape(-1, *[1] * (matrix.ndim - 1))})
 
 
 def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
@@ -99,15 +99,17 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
 
 
 def built(m: Mesh, groups: Sequence[Group], rows: Rows, factors: Sequence[float | complex]) -> list[Matrices]:
-    """Element matrices of the rows, all of which belong to each of the groups, at their factors."""
+    """Element matrices of the rows with the groups at their factors; none feels the fields of one it is not in."""
     model = m.model
     for g, a in zip(groups, factors, strict=True):
         model = changed(model, g.parameter.name, g.targets, a) if g.targets else model
-    there = Mesh(model, m.xyz, m.cd, m.scalar)
-    parts = [build(there, card, at) for card, build, at in batches(model, rows)]
-    for g, a in zip(groups, factors, strict=True):
-        parts = [g.scaled(p, a) for p in parts]
-    return parts
+    there, out = Mesh(model, m.xyz, m.cd, m.scalar), list[Matrices]()
+    for card, build, at in batches(model, rows):
+        part = build(there, card, at)
+        for g, a in zip(groups, factors, strict=True):
+            part = g.scaled(part, card, at, a)
+        out.append(part)
+    return out
 
 
 def size(a: sparse.csr_array | Any_) -> float:

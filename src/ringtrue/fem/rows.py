@@ -24,3 +24,9 @@ def common(a: Rows, b: Rows) -> Rows:
     """Rows that are in both."""
     both = {card: np.intersect1d(at, b[card]) for card, at in a.items() if card in b}
     return {card: at for card, at in both.items() if at.size}
+
+
+def without(a: Rows, b: Rows) -> Rows:
+    """Rows of the first that are not in the second."""
+    rest = {card: np.setdiff1d(at, b.get(card, at[:0])) for card, at in a.items()}
+    return {card: at for card, at in rest.items() if at.size}

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.fem.functions import AffineTerm, Function
+from ringtrue.fem.functions import AffineTerm, Product
+from ringtrue.fem.nodes import on_axis
+from ringtrue.fem.powers import Pair
+
+NONE = 1e-13  # rounding of a coefficient that is 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,24 +45,23 @@ class AffineSystem:
         if lost:
             raise InputError(f"terms of parameters {lost}: there are {len(self.parameters)}")
 
-    def alone(self, which: int) -> tuple[AffineTerm, ...]:
-        """The terms of one parameter by itself."""
-        return tuple(t for t in self.terms if t.function.which == (which,))
+    def alone(self, which: int) -> tuple[Pair, ...]:
+        """K and M that one parameter adds by itself: of each of its powers, or at some factors where it has others."""
+        own = [t for t in self.terms if which in t.function.which]
+        if all(isinstance(t.function, Product) for t in own):
+            return tuple((t.stiffness, t.mass) for t in own if t.function.which == (which,))
+        k, m = sparse.csr_array(self.stiffness.shape), sparse.csr_array(self.mass.shape)
+        only = replace(self, stiffness=k, mass=m, terms=tuple(own))
+        each = np.arange(len(self.parameters))
+        return tuple(only.at(np.where(each == which, x, 1.0)) for x in on_axis(self.parameters.parameters[which]))
 
     def at(self, factors: Float) -> tuple[sparse.csr_array, sparse.csr_array]:
         """K and M at the factors a (p,)."""
         k, m = self.stiffness, self.mass
-        for value, t in zip(values([t.function for t in self.terms], factors), self.terms, strict=True):
-            if value:
+        for t in self.terms:
+            if abs(value := t.function.value(factors)) > NONE:
                 k, m = k + value * t.stiffness, m + value * t.mass
         return sparse.csr_array(k), sparse.csr_array(m)
-
-
-def values(functions: Sequence[Function], factors: Float) -> Iterator[float]:
-    """Of each function at the factors a (P,) of all parameters; exactly 0 where one of its own is 1."""
-    for f in functions:
-        own = f.own(factors)
-        yield 0.0 if 1.0 in own else f.value(own)
 
 
 def observed_system(

@@ -12,7 +12,8 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.progress import Progress
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
-from ringtrue.fem.functions import AffineTerm, Function
+from ringtrue.fem.functions import Function
+from ringtrue.fem.powers import Pair
 from ringtrue.reduce.affine import AffineSystem
 
 CHUNK = 32  # right-hand sides solved together
@@ -86,7 +87,7 @@ def project(system: AffineSystem, vectors: Float, old: Projection | None = None)
 
 
 def static_sensitivities(
-    pencil: Pencil, modes: EigenModes, terms: Sequence[AffineTerm], count: int, progress: Progress | None
+    pencil: Pencil, modes: EigenModes, terms: Sequence[Pair], count: int, progress: Progress | None
 ) -> Float:
     """(K − σM)⁻¹ (K_j − λ_k M_j) φ_k of each term and mode, free of the modes, scaled to the mode's energy."""
     found = []
@@ -100,7 +101,7 @@ def static_sensitivities(
 
 
 def mixed_sensitivities(
-    pencil: Pencil, modes: EigenModes, terms: Sequence[AffineTerm], count: int, columns: int, progress: Progress | None
+    pencil: Pencil, modes: EigenModes, terms: Sequence[Pair], count: int, columns: int, progress: Progress | None
 ) -> Float:
     """As many random mixtures of all static sensitivities: their range, for a solve each (Halko et al. 2011, 4.1)."""
     rng, load = np.random.default_rng(0), np.zeros((pencil.size, columns))
@@ -110,12 +111,13 @@ def mixed_sensitivities(
     return _answers(pencil, modes, load, progress)
 
 
-def _forces(modes: EigenModes, t: AffineTerm, count: int) -> tuple[Int, Float]:
+def _forces(modes: EigenModes, t: Pair, count: int) -> tuple[Int, Float]:
     """The rows that a term touches, and its forces (r, count) there."""
-    rows = np.union1d(*(np.flatnonzero(np.diff(a.indptr)) for a in (t.stiffness, t.mass)))
+    rows = np.union1d(*(np.flatnonzero(np.diff(a.indptr)) for a in t))
     phi, lam = modes.vectors[:, :count], modes.values[:count]
     scale = 1 / np.sqrt(np.maximum(lam - modes.shift, np.abs(modes.shift)))
-    return rows, (t.stiffness[rows] @ phi - (t.mass[rows] @ phi) * lam) * scale
+    stiffness, mass = t
+    return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
 
 
 def _answers(pencil: Pencil, modes: EigenModes, load: Float, progress: Progress | None = None) -> Float:

@@ -45,7 +45,7 @@ def with_responses(
     fresh = [u]
     if sensitivities:
         for i in model.active:
-            fresh += [_solved(factor, t.stiffness @ u - shift * (t.mass @ u)) for t in model.system.alone(i)]
+            fresh += [_solved(factor, k @ u - shift * (m @ u)) for k, m in model.system.alone(i)]
     pencil.close()
     true, found = load.T @ u, _flexibility(model, a, channels, shift)
     error = float(np.abs(found - true).max(initial=0.0) / max(float(np.abs(true).max(initial=0.0)), 1e-300))

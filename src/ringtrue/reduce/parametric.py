@@ -22,7 +22,7 @@ from ringtrue.eigen.problem import EigenModes, frequencies
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduce.affine import AffineSystem, values
+from ringtrue.reduce.affine import AffineSystem
 from ringtrue.reduce.basis import (
     Projection,
     compress,
@@ -154,8 +154,8 @@ class ReducedModel:
     def projected(self, a: Float) -> tuple[Float, Float]:
         """K and M (r, r) in the basis at the factors a of all parameters."""
         k, m = self.basis.stiffness.copy(), self.basis.mass.copy()
-        for value, (_, kt, mt) in zip(values([f for f, _, _ in self.basis.terms], a), self.basis.terms, strict=True):
-            if value:
+        for f, kt, mt in self.basis.terms:
+            if value := f.value(a):
                 k += value * kt
                 m += value * mt
         return k, m
@@ -165,7 +165,7 @@ class ReducedModel:
         dk, dm = np.zeros_like(self.basis.stiffness), np.zeros_like(self.basis.mass)
         for i in self.basis.of.get(which, ()):
             f, kt, mt = self.basis.terms[i]
-            weight = f.slope(f.own(a))[f.which.index(which)] * slope
+            weight = f.slope(a, which) * slope
             dk += weight * kt
             dm += weight * mt
         return dk, dm
@@ -201,9 +201,9 @@ class ReducedModel:
         lam, phi = self.vectors(x)
         lam, phi = lam[:modes], phi[:, :modes]
         r = self.system.stiffness @ phi - (self.system.mass @ phi) * lam
-        a, terms = self.system.parameters.factors(everything), self.system.terms
-        for value, t in zip(values([t.function for t in terms], a), terms, strict=True):
-            if value:
+        a = self.system.parameters.factors(everything)
+        for t in self.system.terms:
+            if value := t.function.value(a):
                 r += value * (t.stiffness @ phi - (t.mass @ phi) * lam)
         energy = np.einsum("ij,ij->j", r, self.pencil.at(self.shift).solve(r))
         return float(0.5 * np.max(energy / (lam - self.shift)))

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import zip_longest
+from itertools import islice, zip_longest
 
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.fem.assembly import System
 from ringtrue.fem.change import rows_of, within
-from ringtrue.fem.dependence import form, together
+from ringtrue.fem.dependence import form
 from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
 from ringtrue.update.candidates import Candidate, Kind, counted, membership
@@ -30,7 +29,6 @@ NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
 def close(
     model: Model,
-    system: System,
     candidates: Sequence[Candidate],
     misfits: Sequence[tuple[Float, Float]],
     most: int,
@@ -49,7 +47,7 @@ def close(
     orders = [explaining(misfit, slopes, 2 * most).tolist() for misfit, slopes in misfits]
     turns = dict.fromkeys([*stay, *(i for turn in zip_longest(*orders) for i in turn if i is not None)])
     first = np.array(list(turns)[: 2 * most], dtype=np.int64)
-    return np.sort(first[tractable(model, system, [candidates[i] for i in first.tolist()], most)])
+    return np.sort(first[tractable(model, [candidates[i] for i in first.tolist()], most)])
 
 
 def explaining(misfit: Float, slopes: Float, most: int) -> Int:
@@ -87,30 +85,10 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
     return np.array(out[:most], dtype=np.int64)
 
 
-def tractable(model: Model, system: System, candidates: Sequence[Candidate], most: int) -> Int:
-    """The first whose matrices can be taken apart, in order, without those of which that is too much work.
-
-    Of those that are no powers two may do something together on an element, in a coarse series, but no three: the
-    constants of a laminate would have no end.
-    """
-    members, out = membership(model, candidates), list[int]()
-    near, met = (members @ members.T).toarray() > 0, dict[int, set[int]]()
-    for i, c in enumerate(candidates):
-        if len(out) == most:
-            break
-        how = form(model, c.parameter, system)
-        if how == "rough":
-            continue
-        if how == "series":
-            kinds = {j: together(model, candidates[j].parameter, c.parameter) for j in met if near[i, j]}
-            mine = {j for j, kind in kinds.items() if kind}
-            if "fine" in kinds.values() or any(met[j] & mine for j in mine):
-                continue
-            met[i] = mine
-            for j in mine:
-                met[j].add(i)
-        out.append(i)
-    return np.array(out, dtype=np.int64)
+def tractable(model: Model, candidates: Sequence[Candidate], most: int) -> Int:
+    """The first whose matrices can be taken apart, in order."""
+    smooth = (i for i, c in enumerate(candidates) if form(model, c.parameter) != "rough")
+    return np.fromiter(islice(smooth, most), dtype=np.int64)
 
 
 def of_parameter(model: Model, parameter: Parameter) -> Candidate:

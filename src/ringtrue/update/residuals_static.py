@@ -103,10 +103,10 @@ class RigidMass:
         a, slope = parameters.factors(everything), parameters.slope(everything)
         m, d_m = r.T @ (self.system.mass @ r), np.zeros((a.size, 6, 6))
         for t in self.system.terms:
-            part, own = r.T @ (t.mass @ r), t.function.own(a)
-            m = m + t.function.value(own) * part
-            for i, rise in zip(t.function.which, t.function.slope(own), strict=True):
-                d_m[i] += rise * slope[i] * part
+            part = r.T @ (t.mass @ r)
+            m = m + t.function.value(a) * part
+            for i in t.function.which:
+                d_m[i] += t.function.slope(a, i) * slope[i] * part
         return np.asarray(m), d_m[at]
 
 

@@ -62,7 +62,7 @@ def screened(
     def seen(modes: tuple[Float, Float]) -> tuple[tuple[Float, Float], ...]:
         return misfits(model, system, candidates, *modes, observe @ modes[1], aim)
 
-    at = close(model, system, candidates, seen(modes), pool)
+    at = close(model, candidates, seen(modes), pool)
     some = tuple(candidates[i] for i in at.tolist())
     if len(some) == len(candidates):
         return some
@@ -75,4 +75,4 @@ def screened(
     x[at] = best.x / whole.parameters.std()
     stay = at[np.isin(groups, groups[best.members])]
     near = [(r + g @ x, g) for r, g in seen(whole.vectors(best.x))]
-    return tuple(candidates[i] for i in close(model, system, candidates, near, pool, stay=stay.tolist()))
+    return tuple(candidates[i] for i in close(model, candidates, near, pool, stay=stay.tolist()))

@@ -1,0 +1,175 @@
+"""Matrices that are no polynomials of the factors, as sums of what they are at chosen factors: empirical interpolation.
+
+Elements on which the same parameters act, whatever their number, span few matrices between the bounds. Some of these
+are kept, K(a) = K(1) + Σ c_j(a) (K(a_j) - K(1)), M likewise, and as many entries of a few elements tell the c_j: the
+kernels of these are called at any a, by a complex step for the slopes. Barrault, Maday, Nguyen and Patera (2004), An
+empirical interpolation method, C. R. Acad. Sci. Paris 339, 667-672.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import sparse
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.progress import Progress, part
+from ringtrue.errors import NumericalError, UnsupportedError
+from ringtrue.fem.assembly import System, full_matrices, reduced
+from ringtrue.fem.functions import AffineTerm
+from ringtrue.fem.mesh import Mesh
+from ringtrue.fem.nodes import HOLDS, INVALID, Nodes, learn, rough
+from ringtrue.fem.powers import Group, Pair, built
+from ringtrue.fem.regions import Region, apart, ends, entries, few, owners, picked, regions, roots
+from ringtrue.fem.rows import Rows, union
+
+SAMPLE, WORST, ROUNDS = 24, 12, 8  # elements of a kind that tell the functions; that join them; how often
+STEP = 1e-30
+SEEN = 64  # points whose coefficients are kept
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Interpolation:
+    """The coefficients of several regions, at any factors.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    regions : tuple of Region
+        With the elements whose entries are used.
+    nodes : tuple of Nodes
+    colours : dict
+        A number for each parameter: those of one act on no region together, and are stepped together.
+    """
+
+    mesh: Mesh
+    regions: tuple[Region, ...]
+    nodes: tuple[Nodes, ...]
+    colours: dict[int, int]
+    _seen: dict[tuple[bytes, int], dict[int, Float]] = field(default_factory=dict)
+
+    def at(self, a: Float) -> dict[int, Float]:
+        """c (r,) at the factors a (P,) of all parameters, of the regions that do not stay nominal.
+
+        Raises
+        ------
+        NumericalError
+            If a section does not allow the factors.
+        """
+        return self._kept(a, -1)
+
+    def slopes(self, a: Float, i: int) -> dict[int, Float]:
+        """∂c/∂a_i (r,) of the regions that depend on a_i, and some of others."""
+        return self._kept(a, self.colours[i])
+
+    def _kept(self, a: Float, colour: int) -> dict[int, Float]:
+        key = (np.asarray(a, dtype=np.float64).tobytes(), colour)
+        if key not in self._seen:
+            if len(self._seen) >= SEEN:
+                self._seen.clear()
+            self._seen[key] = self._computed(np.asarray(a, dtype=np.float64), colour)
+        return self._seen[key]
+
+    def _computed(self, a: Float, colour: int) -> dict[int, Float]:
+        stepped = np.array([self.colours.get(i) == colour for i in range(a.size)])
+        on = stepped if colour >= 0 else a != 1.0
+        some = [k for k, r in enumerate(self.regions) if on[list(r.which)].any()]
+        try:
+            found = entries(self.mesh, [self.regions[k] for k in some], a + 1j * STEP * stepped if colour >= 0 else a)
+        except INVALID as e:
+            raise NumericalError(f"a section does not allow the factors {np.round(a, 4).tolist()}: {e}") from e
+        if colour < 0:
+            return {k: self.nodes[k].coefficients(f) for k, f in zip(some, found, strict=True)}
+        return {k: self.nodes[k].slopes(f[self.nodes[k].places].imag / STEP) for k, f in zip(some, found, strict=True)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coefficient:
+    """c_j of a region of an interpolation: a `Function`."""
+
+    which: tuple[int, ...]
+    of: Interpolation
+    region: int
+    j: int
+
+    def value(self, a: Float) -> float:
+        """See `Function`."""
+        found = self.of.at(a)
+        return float(found[self.region][self.j]) if self.region in found else 0.0
+
+    def slope(self, a: Float, i: int) -> float:
+        """See `Function`."""
+        return float(self.of.slopes(a, i)[self.region][self.j]) if i in self.which else 0.0
+
+
+def interpolated(m: Mesh, groups: Sequence[Group], rows: Rows, system: System, progress: Progress) -> list[AffineTerm]:
+    """The terms of the rows, as all groups that act on them change these together.
+
+    Raises
+    ------
+    UnsupportedError
+        If the matrices of a region are no smooth functions of its parameters between their bounds.
+    """
+    batches, out = apart(regions(groups, rows)), list[AffineTerm]()
+    for k, batch in enumerate(batches):
+        out += _terms(m, batch, system, part(progress, k / len(batches), (k + 1) / len(batches)))
+    return out
+
+
+def _terms(m: Mesh, batch: Sequence[Region], system: System, progress: Progress) -> list[AffineTerm]:
+    """Of regions whose kernels can be called at once; elements whose sums do not hold join those that these rest on."""
+    sampled = {k: few(r.rows, SAMPLE) for k, r in enumerate(batch)}
+    found: dict[int, tuple[Nodes, list[Pair]]] = {}
+    for _ in range(ROUNDS):
+        progress(len(found) / len(batch), "derivatives: parameters on the same elements")
+        waiting = [k for k in sampled if k not in found]
+        for k, nodes in zip(waiting, learn(m, [replace(batch[k], rows=sampled[k]) for k in waiting]), strict=True):
+            parts, worst = _whole(m, batch[k], nodes, system)
+            if worst.size:
+                sampled[k] = union([sampled[k], picked(m, batch[k].rows, worst)])
+            else:
+                found[k] = nodes, parts
+        if len(found) == len(batch):
+            of = _interpolation(m, batch, [found[k][0] for k in sampled])
+            return [
+                AffineTerm(Coefficient(batch[k].which, of, k, j), *pair)
+                for k in sampled
+                for j, pair in enumerate(found[k][1])
+            ]
+    raise UnsupportedError(rough(batch[next(k for k in sampled if k not in found)].groups))
+
+
+def _interpolation(m: Mesh, batch: Sequence[Region], nodes: Sequence[Nodes]) -> Interpolation:
+    colours: dict[int, int] = {}
+    for i in sorted({i for r in batch for i in r.which}):
+        taken = {colours.get(j) for r in batch if i in r.which for j in r.which}
+        colours[i] = next(c for c in range(len(colours) + 1) if c not in taken)
+    used = (replace(r, rows=n.rows) for r, n in zip(batch, nodes, strict=True))
+    return Interpolation(m, tuple(used), tuple(nodes), colours)
+
+
+def _whole(m: Mesh, region: Region, nodes: Nodes, system: System) -> tuple[list[Pair], Int]:
+    """K and M at the nodes, less those at nominal, of all elements; some of these whose sum does not hold, if any."""
+
+    def at(a: Float) -> tuple[Pair, Float]:
+        made = built(m, region.groups, region.rows, [a[g.which] for g in region.groups])
+        K, M = full_matrices(m, made)
+        both = reduced(system.transform, K), reduced(system.transform, M)
+        return both, ends([(p.stiffness, p.mass) for p in made])
+
+    (K, M), nominal = at(np.ones_like(nodes.check))
+    (weights,) = entries(m, [region], np.ones_like(nodes.check), roots)
+    (found,) = entries(m, [replace(region, rows=nodes.rows)], nodes.check)
+    (there,) = entries(m, [region], nodes.check)
+    miss, parts = there - nominal, list[Pair]()
+    for c, a in zip(nodes.coefficients(found).tolist(), nodes.factors, strict=True):
+        (stiffness, mass), each = at(a)
+        parts.append((sparse.csr_array(stiffness - K), sparse.csr_array(mass - M)))
+        miss -= c * (each - nominal)
+    miss = np.abs(weights * miss)
+    bad = miss > HOLDS * np.abs(weights * there).max(initial=0.0)
+    element, order = owners(m, region), np.argsort(-miss[bad], kind="stable")
+    _, first = np.unique(element[bad][order], return_index=True)
+    return parts, np.sort(element[bad][order][np.sort(first)[:WORST]])
