@@ -27,14 +27,14 @@ HOLDS, SLOPES = 1e-8, 1e-6  # relative to the roots of the diagonal entries
 LOW, HIGH = 0.5, 2.0
 
 
-def plate() -> Model:
+def plate(second: int = 2) -> Model:
     x, quads = square(SIDE, 1.0, 1.0)
     inner = (x[:, :2] > 0).all(axis=1) & (x[:, :2] < 1).all(axis=1)
     x[:, :2] += np.random.default_rng(5).uniform(-0.25, 0.25, (len(x), 2)) / SIDE * inner[:, None]
     skin = {"E1": 1.3e11, "E2": 9e9, "NU12": 0.3, "G12": 5e9, "G1Z": 5e9, "G2Z": 3e9, "RHO": 1600.0}
     core = {"E1": 1e6, "E2": 1e6, "NU12": 0.1, "G12": 1e6, "G1Z": 3e8, "G2Z": 2e8, "RHO": 50.0}
     thin, thick, angles = 0.0002, 0.01, [0.0, 45.0, 0.0, -45.0]
-    half = np.where(np.arange(len(quads)) < len(quads) // 2, 1, 2)
+    half = np.where(np.arange(len(quads)) < len(quads) // 2, 1, second)
     return model(
         grid(x),
         cards("MAT8", MID=[1, 2], **{f: [skin[f], core[f]] for f in skin}),
@@ -124,7 +124,7 @@ def test_nominal_is_exact() -> None:
 
 def test_a_factor_on_element_matrices_and_a_modulus() -> None:
     """E1 and a factor on the stiffness of some elements: the factor multiplies what E1 makes of them."""
-    m, some = plate(), Parameter("k", substructures=(Substructure("stiffness", tuple(range(20, 40))),))
+    m, some = plate(), Parameter("k", substructures=(Substructure("stiffness", tuple(range(10, 30))),))
     (e1,) = constants("E1")
     a = np.array([1.6, 0.7])
     s, there = assemble(m), scaled(m, e1, 1.6)
@@ -138,7 +138,7 @@ def test_a_factor_on_element_matrices_and_a_modulus() -> None:
 
 def test_bounds_that_not_all_parameters_may_reach_together() -> None:
     """NU12² < E1/E2 holds at the bounds of each by itself, not where all are at theirs."""
-    m, wide = plate(), constants("E1", "NU12", lower=0.15, upper=7.0)
+    m, wide = plate(second=1), constants("E1", "NU12", lower=0.15, upper=7.0)
     terms = affine_terms(m, ParameterSet(tuple(wide)), assemble(m))
     with pytest.raises(NumericalError, match="does not allow"):
         terms[0].function.value(np.array([0.15, 7.0]))
