@@ -27,7 +27,7 @@ from ringtrue.fem.rows import Rows, union
 
 SAMPLE, WORST, ROUNDS = 24, 12, 8  # elements of a kind that tell the functions; that join them; how often
 STEP = 1e-30
-SEEN = 64  # points whose coefficients are kept
+SEEN = 4096  # sets of coefficients that are kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)

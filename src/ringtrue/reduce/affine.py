@@ -16,7 +16,7 @@ from ringtrue.fem.functions import AffineTerm, Product
 from ringtrue.fem.nodes import on_axis
 from ringtrue.fem.powers import Pair
 
-NONE = 1e-13  # rounding of a coefficient that is 0
+NONE = 1e-9  # rounding of a coefficient that is 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,13 +53,13 @@ class AffineSystem:
         k, m = sparse.csr_array(self.stiffness.shape), sparse.csr_array(self.mass.shape)
         only = replace(self, stiffness=k, mass=m, terms=tuple(own))
         each = np.arange(len(self.parameters))
-        return tuple(only.at(np.where(each == which, x, 1.0)) for x in on_axis(self.parameters.parameters[which]))
+        return tuple(only.at(np.where(each == which, x, 1.0), NONE) for x in on_axis(self.parameters.parameters[which]))
 
-    def at(self, factors: Float) -> tuple[sparse.csr_array, sparse.csr_array]:
-        """K and M at the factors a (p,)."""
+    def at(self, factors: Float, least: float = 0.0) -> Pair:
+        """K and M at the factors a (p,); without terms whose functions are up to `least` there."""
         k, m = self.stiffness, self.mass
         for t in self.terms:
-            if abs(value := t.function.value(factors)) > NONE:
+            if abs(value := t.function.value(factors)) > least:
                 k, m = k + value * t.stiffness, m + value * t.mass
         return sparse.csr_array(k), sparse.csr_array(m)
 
