@@ -178,6 +178,18 @@ def test_complex_modes_of_a_deck(tmp_path: Path, capsys: Capture) -> None:
     assert "no damping" in refused(capsys, "modes", deck, "--complex")
 
 
+def test_translations_that_nothing_holds_are_told(tmp_path: Path, capsys: Capture) -> None:
+    """A plate that is a membrane: MID2 is blank."""
+    grid = "".join(f"GRID,{i + 1},,{x}.,{y}.,0.\n" for i, (x, y) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1), (2, 0))))
+    plate = f"{grid}CQUAD4,1,1,1,2,3,4\nPSHELL,1,1,.01{{}}\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123456,1,2\n"
+    (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + plate.format(""))
+    out = call(capsys, "modes", tmp_path / "d.bdf")[1]
+    assert "held by AUTOSPC, without stiffness: 3+Z 4+Z\n" in out
+    assert "PSHELL 1: MID2 is blank" in call(capsys, "check", tmp_path / "d.bdf")[1]
+    (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + plate.format(",1"))
+    assert "AUTOSPC" not in call(capsys, "modes", tmp_path / "d.bdf")[1]
+
+
 def test_json_goes_to_a_file_whole(deck: Path, tmp_path: Path, capsys: Capture) -> None:
     assert call(capsys, "modes", deck, "-n", 2, "--json", tmp_path / "m.json")[0] == 0
     assert len(json.loads((tmp_path / "m.json").read_text())["modes"]) == 2

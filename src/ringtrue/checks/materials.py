@@ -13,8 +13,15 @@ _ZERO = 1e-12  # of the largest eigenvalue: round-off
 
 
 def check_materials(model: Model) -> list[Finding]:
-    """Poisson's ratio of MAT1, E1, E2 and NU12 of MAT8, the matrices of MAT2 and MAT9."""
-    return [*_poisson(model), *_orthotropic(model), *_indefinite(model, "MAT2", 3), *_indefinite(model, "MAT9", 6)]
+    """Poisson's ratio of MAT1, E1, E2 and NU12 of MAT8, the matrices of MAT2 and MAT9, and shells that do not bend."""
+    matrices = [*_indefinite(model, "MAT2", 3), *_indefinite(model, "MAT9", 6)]
+    return [*_poisson(model), *_orthotropic(model), *matrices, *_membranes(model)]
+
+
+def _membranes(model: Model) -> list[Finding]:
+    rows = np.flatnonzero(model["PSHELL"]["MID2"] == 0) if "PSHELL" in model else np.empty(0, dtype=np.int64)
+    what = "MID2 is blank: a membrane, without stiffness in bending"
+    return [at_rows(model, "PSHELL", rows, "info", what)] if rows.size else []
 
 
 def _poisson(model: Model) -> list[Finding]:

@@ -71,6 +71,7 @@ def modes(
         with engine.open(model) as analysis:
             solve = _complex(analysis) if damped else analysis.modes
             result = asked.of(solve) if asked else solve(ModesRequest(n or 20, band))
+            loose = analysis.system.loose().labels() if isinstance(analysis, EmbeddedAnalysis) else ()
     if json:
         with json_file(json) as file:
             dump_modes(file, result.modes, more={"complete": result.complete, "proof": result.proof})
@@ -78,6 +79,9 @@ def modes(
         write_modes(target, writable(result.modes, target))
     if json != "-":
         _print_modes(deck, result, damped)
+        if loose:
+            more = f" and {len(loose) - 6} more" if len(loose) > 6 else ""
+            out.print(f"held by AUTOSPC, without stiffness: {' '.join(loose[:6])}{more}")
     unproved = bool(np.isnan(result.residuals).all())  # a program that hands back no matrices, and may count nothing
     return 0 if result.complete or unproved else 1
 

@@ -66,6 +66,12 @@ class System:
         """Motion of all nodes in basic, (full, ...), from that of the free DOFs (f, ...)."""
         return np.asarray(self.transform @ x)
 
+    def loose(self) -> DofSet:
+        """Translations that AUTOSPC holds at nodes that can move otherwise, in the displacement frames."""
+        a = self.autospc
+        at = (a.direction >= 1) & (a.direction <= 3) & np.isin(a.node, self.free.node)
+        return DofSet(a.node[at], a.direction[at])
+
     def rigid_body(self) -> Float:
         """Unit motions along and about the axes of basic, (f, 6) float64."""
         full = np.zeros((len(self.dofs), 6))
