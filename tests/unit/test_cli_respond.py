@@ -110,6 +110,66 @@ def test_static_deflections_are_force_over_stiffness(tmp_path: Path, units: str,
     assert tests.loads[0, 0] == 4.0
 
 
+BAR = """SOL 101
+CEND
+SPC = 1
+SUBCASE 1
+  LOAD = 5
+SUBCASE 7
+  LOAD = 2
+SUBCASE 8
+  LOAD = 3
+BEGIN BULK
+PARAM,COUPMASS,1
+GRID,1,,0.,0.,0.
+GRID,2,,2.,0.,0.
+CORD2R,4,,0.,0.,0.,0.,0.,1.
+,0.,1.,0.
+CBAR,1,1,1,2,0.,1.,0.
+PBAR,1,1,.01,2.-6,3.-6,4.-6
+MAT1,1,2.+11,,.25,8000.
+SPC1,1,123456,1
+FORCE,1,2,,10.,0.,0.,-2.
+MOMENT,1,2,4,30.,1.,0.,0.
+LOAD,5,2.,3.,1,1.,2
+GRAV,2,4,9.81,0.,1.,0.
+FORCE,3,2,4,100.,0.,2.,0.
+PLOAD4,9,1,3.
+"""
+
+
+def test_static_loads_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
+    """A cantilever of 2 m and 160 kg; X of frame 4 is Y of basic, its Y is -X. Set 5 is six times 1 and twice 2."""
+    deck, L, E, rho, A, I2 = tmp_path / "d.bdf", 2.0, 2e11, 8000, 0.01, 3e-6
+    deck.write_text(BAR)
+    assert run(["static", str(deck), "--at", "2+X", "--at", "2+Z", "--json", "-"]) == 0
+    cases = {c["case"]: c["metre"] for c in json.loads(capsys.readouterr().out)["cases"]}
+    bent = -20 * L**3 / (3 * E * I2) - 30 * L**2 / (2 * E * I2)  # a moment about Y turns Z of the tip down
+    along = -9.81 * rho * L**2 / (2 * E)
+    assert cases["SUBCASE 8"]["2+X"] == pytest.approx(-200 * L / (E * A), rel=1e-6)
+    assert cases["SUBCASE 7"]["2+X"] == pytest.approx(along, rel=1e-6)
+    assert cases["SUBCASE 7"]["2+Z"] == pytest.approx(0, abs=1e-12)
+    assert cases["SUBCASE 1"]["2+X"] == pytest.approx(2 * along, rel=1e-6)
+    assert cases["SUBCASE 1"]["2+Z"] == pytest.approx(6 * bent, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("LOAD = 3", "LOAD = 9", "PLOAD4 is not supported: of a static load, FORCE, MOMENT, GRAV are read"),
+        ("LOAD = 3", "LOAD = 33", "load set 33 is not in the deck"),
+        ("LOAD = 3", "LOAD = 3\n  SPC = 2", "SUBCASE 8 has other"),
+        ("FORCE,3,2", "FORCE,3,22", "SUBCASE 8: FORCE at node 22, which is not in the deck"),
+        ("FORCE,3,2,4,100.", "FORCE,3,2,4,x", "'X' is not a real"),
+        ("LOAD", "LAOD", "case control has no LOAD"),
+    ],
+)
+def test_loads_that_cannot_be_taken(tmp_path: Path, old: str, new: str, told: str, capsys: Capture) -> None:
+    (tmp_path / "d.bdf").write_text(BAR.replace(old, new))
+    assert run(["static", str(tmp_path / "d.bdf"), "--at", "2+Z"]) == 2
+    assert told in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "status", "told"),
     [
@@ -120,6 +180,8 @@ def test_static_deflections_are_force_over_stiffness(tmp_path: Path, units: str,
         (("frf", "--force", "55+X", "--fmax", "5"), 2, "55+X"),
         (("frf", "--force", "5+X", "--fmax", "5", "--units", "mm-kg-ms"), 2, "did you mean"),
         (("frf", "--force", "7+X", "--fmax", "5"), 0, "warning: 7+X is held"),
+        (("static",), 2, "--at: name the points"),
+        (("static", "--at", "5+X", "--csv", "s.csv"), 2, "--csv: a static test has forces at points"),
         (("static", "--force", "5+X=much"), 2, "the form is"),
         (("static", "--force", "8+X"), 1, "singular"),
     ],

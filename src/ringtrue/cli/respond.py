@@ -21,10 +21,12 @@ from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.errors import ConfigError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.frfs import write_frfs
+from ringtrue.io.nastran.loads import read_load_cases
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.statics import COLUMNS
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
+from ringtrue.study.loads import load_vectors
 
 ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
 
@@ -179,12 +181,16 @@ def _frf_json(found: FrfSet) -> dict[str, object]:
 def static(
     deck: Deck,
     force: Annotated[
-        list[str],
-        typer.Option("--force", metavar="POINT[=N]", help="A load case: 3+Z=250 is 250 N, 3+Z 1 N; repeat it."),
-    ],
+        list[str] | None,
+        typer.Option(
+            "--force",
+            metavar="POINT[=N]",
+            help="A load case: 3+Z=250 is 250 N, 3+Z 1 N; repeat it. If not given: the loads of the deck.",
+        ),
+    ] = None,
     at: Annotated[
         list[str] | None,
-        typer.Option("--at", metavar="POINT", help="Of a deflection; repeat it. If not given: where forces act."),
+        typer.Option("--at", metavar="POINT", help="Of a deflection; repeat it. If not given: where --force acts."),
     ] = None,
     units: Units = "SI",
     table: Annotated[
@@ -198,37 +204,50 @@ def static(
     ] = None,
     json: Json = None,
 ) -> int:
-    """Deflections of a deck under single forces, each a load case of its own.
+    """Deflections of a deck under its own loads, or under single forces, each a load case of its own.
 
-    Directions are those of the basic frame. The loads of the deck itself are not read.
+    Directions are those of the basic frame. Of the deck FORCE, MOMENT and GRAV are read, of each subcase with a LOAD.
 
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """
-    points, newtons = zip(*(_load(text) for text in force), strict=True)
-    into, heard = translations("--force", list(points)), translations("--at", at or list(points))
+    if not (at or force):
+        raise ConfigError("--at: name the points whose deflections are wanted, such as 101+Z")
+    if table and not force:
+        raise ConfigError("--csv: a static test has forces at points; give --force")
+    given = dict(_load(text) for text in force or [])
+    into, heard = translations("--force", list(given)), translations("--at", at or list(given))
+    newtons = np.array(list(given.values()))
     metres = unit_length(units)
-    loads = np.asarray(newtons) / (unit_mass(units) * metres)
     with progress("static") as show:
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
+        cases = () if force else read_load_cases(deck)
         show(0.3, "solving")
         with EmbeddedSolver().open(model) as analysis:
             _warn_of_held(analysis, heard, into)
-            row, sign = analysis.dofs.align(into)
-            acting = np.zeros((len(analysis.dofs), len(into)))
-            acting[row, np.arange(len(into))] = sign * loads
-            row, sign = analysis.dofs.align(heard)
-            deflections = analysis.static(acting)[row] * sign[:, None] * metres
-    cases = list(zip(into.labels(), newtons, deflections.T.tolist(), strict=True))
+            acting = load_vectors(model, analysis.dofs, cases)
+            if force:
+                acting = _unit_loads(analysis, into) * (newtons / (unit_mass(units) * metres))
+            moved = (_unit_loads(analysis, heard).T @ analysis.static(acting)).T * metres
+    names = [f"{p}={n:g}" for p, n in zip(into.labels(), newtons, strict=True)] or [c.name for c in cases]
+    points = heard.labels()
     if table:
-        _write_static(table, cases, heard.labels())
+        _write_static(table, list(zip(into.labels(), newtons.tolist(), moved.tolist(), strict=True)), points)
     if json:
-        named = [{"force": c, "newton": n, "metre": dict(zip(heard.labels(), u, strict=True))} for c, n, u in cases]
-        write_json({"deck": str(deck), "cases": named}, json)
+        told = [{"case": c, "metre": dict(zip(points, u, strict=True))} for c, u in zip(names, moved, strict=True)]
+        write_json({"deck": str(deck), "cases": told}, json)
     if json != "-":
-        body = [(c, f"{n:g}", p, f"{x:.6g}") for c, n, u in cases for p, x in zip(heard.labels(), u, strict=True)]
-        rows(f"{deck}: {len(cases)} load cases", ("force", "N", "at", "deflection [m]"), body)
+        every = [(c, p, f"{x:.6g}") for c, u in zip(names, moved, strict=True) for p, x in zip(points, u, strict=True)]
+        rows(f"{deck}: {len(names)} load cases", ("case", "at", "deflection [m]"), every)
     return 0
+
+
+def _unit_loads(analysis: EmbeddedAnalysis, at: DofSet) -> Float:
+    """A column (dof, k) for each DOF, 1 or -1 there."""
+    row, sign = analysis.dofs.align(at)
+    out = np.zeros((len(analysis.dofs), len(at)))
+    out[row, np.arange(len(at))] = sign
+    return out
 
 
 def _load(text: str) -> tuple[str, float]:

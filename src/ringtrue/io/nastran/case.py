@@ -23,7 +23,7 @@ STIFFENING = {  # commands that bring in stiffness which is not read, and how th
     "STATSUB": PRELOADS,
 }
 _UNREAD = ("K2PP", "M2PP", "B2PP", "K42GG", "A2GG", "TFL")  # matrices of other solutions
-_NAMES = (*_CHOICES, *STIFFENING, *_UNREAD)
+_NAMES = (*_CHOICES, *STIFFENING, *_UNREAD, "LOAD")
 _SHORT = {
     "METH": "METHOD",
     "TITL": "TITLE",
@@ -69,6 +69,28 @@ def _not_taken(top: Sequence[str], found: Mapping[str, str]) -> tuple[int, ...]:
     (_, common), *subcases = _sections(top)
     every = [(number, {**common, **choices}) for number, choices in subcases]
     return tuple(n for n, c in every if "METHOD" in c and any(c.get(k) != found.get(k) for k in _SETS))
+
+
+def load_sets(top: Sequence[str]) -> list[tuple[str, int]]:
+    """Names of the subcases with a LOAD, and the numbers of their sets.
+
+    Raises
+    ------
+    DeckError
+        If a LOAD is no number, or a subcase has other sets of SPC or MPC than those that count for modes.
+    """
+    (_, common), *subcases = _sections(top)
+    every = [(f"SUBCASE {n}", {**common, **choices}) for n, choices in subcases] or [("LOAD", common)]
+    taken, out = commands(top), []
+    for name, choices in every:
+        if "LOAD" not in choices:
+            continue
+        if any(choices.get(k) != taken.get(k) for k in _SETS):
+            raise DeckError(f"{name} has other {', '.join(_SETS)} than the subcase that is taken; give it alone")
+        if not re.fullmatch(r"\d{1,18}", choices["LOAD"], re.A):
+            raise DeckError(f"LOAD = {choices['LOAD']} in case control: it must be the number of a set")
+        out.append((name, int(choices["LOAD"])))
+    return out
 
 
 def _joined(top: Iterable[str]) -> list[str]:
