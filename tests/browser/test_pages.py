@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify.environment import fit_environment
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.tracking import Stretch, track_modes
 from ringtrue.io.choices import read_choice
 from ringtrue.plots.picker import picker_page
+from ringtrue.plots.responses import frf_page
 from ringtrue.plots.tracking import tracking_page
 
 needs_browser = pytest.mark.skipif(
@@ -55,6 +57,22 @@ def test_a_click_makes_a_choice(tmp_path: Path) -> None:
     assert choice.automatic
     assert [r.frequency for r in choice.rejects] == [3.05]
     assert drawn == [0, 4, 3, 3, 1]
+
+
+@needs_browser
+def test_responses_of_a_model_are_drawn(tmp_path: Path) -> None:
+    freqs, points = np.linspace(1, 9, 50), [Channel(c, "acceleration", "m/s^2") for c in ("1+X", "</script>")]
+    h = np.exp(1j * np.outer(freqs, [1.0, 0.0]))[:, :, None] * [1.0, 0.0]  # a force that moves nothing, too
+    forces = (Channel("1+X", "force", "N"), Channel("2+X", "force", "N"))
+    path = tmp_path / "f.html"
+    path.write_text(frf_page("wing", FrfSet(h, freqs, tuple(points), forces)))
+    with chromium.page(tmp_path / "profile") as page:
+        page.call("Page.navigate", url=path.as_uri())
+        assert page.until("document.querySelectorAll('.main-svg').length >= 4")
+        drawn = page.evaluate("[0, 1].map((i) => document.getElementById('figure-' + i).data.length)")
+        assert page.complaints() == []
+        assert all(u.startswith(("file:", "data:", "blob:")) for u in page.requests())
+    assert drawn == [4, 4]
 
 
 @needs_browser
