@@ -25,7 +25,7 @@ _KEPT = (  # cards that are kept and what becomes of them
         ("SNORM",),
         "kept, not applied: normals of shells are the mean of the elements around a node, as PARAM,SNORM has it",
     ),
-    (("MDLPRM",), "kept, not applied: offsets are rigid arms, and mass moves with them"),
+    (("MDLPRM",), "kept, not applied: with or without OFFDEF, offsets are rigid arms and masses move with them"),
     (("DESVAR",), "kept, not applied: the fields of the cards count as they stand, not the start XINIT"),
     (("TF",), "kept, not applied: transfer functions act in the solutions of responses only"),
 )
