@@ -206,6 +206,12 @@ def test_check_counts_and_weighs_the_whole_structure(deck: Path, capsys: Capture
     assert "mass 12956" in call(capsys, "check", deck)[1]
 
 
+def test_a_mass_in_one_place_has_no_inertia(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "d.bdf").write_text("BEGIN BULK\nGRID,3,,11.,1.,1.\nCONM2,1,3,,.1\nCELAS2,2,1.,3,1\n")
+    shown = [line for line in call(capsys, "check", tmp_path / "d.bdf")[1].splitlines() if line.startswith("inertia")]
+    assert [float(x) for line in shown for x in line.split()[1:]] == [0.0] * 9
+
+
 def test_check_lists_unsupported_cards_with_their_place(deck: Path, capsys: Capture) -> None:
     deck.write_text(deck.read_text().replace("ENDDATA", "CRAC2D,900,9,101,102\nENDDATA"))
     line = deck.read_text().splitlines().index("CRAC2D,900,9,101,102") + 1

@@ -160,10 +160,10 @@ def _rigid(found: Survey, findings: list[Finding]) -> dict[str, Any]:
     }
 
 
-def _clean(values: list[Any]) -> Float:
-    """With 0 for what is rounding beside the largest."""
+def _clean(values: list[Any], scale: float = 0.0) -> Float:
+    """With 0 for what is rounding beside the largest, and beside `scale`."""
     x = np.asarray(values, dtype=np.float64)
-    return np.asarray(np.where(np.abs(x) > ROUNDING * np.abs(x).max(initial=0.0), x, 0.0))
+    return np.asarray(np.where(np.abs(x) > ROUNDING * np.abs(x).max(initial=scale), x, 0.0))
 
 
 def _print_check(deck: Path, summary: dict[str, Any]) -> None:
@@ -171,7 +171,8 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
     if "mass" in summary:
         cg = ", ".join(f"{x:.4g}" for x in _clean(summary["centre_of_gravity"]))
         out.print(f"mass {summary['mass']:.6g}, centre of gravity ({cg})")
-        for row in _clean(summary["inertia"]):
+        moved = summary["mass"] * sum(x * x for x in summary["centre_of_gravity"])  # what is taken off to be about it
+        for row in _clean(summary["inertia"], moved):
             out.print("inertia  " + "  ".join(f"{x: .5e}" for x in row))
         if summary["ground_check"]["ok"]:
             out.print("ground check: rigid-body motion takes no strain energy")
