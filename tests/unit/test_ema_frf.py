@@ -7,12 +7,14 @@ domain on twice the length, so that nothing wraps around.
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance, join_frfs
 from ringtrue.signal.hits import HammerSettings, input_id
 from ringtrue.study.forced import forced_frfs
@@ -216,6 +218,19 @@ def test_variance_from_the_coherence_covers_the_scatter() -> None:
     scatter = np.var([r.data.real for r in runs], axis=0, ddof=1)[40:]
     stated = np.mean([frf_variance(r) for r in runs], axis=0)[40:]
     assert 0.6 < np.median(scatter / stated) < 1.7  # a handful of averages: the coherence itself scatters
+
+
+def test_frfs_of_the_other_sign_of_time_are_turned_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """e^{-iωt}: the conjugates; FRFs of e^{+iωt} and noise stay as they are."""
+    frfs, _ = estimate_frf(record(1, [0, 1, 5], starts=1.0 + 9.0 * np.arange(2), noise=0.02))
+    rng = np.random.default_rng(0)
+    noise = frfs.data * 0 + rng.standard_normal(frfs.data.shape) + 1j * rng.standard_normal(frfs.data.shape)
+    for name, data, kept in (("a", frfs.data, True), ("b", frfs.data.conj(), False), ("c", noise, True)):
+        caplog.clear()
+        write_frfs(tmp_path / f"{name}.h5", replace(frfs, data=data))
+        read = read_frfs(tmp_path / f"{name}.h5")
+        np.testing.assert_array_equal(read.data, data if kept else frfs.data)
+        assert ("their conjugates are taken" in caplog.text) is not kept
 
 
 def test_refusals() -> None:

@@ -1,4 +1,4 @@
-"""Labelled, signed degrees of freedom: the text form is `101+Z`, `101-RX`, or `7` for a scalar point."""
+"""Labelled, signed degrees of freedom: the text form is `101+Z` or `101:+Z`, `101-RX`, or `7` for a scalar point."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.errors import InputError
 
 NAMES = ("", "X", "Y", "Z", "RX", "RY", "RZ")
-_TEXT = re.compile(r"(\d+)(?:([+-]?)(R?[XYZ]))?")
+_TEXT = re.compile(r"(\d+)(?::?([+-]?)(R?[XYZ]))?")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +36,8 @@ class DofSet:
     >>> index, sign = here.align(DofSet.parse(["102+RX"]))
     >>> index.tolist(), sign.tolist()
     ([1], [-1.0])
+    >>> DofSet.parse(["101:+Z"]).labels()
+    ('101+Z',)
     """
 
     node: Int

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import struct
 import zipfile
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tokenize import TokenError
 from typing import get_args
@@ -24,7 +26,10 @@ from ringtrue.io.frf_tables import is_frf_table, read_frf_table, write_frf_table
 from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY
 from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions, write_frf_sets
 
+log = logging.getLogger(__name__)
+
 GROUP = "frfs"
+_CLEAR, _MOST = 6.0, 0.9  # standard deviations, of noise, that a phase rises by; share of the FRFs in which it does
 _UFF = (".uff", ".unv", ".58")
 _HDF5 = (".h5", ".hdf5")
 _TEXT = (".csv", ".txt")
@@ -75,6 +80,7 @@ def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     else:
         raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.npz', *_HDF5, *_UFF, *_TEXT])}")
     _check(frfs, path)
+    frfs = _forward(frfs, path)
     there = {c.id for c in (*frfs.outputs, *frfs.inputs)}
     lost = [c for c in leave_out if c in there]
     return frfs.without(lost) if lost else frfs
@@ -151,6 +157,17 @@ def _check(frfs: FrfSet, path: Path) -> None:
         raise DataError(
             f"{path}: the frequency lines must rise ({step.min():g} to {step.max():g} Hz from line to line)"
         )
+
+
+def _forward(frfs: FrfSet, path: Path) -> FrfSet:
+    """FRFs of e^{+iωt}, whose phase falls from line to line, as the impulse response comes after the impulse."""
+    h = frfs.data
+    turn = np.einsum("foi,foi->oi", h[1:], h[:-1].conj()).imag
+    share = turn / np.maximum(np.einsum("foi,foi->oi", h, h.conj()).real, np.finfo(float).tiny)
+    if share.mean() < _CLEAR / np.sqrt(2 * h.size) or (share > 0).mean() < _MOST:
+        return frfs
+    log.warning("%s: the phase rises with the frequency, so FRFs of e^(-iωt): their conjugates are taken", path)
+    return replace(frfs, data=h.conj())
 
 
 def _read_h5(path: Path) -> FrfSet:

@@ -67,21 +67,21 @@ def forced_frfs(
     """
     if resolution is None and not all(runs_on(r) for r in records):
         columns, hits = estimate_columns(records, settings, full_scale=full_scale, progress=progress)
-        return Forced(columns, hits, _force_end(columns, records[0].rate))
+        return Forced(columns, hits, _force_end(columns, records[0].rate, settings.keep_to))
     parts = tuple(_shaken(records, resolution, settings.estimator))
     step, averages = parts[0].freqs[1] - parts[0].freqs[0], parts[0].averages[0]
     said = f"the force runs all the time: lines {step:.3g} Hz apart, {averages:.3g} averages at each"
     return Forced(parts, notes=(said,))
 
 
-def _force_end(columns: Sequence[FrfSet], rate: float) -> tuple[str, ...]:
-    """A line where the force of blows sampled at `rate`, Hz, ends before the lines that could be."""
+def _force_end(columns: Sequence[FrfSet], rate: float, keep_to: float | None) -> tuple[str, ...]:
+    """A line where the force of blows sampled at `rate`, Hz, ends before the lines that could be or are asked for."""
     last, heard = columns[0].freqs[-1], min((c.blows.heard() for c in columns if c.blows), default=np.inf)
-    if last > heard * _BEYOND:
+    if keep_to and min(last, keep_to) > heard * _BEYOND:
         return (
             f"the force ends at about {heard:.3g} Hz: beyond it is noise, and so may be the modes that are asked for",
         )
-    if last > _ENDS * rate:
+    if last > _ENDS * rate or (keep_to and last > keep_to):
         return ()
     return (f"the force ends at {last:.4g} Hz: beyond it is noise, and the lines are left out (--fmax for more)",)
 
