@@ -109,7 +109,7 @@ def estimate_columns(
         raise DataError(f"records of different rates: {sorted({c.record.rate for c in cuts})} Hz; resample them first")
     if length < 16:
         raise DataError(f"{records[0].source}: {length} samples between the hits; give HammerSettings.block")
-    reports = [check_hits(c.record, c.force, c.hits, length, settings, full_scale) for c in cuts]
+    cuts, reports = _checked(cuts, length, settings, full_scale)
     good = [c.hits[[r.accepted for r in rep]] for c, rep in zip(cuts, reports, strict=True)]
     _check_used(cuts, reports)
     decay = max(_decay(c, g, length, settings) for c, g in zip(cuts, good, strict=True))
@@ -160,6 +160,26 @@ def _cut(record: TimeHistory, settings: HammerSettings) -> _Cut:
     if not hits.size:
         raise DataError(f"{record.source}: no hit in channel {record.channels[at].id}")
     return _Cut(record, at, hits, block_length(hits, record.data.shape[1], record.rate, settings))
+
+
+def _checked(
+    cuts: list[_Cut], length: int, settings: HammerSettings, full_scale: Mapping[str, float] | None
+) -> tuple[list[_Cut], list[tuple[HitReport, ...]]]:
+    """The verdict on all hits, without responses that overload in most of those of a record."""
+    reports = [check_hits(c.record, c.force, c.hits, length, settings, full_scale) for c in cuts]
+    lost = tuple(dict.fromkeys(c for rep in reports for r in rep for c in r.lost))
+    if not lost:
+        return cuts, reports
+    cuts, reports = _checked([_without(c, lost) for c in cuts], length, settings, full_scale)
+    return cuts, [tuple(replace(r, lost=(*lost, *r.lost)) for r in rep) for rep in reports]
+
+
+def _without(cut: _Cut, lost: Sequence[str]) -> _Cut:
+    """Without some responses."""
+    kept = [c.id for c in cut.record.channels if c.id not in lost]
+    if len(kept) == 1:
+        raise DataError(f"{cut.record.source}: no response is left: {' '.join(lost)} overload in most blows")
+    return replace(cut, record=cut.record.pick(kept), force=kept.index(cut.record.channels[cut.force].id))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,11 +13,9 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
+from ringtrue.signal.overloads import ceilings, mostly, overloaded
 
 Estimator = Literal["H1", "H2", "Hv"]
-_NEAR_FULL = 0.985  # of the range counts as an overload
-_ALIKE, _UNLIKE, _FINE = 3, 1e-3, 1e-4  # pulses of one peak; how unlike they are; resolution of a peak
-_FLAT = 4  # equal extreme samples in a row that give clipping away where no range is known
 _HAMMER = re.compile(r"(?<![a-z])(force|hammer|impact|impulse|kraft|f)(?![a-z])", re.IGNORECASE)
 _BEGUN = 0.05  # of the peak, that no sample before it is below
 _BAD_RINGING = 0.2  # rms before the hit to rms after it
@@ -97,6 +95,8 @@ class HitReport:
     accepted : bool
     reasons : tuple of str
         Why it was left out, or what is wrong with one that was used.
+    lost : tuple of str
+        Ids of responses that overload in most blows, and are left out instead of these.
     """
 
     source: str
@@ -106,6 +106,7 @@ class HitReport:
     width: float
     accepted: bool
     reasons: tuple[str, ...]
+    lost: tuple[str, ...] = ()
 
 
 def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
@@ -215,25 +216,27 @@ def check_hits(
     typical = float(np.median(np.abs(force[hits]))) if hits.size else 0.0
     pre = round(settings.pretrigger * record.rate)
     known = {k: v for k, v in (full_scale or {}).items() if np.isfinite(v)}
-    limits = _ceiling(np.asarray(record.data[at], dtype=np.float64), hits, record.channels[at].id) | known
+    limits = ceilings(record, at, hits) | known
     reports = []
     responses = np.delete(np.arange(len(record.channels)), at)
     unrest = [_unrest(record.data[responses, h - pre : h - pre + length], pre) for h in hits.tolist() if h >= pre]
     quietest = min(unrest) if len(unrest) > 1 else 0.0
+    blocks = [record.data[:, max(h - pre, 0) : h - pre + length] for h in hits.tolist()]
+    over = [overloaded(record, b, limits) for b in blocks]
+    lost = mostly({c.id for k, c in enumerate(record.channels) if k != at}, over)
     for k, hit in enumerate(hits.tolist()):  # a few dozen hits
         start, stop = hit - pre, hit - pre + length
         why = _place(start, stop, record.data.shape[1], hits[k + 1 :], record.rate)
         if abs(force[hit]) < settings.weak * typical:
             why.append(f"weak: {abs(force[hit]):.3g} N, the median is {typical:.3g} N")
         if start >= 0:
-            block = record.data[:, start : min(stop, record.data.shape[1])]
             why += _double(force, hit, stop, record.rate, settings)
-            why += _overloads(record, block, limits)
-            why += _ringing(_unrest(block[responses], pre), quietest)
+            why += [f"overload of {' '.join(over[k][:8])}"] if over[k] else []
+            why += _ringing(_unrest(blocks[k][responses], pre), quietest)
         name = input_id(record.channels[at].id)
         width = pulse_width(force, hit) / record.rate
         told = tuple(why) or _begun(force[: hit + 1])
-        reports.append(HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, told))
+        reports.append(HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, told, lost))
     return tuple(reports)
 
 
@@ -276,34 +279,6 @@ def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSett
     second = int(tail[down[0] :].argmax()) + int(down[0]) + 2 * width + 2
     share = sign * force[hit + second] / abs(force[hit])
     return [f"double hit: {100 * share:.0f} % of the first pulse {1000 * second / rate:.3g} ms after it"]
-
-
-def _ceiling(force: Float, hits: Int, name: str) -> dict[str, float]:
-    """The range of a force whose pulses, though not the same ones, end at one value: clipped for a sample or two."""
-    if hits.size < _ALIKE:
-        return {}
-    peak = np.abs(force[hits])
-    top = np.flatnonzero(peak >= (1 - 1e-6) * peak.max())
-    step = np.diff(np.unique(force[: 1 << 16]))
-    if top.size < _ALIKE or not step.size or step[step > 0].min(initial=np.inf) > _FINE * peak.max():
-        return {}
-    pulses = [np.abs(force[max(h - 8, 0) : h + 9]).sum() for h in hits[top].tolist()]
-    return {name: float(peak.max())} if np.ptp(pulses) > _UNLIKE * max(pulses) else {}
-
-
-def _overloads(record: TimeHistory, block: Any_, full_scale: Mapping[str, float]) -> list[str]:
-    peak = np.abs(block).max(axis=1)
-    limit = np.array([full_scale.get(c.id, np.inf) for c in record.channels])
-    over = peak >= _NEAR_FULL * limit
-    unknown = np.isinf(limit)
-    if unknown.any():
-        flat = np.abs(block[unknown]) >= (1 - 1e-6) * peak[unknown, None]
-        runs = np.ones((int(unknown.sum()), block.shape[1] - _FLAT + 1), dtype=bool)
-        for i in range(_FLAT):
-            runs &= flat[:, i : runs.shape[1] + i]
-        over[unknown] = runs.any(axis=1) & (peak[unknown] > 0)
-    names = [c.id for c, o in zip(record.channels, over, strict=True) if o]
-    return [f"overload of {' '.join(names[:8])}"] if names else []
 
 
 def _unrest(responses: Any_, pre: int) -> float:

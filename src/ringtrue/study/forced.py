@@ -31,7 +31,8 @@ class Forced:
     hits : tuple of HitReport
         The blows; none of shakers.
     notes : tuple of str
-        Where the FRFs of blows end because the force does; how those of shakers were estimated.
+        Responses that overload, where the FRFs of blows end because the force does; how those of shakers were
+        estimated.
     """
 
     columns: tuple[FrfSet, ...]
@@ -67,7 +68,9 @@ def forced_frfs(
     """
     if resolution is None and not all(runs_on(r) for r in records):
         columns, hits = estimate_columns(records, settings, full_scale=full_scale, progress=progress)
-        return Forced(columns, hits, _force_end(columns, records[0].rate, settings.keep_to))
+        lost = dict.fromkeys(c for h in hits for c in h.lost)
+        told = (f"response {' '.join(lost)}: overload in most blows, left out",) if lost else ()
+        return Forced(columns, hits, (*told, *_force_end(columns, records[0].rate, settings.keep_to)))
     parts = tuple(_shaken(records, resolution, settings.estimator))
     step, averages = parts[0].freqs[1] - parts[0].freqs[0], parts[0].averages[0]
     said = f"the force runs all the time: lines {step:.3g} Hz apart, {averages:.3g} averages at each"

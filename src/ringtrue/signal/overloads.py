@@ -1,0 +1,68 @@
+"""Overloads of blows and their responses: by the range of a channel, or by what clipping leaves in the samples."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence, Set
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Int
+from ringtrue.core.signals import TimeHistory
+
+_NEAR_FULL = 0.985  # of the range counts as an overload
+_ALIKE, _UNLIKE, _FINE = 3, 1e-3, 1e-4  # peaks that are one; how unlike what is around them; resolution of a peak
+_AROUND = 8  # samples
+_FLAT = 4  # equal extreme samples in a row that give clipping away where no range is known
+
+
+def ceilings(record: TimeHistory, force: int, hits: Int) -> dict[str, float]:
+    """Ranges by id of channels that clip for a sample or two: unlike peaks of blows or of a response are one value.
+
+    Parameters
+    ----------
+    record : TimeHistory
+    force : int
+        Position of the force.
+    hits : (h,) int64, samples of the peaks of the force
+    """
+    out = {}
+    for k, channel in enumerate(record.channels):
+        x = record.data[k]
+        seen = x[hits] if k == force else x
+        for peak in (max(float(seen.max()), 0.0), min(float(seen.min()), 0.0)):
+            at = np.flatnonzero(seen >= (1 - 1e-6) * peak if peak > 0 else seen <= (1 - 1e-6) * peak)
+            if peak and at.size >= _ALIKE and _clipped(x, hits[at] if k == force else at, abs(peak)):
+                out[channel.id] = abs(peak)
+    return out
+
+
+def _clipped(x: Any_, at: Int, peak: float) -> bool:
+    """Whether a signal (sample,) is finely resolved, and what is around its equal peaks is unlike."""
+    step = np.diff(np.unique(np.asarray(x[: 1 << 16], dtype=np.float64)))
+    if not step.size or step[step > 0].min(initial=np.inf) > _FINE * peak:
+        return False
+    around = [np.abs(x[max(i - _AROUND, 0) : i + _AROUND + 1]).sum() for i in at.tolist()]
+    return bool(np.ptp(around) > _UNLIKE * max(around))
+
+
+def overloaded(record: TimeHistory, block: Any_, full_scale: Mapping[str, float]) -> list[str]:
+    """Ids of the channels of a block (channel, sample) at the end of their range, or where unknown, flat at the top."""
+    peak = np.abs(block).max(axis=1)
+    limit = np.array([full_scale.get(c.id, np.inf) for c in record.channels])
+    over = peak >= _NEAR_FULL * limit
+    unknown = np.isinf(limit)
+    if unknown.any():
+        flat = np.abs(block[unknown]) >= (1 - 1e-6) * peak[unknown, None]
+        runs = np.ones((int(unknown.sum()), block.shape[1] - _FLAT + 1), dtype=bool)
+        for i in range(_FLAT):
+            runs &= flat[:, i : runs.shape[1] + i]
+        over[unknown] = runs.any(axis=1) & (peak[unknown] > 0)
+    return [c.id for c, o in zip(record.channels, over, strict=True) if o]
+
+
+def mostly(responses: Set[str], over: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Ids of the responses that overload in more than half of the blows, none if all do; `over` is a list a blow."""
+    count = Counter(c for ids in over for c in ids if c in responses)
+    lost = tuple(c for c, n in count.items() if 2 * n > len(over))
+    return lost if len(lost) < len(responses) else ()
