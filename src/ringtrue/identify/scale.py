@@ -17,6 +17,7 @@ from ringtrue.identify.refine import Refined
 SHARED = 3.0  # times what the fit leaves is noise by the coherence, where responses share it
 APART = 3.0  # standard deviations of a sum of squares
 TOLD = 0.1  # of the residues at the driving points
+SIDE, LEAST = 1.96, 1 / 9  # deviations to the end of an interval; of a residue, that may be left there
 
 
 def scale_deviations(frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs) -> tuple[Float, str]:
@@ -40,7 +41,26 @@ def scale_deviations(frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs) 
     shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, i]).sum(axis=1)
     apart, error = _apart(fit, pairs)
     noise = _of_the_force(frfs, fit.poles, weight, o, i)
-    return np.sqrt(shared + apart**2 + noise), _note(frfs, pairs, error)
+    return np.sqrt(shared + apart**2 + noise + _by_a_node(fit, pairs)), _note(frfs, pairs, error)
+
+
+def _by_a_node(fit: Refined, pairs: Pairs) -> Float:
+    """(m,) relative variance of the scales that first order leaves out, as φ_o = R_oi/√R_ii where R_ii is hardly known.
+
+    The upper end of the interval of φ, from the lower one of R_ii, tells the deviation.
+    """
+    psi, part, variance = _driven(fit, pairs)
+    overlap = np.maximum(np.abs((part.conj() * psi).sum(axis=1)), 1e-300)
+    known = np.sqrt(0.5 * (np.abs(part) ** 2 * variance).sum(axis=1)) / overlap
+    upper = 1 / np.sqrt(np.maximum(1 - SIDE * known, LEAST))
+    return np.asarray(np.maximum(((upper - 1) / SIDE) ** 2 - (known / 2) ** 2, 0))
+
+
+def _driven(fit: Refined, pairs: Pairs) -> tuple[Complex, Complex, Float]:
+    """Shapes and participations at the driving points (m, pair), and the variance of these shapes by noise."""
+    o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
+    variance = (fit.known.state.shape_var * fit.known.own)[o].T
+    return (fit.shapes[o] * sign[:, None]).T, fit.participation[:, i], variance
 
 
 def _of_the_force(frfs: FrfSet, poles: Complex, weight: Float, o: Int, i: Int) -> Float:
@@ -82,14 +102,12 @@ def _apart(fit: Refined, pairs: Pairs) -> tuple[Float, float]:
     The error at a point is taken as independent from mode to mode and in proportion to the typical component there,
     as that of a skewed blow is.
     """
-    o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
-    psi, part = (fit.shapes[o] * sign[:, None]).T, fit.participation[:, i]
+    psi, part, variance = _driven(fit, pairs)
     square = np.maximum((np.abs(part) ** 2).sum(axis=1), 1e-300)
     ratio = (part.conj() * psi).sum(axis=1) / square
     unit = np.sqrt(np.abs(fit.poles) / np.maximum(np.abs(ratio), 1e-300))[:, None]  # of unit modal mass
     rest, size = unit * (psi - ratio[:, None] * part), unit * np.abs(ratio[:, None] * part)
-    state = fit.known.state
-    noise = unit**2 * (state.shape_var * fit.known.own)[o].T
+    noise = unit**2 * variance
     free = 1 - np.abs(part) ** 2 / square[:, None]
     typical = (size**2).mean(axis=0)
     found, due = (np.abs(rest) ** 2).sum(), (free * noise).sum()
