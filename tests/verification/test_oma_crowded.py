@@ -7,34 +7,48 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identify import ambient_band
+from ringtrue.identify import ambient_band, ambient_verdict
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.shapes.mac import mac
 
 RATE, SECONDS, CHANNELS = 40.0, 600, 20
 F = np.geomspace(3.2, 12.5, 14)
-SHAPES = np.random.default_rng(3).standard_normal((CHANNELS, F.size))
 SMALL = AmbientSettings(fmin=3.0, order_max=38)  # little more than two for each mode
 
 
-def record() -> TimeHistory:
+DENSE = np.linspace(8.0, 16.0, 35)  # 0.6 of the resolution of the usual lags apart
+
+
+def record(f: np.ndarray = F, damping: float = 0.012, seconds: int = SECONDS) -> TimeHistory:
     rng = np.random.default_rng(6)
-    s = 2 * np.pi * F * (-0.012 + 1j)
-    force = rng.standard_normal((F.size, int(RATE * SECONDS))).astype(complex)
+    s = 2 * np.pi * f * (-damping + 1j)
+    force = rng.standard_normal((f.size, int(RATE * seconds))).astype(complex)
     q = [(x * lfilter([1.0], [1.0, -np.exp(x / RATE)], p)).imag for x, p in zip(s, force, strict=True)]
-    y = SHAPES @ np.array(q)
+    y = shapes(f.size) @ np.array(q)
     y += 0.05 * y.std() * rng.standard_normal(y.shape)
     return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(CHANNELS)), "made")
 
 
-def found() -> tuple[int, int]:
+def shapes(modes: int) -> np.ndarray:
+    return np.random.default_rng(3).standard_normal((CHANNELS, modes))
+
+
+def found(h: TimeHistory | None = None, settings: AmbientSettings = SMALL, f: np.ndarray = F) -> tuple[int, int]:
     """Modes that are there, and those that are not."""
-    m = identify_ambient(record(), SMALL).modes
-    like = (np.abs(m.frequencies[:, None] / F - 1) < 0.01) & (mac(m.shapes, SHAPES) > 0.9)
+    m = identify_ambient(h or record(), settings).modes
+    like = (np.abs(m.frequencies[:, None] / f - 1) < 0.01) & (mac(m.shapes, shapes(f.size)) > 0.9)
     return int(like.any(axis=0).sum()), int((~like.any(axis=1)).sum())
 
 
 def test_a_crowded_band_is_given_more_orders(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ambient_verdict, "MANY", 1000)  # no second look with more lags and orders
     assert found() == (F.size, 0)
     monkeypatch.setattr(ambient_band, "SHARES", ambient_band.SHARES[:2])
     assert found()[0] < F.size
+
+
+def test_modes_closer_than_the_lags_tell_are_given_more_lags(monkeypatch: pytest.MonkeyPatch) -> None:
+    h, low = record(DENSE, 0.005, 1800), AmbientSettings(fmin=3.0)
+    assert found(h, low, DENSE) == (DENSE.size, 0)
+    monkeypatch.setattr(ambient_verdict, "MANY", 1000)
+    assert found(h, low, DENSE)[0] < DENSE.size

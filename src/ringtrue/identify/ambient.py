@@ -33,6 +33,7 @@ from ringtrue.identify.ambient_record import (
 )
 from ringtrue.identify.ambient_verdict import (
     Found,
+    dense_set,
     fastest_decay,
     machine,
     overtones,
@@ -48,7 +49,7 @@ from ringtrue.identify.choice import chosen
 from ringtrue.identify.forced import without_forced
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.identify.ssi import SsiCov
-from ringtrue.identify.stretches import gathered, steady_sines, without_strokes_and_sweeps
+from ringtrue.identify.stretches import gathered, steady_sines, with_more_lags, without_strokes_and_sweeps
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.lines import with_feet, without_lines
@@ -229,10 +230,14 @@ def identify_stretches(
     for k, modes_of in enumerate(abreast(lambda x: modes_of_band(x, settings.confidence_min, known), sums)):
         tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
         found.append(modes_of)
-    decays = [fastest_decay(x.table, settings.order_max // ssi.order_step) for x in found]
-    heavy = [(k, y) for k, (x, d) in enumerate(zip(sums, decays, strict=True)) if (y := with_fewer_lags(x, d))]
-    again = abreast(lambda x: modes_of_band(x[1], settings.confidence_min, replace(known, choice=None)), heavy)
-    for (k, _), other in zip(heavy, again, strict=True):
+    looks, tries = [], settings.order_max // ssi.order_step
+    for k, (x, own) in enumerate(zip(sums, found, strict=True)):
+        if less := with_fewer_lags(x, fastest_decay(own.table, tries)):
+            looks.append((k, less))
+        if second is None and not known.driven and dense_set(own.table, tries, x.seconds):
+            looks.append((k, with_more_lags(good, gaps, bands[: k + 1], ssi, refs)))
+    again = abreast(lambda x: modes_of_band(x[1], settings.confidence_min, replace(known, choice=None)), looks)
+    for (k, _), other in zip(looks, again, strict=True):
         found[k], other = surer_groups(found[k], other, settings.confidence_min)
         found.append(other)
     result = _assemble(good, found, lines, bands, settings, known, whole)

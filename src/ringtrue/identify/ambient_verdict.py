@@ -26,6 +26,7 @@ STEADY = 2.5  # deviations of the logarithm of a fourth moment
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
 CROWD = 0.2  # of the order; each mode takes two
 CHANCE = 0.1  # of it
+MANY, APART = 10, 3.0  # modes, and how far apart on average, over the resolution of the lags
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +69,17 @@ def settled(c: Candidates, orders: int) -> bool:
 def crowded(c: Candidates, orders: int, largest: int) -> bool:
     """Whether what may be modes takes two fifths of the largest order: some appear too late to be at most orders."""
     return bool((confidence(c, orders) > 0.5 * DOUBTFUL).sum() > CROWD * largest)
+
+
+def dense_set(c: Candidates, orders: int, seconds: float) -> bool:
+    """Whether what may be modes stands closer, on average over the range it takes, than lags of `seconds` tell well.
+
+    And some of it is in doubt.
+    """
+    if settled(c, orders):
+        return False
+    f = c.frequencies[confidence(c) > 0.5 * DOUBTFUL]
+    return bool(f.size > MANY and (f.max() - f.min()) * seconds < APART * f.size)
 
 
 def fastest_decay(c: Candidates, orders: int) -> float:

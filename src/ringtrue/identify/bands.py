@@ -70,6 +70,11 @@ class BandSums:
         return self.parts[0] if len(self.parts) == 1 else np.concatenate(self.parts)
 
     @property
+    def seconds(self) -> float:
+        """The longest lag."""
+        return 2 * self.ssi.block_rows / self.band.rate
+
+    @property
     def share(self) -> Float:
         """(block,) share of the pairs that were used."""
         return np.concatenate(self.shares)
@@ -165,9 +170,8 @@ def with_fewer_lags(x: BandSums, decay: float) -> BandSums | None:
 
     Noise is all that these tell of it; modes of little damping need them.
     """
-    seconds = 2 * x.ssi.block_rows / x.band.rate
-    rows = max(int(x.ssi.block_rows * TELLING / max(decay * seconds, TELLING)), FEWEST_ROWS)
-    if decay * seconds < LONG or rows >= x.ssi.block_rows:
+    rows = max(int(x.ssi.block_rows * TELLING / max(decay * x.seconds, TELLING)), FEWEST_ROWS)
+    if decay * x.seconds < LONG or rows >= x.ssi.block_rows:
         return None
     return replace(x, ssi=replace(x.ssi, block_rows=rows), parts=tuple(p[:, : 2 * rows] for p in x.parts))
 

@@ -21,6 +21,8 @@ from ringtrue.signal.strokes import without_strokes
 from ringtrue.signal.sweeps import mixes, without_sweeps
 from ringtrue.signal.threads import abreast
 
+MORE_LAGS = 3
+
 
 def without_strokes_and_sweeps(
     good: TimeHistory, whole: TimeHistory | None
@@ -83,6 +85,12 @@ def gathered(
         sums = sums if got is None else joined(sums, got)
         heard.append(events)
     return sums, heard
+
+
+def with_more_lags(good: TimeHistory, gaps: Gaps, bands: tuple[Band, ...], ssi: SsiCov, refs: Int | None) -> BandSums:
+    """The last of the `bands` of a record with lags and orders for modes that stand close to each other."""
+    more = replace(ssi, block_rows=MORE_LAGS * ssi.block_rows, order_max=3 * ssi.order_max // 2)
+    return begin(good.data, good.rate, bands, more, refs, _events(good, gaps))[-1]
 
 
 def _events(part: TimeHistory, gaps: Gaps) -> Events:
