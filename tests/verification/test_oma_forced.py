@@ -69,6 +69,17 @@ def test_only_a_doubtful_pole_of_a_shape_that_others_span_is_forced() -> None:
     assert not any(x.size for x in carriers(f, np.full(3, 0.01), np.full(3, 5e-4), mixed))  # as clear as the others
 
 
+def test_a_peak_far_sharper_than_the_modes_is_forced() -> None:
+    """As well known as its small damping allows: a crowd that jumps to music for a few minutes, and again."""
+    shape = np.random.default_rng(2).standard_normal((12, 3)).astype(complex)
+    f, z = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.0008, 0.015])
+    sure = 0.05 * np.sqrt(z / f)
+    mixed = np.stack([shape[:, 0], 0.4 * shape[:, 0] + 0.6 * shape[:, 2], shape[:, 2]], axis=1)
+    assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[], [0, 2], []]
+    assert not any(x.size for x in carriers(f, z, sure, shape))
+    assert not any(x.size for x in carriers(f, np.array([0.01, 0.004, 0.015]), sure, mixed))
+
+
 def test_a_peak_below_all_modes_is_carried_by_two_above() -> None:
     """Waves below the modes of a hull: of seven channels one mode of either side counts, and there is none below."""
     f, z, sure = np.array([0.13, 1.3, 2.6]), np.array([0.09, 0.01, 0.01]), np.array([0.014, 5e-4, 5e-4])

@@ -3,7 +3,8 @@
 People, waves and machines of unsteady speed have spectra with peaks. A linear structure answers these with the modes
 that it has, so the shape there lies in the span of theirs. A mode of its own does not, where the sensors tell the modes
 from each other. As dependence has no direction, modes are accepted one by one, from the surest on: a resonance under
-noise is as well known as its bandwidth and the length of the record allow, a peak of the force is wider or wanders.
+noise is as well known as its bandwidth and the length of the record allow, a peak of the force is wider or wanders,
+or is far sharper than the modes (a crowd that jumps to music, now and then).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from ringtrue.identify.ambient_verdict import Found
 EACH_SIDE = 3  # modes, that carry most of the motion at a frequency between them
 OUTSIDE = 0.01  # share of a squared shape that may lie outside of the span, times the doubt
 BLIND = 4.0  # that share of the modes among themselves over that of the peak, where the sensors tell them apart
+SHARP = 5.0  # times less damping than the modes have, beyond which a pole is in doubt, too
 LOOSE = 2.0  # doubt: what is not known of the damping, over that of the modes, times the damping over theirs
 ODD = 100.0  # times the level of the typical channel
 ROOM = 4  # channels a mode of each side
@@ -56,9 +58,12 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
         Standard deviation of the damping.
     shape : (ch, m) complex128
     """
+    if not frequency.size:
+        return []
     shape = _of_one_level(shape)
     psi = shape / np.linalg.norm(shape, axis=0)
     loose = deviation / np.sqrt(damping / frequency)  # over the statistical floor, up to the length of the record
+    loose = loose * np.maximum(np.median(damping) / (SHARP * damping), 1.0)
     out = [np.empty(0, dtype=np.int64) for _ in frequency]
     accepted = np.zeros(frequency.size, dtype=np.bool_)
     each = min(EACH_SIDE, len(psi) // ROOM)
@@ -66,7 +71,8 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
         at = np.flatnonzero(accepted)
         near = _beside(at[at < k], at[at > k], each)
         if near.size:
-            doubt = max(damping[k] / np.median(damping[near]), 1.0) * loose[k] / np.median(loose[near])
+            usual = min(np.median(loose[near]), np.median(loose[at]))
+            doubt = max(damping[k] / np.median(damping[near]), 1.0) * loose[k] / usual
             within = min(OUTSIDE * doubt, _least_own(psi[:, near]) / BLIND)
             if doubt > LOOSE and _outside(psi[:, near], psi[:, k]) < within:
                 out[k] = near
