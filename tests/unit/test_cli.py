@@ -282,6 +282,24 @@ def test_oma(record: Callable[..., Path], capsys: Capture) -> None:
     assert len(found["channels"]) == 6
 
 
+def test_oma_of_several_files_is_that_of_one_record(
+    record: Callable[..., Path], tmp_path: Path, capsys: Capture
+) -> None:
+    whole, files = np.load(record()), [tmp_path / f"{k}.npy" for k in range(3)]
+    half = len(whole) // 2
+    for path, part in zip(files, (whole[:half], whole[half:], whole[: half // 3]), strict=True):
+        np.save(path, part)
+    band = ("--rate", 64, "--fmin", 3, "--fmax", 10)
+    one, two = parsed(capsys, "oma", files[0], *band), parsed(capsys, "oma", *files[:2], *band)
+    assert [round(m["frequency_hz"], 1) for m in two["modes"]] == [4.8, 5.6, 6.7, 8.9]
+    ratio = [b["std_frequency_hz"] / a["std_frequency_hz"] for a, b in zip(one["modes"], two["modes"], strict=True)]
+    assert 0.5 < np.mean(ratio) < 0.95  # sqrt(1/2) = 0.71
+    assert "2.npy: shorter than half of the first record: left out" in call(capsys, "oma", *files, *band)[1]
+    assert "--method fdd: one record, got 2" in refused(capsys, "oma", *files[:2], *band, "--method", "fdd")
+    np.save(files[1], whole[half:, :4])
+    assert "1.npy" in refused(capsys, "oma", *files[:2], *band)
+
+
 def test_ema_of_a_roving_hammer_has_shapes_over_the_points_hit(frf: Callable[..., Path], capsys: Capture) -> None:
     """Two sensors, four points hit: by reciprocity the same as four sensors and two points hit."""
     with np.load(frf()) as stored:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,12 +18,13 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient
+from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_stretches
 from ringtrue.identify.ambient_methods import identify_ambient_by
 from ringtrue.identify.choice import as_choice
 from ringtrue.identify.hammer import HammerResult
 from ringtrue.identify.opinion import SecondOpinion
 from ringtrue.identify.poles import StableDiagram
+from ringtrue.identify.stretches import SHORTEST
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.modes_json import modes_to_json
@@ -171,7 +173,14 @@ def choice_of(path: Path | None, record: Path) -> Choice | None:
 
 
 def oma(
-    record: Annotated[Path, typer.Argument(help=".h5, .npy (sample, channel), .csv, .mat, .uff, .tdms, .lvm or .wav")],
+    records: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RECORD...",
+            help=".h5, .npy (sample, channel), .csv, .mat, .uff, .tdms, .lvm or .wav; several of one length, of "
+            "sensors that stay in place (hourly files), are one record with pauses.",
+        ),
+    ],
     rate: Rate = None,
     group: Group = "",
     fmin: Fmin = None,
@@ -201,20 +210,38 @@ def oma(
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
     """
     check_band(fmin, fmax)
+    record = records[0]
+    title = str(record) if len(records) == 1 else f"{record} .. {records[-1].name} ({len(records)} files)"
     by_hand = choice_of(choice, record)
-    history = record_without(record, rate, leave_out or [], group)
     settings = AmbientSettings(fmin=fmin, fmax=fmax)
     check_method(method, AmbientMethod.SSI, {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram})
     if near and method in (AmbientMethod.SSI, AmbientMethod.PLSCF, AmbientMethod.ERA, AmbientMethod.SSI_DATA):
         raise ConfigError(f"--near: {method.value} finds its modes in the whole band; give --fmin and --fmax")
-    with progress("ambient modes") as show, about(record):
-        history, removed = _removed(history, remove_harmonics)
+    if method is not AmbientMethod.SSI and len(records) > 1:
+        raise ConfigError(f"--method {method.value}: one record, got {len(records)}")
+    said: list[str] = []
+    parts = _parts(records, lambda x: record_without(x, rate, leave_out or [], group), remove_harmonics, said)
+    with progress("ambient modes") as show, about(record) if len(records) == 1 else nullcontext():
         if method is not AmbientMethod.SSI:
-            other = identify_ambient_by(method.value, history, settings, near=near or (), progress=show)
-            return told(str(record), other, (*fault_notes(history), *removed), json)
-        found = identify_ambient(history, settings, choice=by_hand, progress=show)
+            other = identify_ambient_by(method.value, next(parts), settings, near=near or (), progress=show)
+            return told(title, other, said, json)
+        found = identify_stretches(parts, settings, choice=by_hand, progress=show)
     write_pages(record, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
-    return told(str(record), found, (*fault_notes(history), *removed, *_machines(found)), json)
+    return told(title, found, (*said, *_machines(found)), json)
+
+
+def _parts(
+    records: Sequence[Path], read: Callable[[Path], TimeHistory], how: Removal | None, said: list[str]
+) -> Iterator[TimeHistory]:
+    """Each record as it is read, without the lines of machines where that is asked for; what there is to say of it."""
+    first = 0.0
+    for path in records:
+        history, removed = _removed(read(path), how)
+        first = first or history.duration
+        short = ("shorter than half of the first record: left out",) if history.duration < SHORTEST * first else ()
+        where = "" if len(records) == 1 else f"{path.name}: "
+        said += [where + note for note in (*fault_notes(history), *removed, *short)]
+        yield history
 
 
 def check_method(method: StrEnum, first: StrEnum, options: Mapping[str, object]) -> None:

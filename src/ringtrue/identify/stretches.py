@@ -22,6 +22,7 @@ from ringtrue.signal.sweeps import mixes, without_sweeps
 from ringtrue.signal.threads import abreast
 
 MORE_LAGS = 3
+SHORTEST = 0.5  # stretch, over the first: edges of the filters would weigh too much
 
 
 def without_strokes_and_sweeps(
@@ -105,7 +106,7 @@ def _one(
     if not np.isclose(part.rate, first.rate):
         raise DataError(f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
     share = part.duration / first.duration
-    if share < 0.5:  # edges of the filters would weigh too much
+    if share < SHORTEST:
         return None, NONE
     whole, gaps = bridged(part)
     if len(whole.channels) < len(part.channels):
