@@ -127,8 +127,11 @@ class ReducedModel:
         d_lambda = np.empty((m, len(self.active)))
         c = np.empty((len(self.active), lam.size, m))
         for i, which in enumerate(self.active):  # over parameters
-            dk, dm = self.derivative(a, which, float(slope[which]))
-            dk, dm = y.T @ (dk @ ym), y.T @ (dm @ ym)
+            # most parameters change one of the two matrices only
+            dk, dm = (
+                y.T @ (d @ ym) if d.any() else np.zeros((lam.size, m))
+                for d in self.derivative(a, which, float(slope[which]))
+            )
             d_lambda[:, i] = np.diag(dk) - np.diag(dm) * lam[:m]
             c[i] = modal_coefficients(dk, dm, lam, low=self.scale)
         seen = self.basis.observe @ y
