@@ -93,13 +93,13 @@ def orthogonal(x: Complex, weight: Float, n: int) -> tuple[Complex, Complex]:
 
     x q_j = Σ_i q_i H_ij: orthogonalised twice, so that orders in the hundreds stay exact.
     """
-    q = np.zeros((x.size, n + 1), dtype=np.complex128)
+    q = np.zeros((x.size, n + 1), dtype=np.complex128, order="F")
     hess = np.zeros((n + 1, n), dtype=np.complex128)
     q[:, 0] = weight / np.linalg.norm(weight)
     for j in range(n):  # each polynomial stands on those before
         v = x * q[:, j]
         for _ in range(2):
-            c = q[:, : j + 1].conj().T @ v
+            c = (v.conj() @ q[:, : j + 1]).conj()
             hess[: j + 1, j] += c
             v = v - q[:, : j + 1] @ c
         hess[j + 1, j] = np.linalg.norm(v)
@@ -127,8 +127,9 @@ def _denominator(h: Complex, q: Complex, n: int) -> Complex:
     """Coefficients (n + 1,), the last one 1, that leave least of d·h outside the span of the numerator."""
     basis = q[:, : n + 1]
     power = (np.abs(h) ** 2).sum(axis=1)
-    normal = basis.conj().T @ (basis * power[:, None])
-    moments = np.einsum("fa,fh,fb->hab", q.conj(), h, basis, optimize=True).reshape(-1, n + 1)
+    outer = q.conj().T
+    normal = outer[: n + 1] @ (basis * power[:, None])
+    moments = np.concatenate([outer @ (x[:, None] * basis) for x in h.T])  # a handful of FRFs
     normal -= moments.conj().T @ moments
     normal += 1e-14 * np.trace(normal).real * np.eye(n + 1)
     low = cholesky(normal, lower=True)
