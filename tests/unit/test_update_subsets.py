@@ -20,13 +20,15 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_hybrid, expand_reduced
 from ringtrue.update.alike import errors_of_shapes
+from ringtrue.update.choose import Choice
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.effects import SHARP, effects, force_residual, paired_residual
 from ringtrue.update.generate import generate
+from ringtrue.update.objective import Residual, Weights, residual
 from ringtrue.update.objective import Target as Aim
-from ringtrue.update.objective import Weights, residual
 from ringtrue.update.pool import conflicts, explaining, of_parameter
-from ringtrue.update.proposal import propose
+from ringtrue.update.proposal import propose, stated_errors
+from ringtrue.update.search import Search
 
 
 def test_factors_on_one_field_stay_apart_a_product_does_not() -> None:
@@ -196,3 +198,26 @@ def test_candidates_without_effect_propose_nothing() -> None:
     assert found.insensitive == ("nothing", "neither")
     assert found.before == pytest.approx(0.01, rel=0.02)
     assert "explains the test as well as any change" in found.text()
+
+
+def test_the_error_of_a_member_covers_what_the_others_may_be_off_by() -> None:
+    """Of three candidates only the first is proposed; the truth of all is drawn from the prior, unit noise."""
+    rng, count = np.random.default_rng(0), 500
+    g = (
+        6
+        * np.linalg.qr(rng.standard_normal((12, 3)))[0]
+        @ np.array([[1.0, 0.7, 0.5], [0.0, 0.7, 0.5], [0.0, 0.0, 0.7]])
+    )
+    none, every = np.zeros(0), np.arange(3)
+    ends = (np.full(3, -9.0), np.full(3, 9.0))
+    search = Search(
+        None, None, every, every, np.zeros((3, 3), dtype=bool), np.linalg.norm(g, axis=0), *ends, np.ones(3), 1.0
+    )
+    held = 0
+    for truth in rng.standard_normal((count, 3)):
+        z = g @ truth + rng.standard_normal(12)
+        x = np.array([g[:, 0] @ z / (g[:, 0] @ g[:, 0] + 1), 0.0, 0.0])
+        end = Residual(z - g @ x, g, np.zeros((0, 2), dtype=np.int64), none, none, none.astype(bool))
+        std = stated_errors(search, Choice(np.array([0]), x, 0.0), end)[0]
+        held += abs(x[0] - truth[0]) < 1.645 * std
+    assert 0.88 <= held / count <= 0.98  # by the spread of the member alone 26 %

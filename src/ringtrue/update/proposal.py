@@ -15,7 +15,7 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.progress import Progress, part
 from ringtrue.errors import InputError
 from ringtrue.update.choose import Candidates, Choice, largest, orthogonal
-from ringtrue.update.identifiable import ALIKE, identifiability
+from ringtrue.update.identifiable import ALIKE
 from ringtrue.update.localise import Variation, variation
 from ringtrue.update.objective import Residual, Target
 from ringtrue.update.search import Search
@@ -43,7 +43,7 @@ class Proposed:
     factor : float
         Where the short updating took it.
     std : float
-        Posterior standard deviation of x, the other proposed ones free.
+        Standard deviation of x about where the short updating took it, all candidates that may stand beside free.
     worth : float
         Rise of AICc if it is left out and the others are fitted again.
     alike : tuple of str
@@ -192,7 +192,8 @@ def _explained(found: Subsets, errors: Mapping[str, Float], words: Sequence[str]
     p = search.model.parameters
     end = search.point(best.x)
     alone = variation(search.target, zero, search.prior, search.low, search.high)
-    tested = [_tested(search, best, end, i, alone, errors, words) for i in best.members.tolist()]
+    stds = dict(zip(best.members.tolist(), stated_errors(search, best, end).tolist(), strict=True))
+    tested = [_tested(search, best, end, i, std, alone, errors, words) for i, std in stds.items()]
     quiet = np.setdiff1d(np.arange(len(p)), search.pool)
     return Proposal(
         tuple(sorted(tested, key=lambda m: -m.worth)),
@@ -214,11 +215,24 @@ def _mean(x: Float) -> float:
     return float(x.mean()) if x.size else float("nan")
 
 
+def stated_errors(search: Search, best: Choice, end: Residual) -> Float:
+    """Standard deviation (k,) of x of each member: what candidates beside them may be off by widens it.
+
+    Of A⁻¹ + ddᵀ over all that may stand side by side, d the step to their common minimum: `posterior.around`.
+    """
+    every = search.together(best.members.tolist())
+    g, x = end.slope[:, every] * search.prior[every], best.x[every] / search.prior[every]
+    inverse = np.linalg.inv(g.T @ g + np.eye(len(every)))
+    square = np.diag(inverse) + (inverse @ (g.T @ end.value - x)) ** 2
+    return np.asarray((np.sqrt(square) * search.prior[every])[[every.index(i) for i in best.members.tolist()]])
+
+
 def _tested(
     search: Search,
     best: Choice,
     end: Residual,
     index: int,
+    std: float,
     alone: Variation,
     errors: Mapping[str, Float],
     words: Sequence[str],
@@ -246,14 +260,12 @@ def _tested(
     rise = (c := aicc(search, sets)) - c[0]
     rivals = tuple(names[t.members[-1]] for t, d in zip(tried, rise[2:].tolist(), strict=True) if d < RIVAL)
     twins = np.setdiff1d(twins, best.members)
-    every = best.members.tolist()
-    std = identifiability(end.slope[:, every] * search.prior[every]).together[every.index(index)] * search.prior[index]
     factor = float(search.model.parameters.take([index]).factors(best.x[[index]])[0])
     p = Proposed(
         names[index],
         index,
         factor,
-        float(std),
+        std,
         float(rise[1]),
         tuple(names[i] for i in twins.tolist()),
         rivals,

@@ -149,9 +149,9 @@ class Search:
         beside = ~np.isin(self.groups[self.pool], self.groups[at]) & ~self.apart[np.ix_(self.pool, at)].any(axis=1)
         return self.pool[beside]
 
-    def together(self) -> list[int]:
-        """As many candidates as may stand side by side, those of the largest effect first."""
-        out: list[int] = []
+    def together(self, members: Sequence[int] = ()) -> list[int]:
+        """As many candidates as may stand side by side, the members and those of the largest effect first."""
+        out = list(members)
         while (free := self.free(out)).size:
             out.append(int(free[np.argmax(self.size[free])]))
         return sorted(out)
