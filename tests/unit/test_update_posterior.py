@@ -242,10 +242,15 @@ def test_changes_that_the_test_does_not_prove() -> None:
     np.testing.assert_allclose(share, [0.9, 0.8, -0.2, 0.0])
     reach = np.array([0.1, 0.5, 0.1, 0.5])
     interval = np.exp(x[:, None] + np.outer(reach, [-1, 1]))
-    flags = form_flags(names, np.exp(x), interval, share)
+    tied = np.eye(4)
+    tied[1, 3] = tied[3, 1] = tied[2, 3] = tied[3, 2] = 0.97
+    flags = form_flags(names, np.exp(x), interval, share, np.eye(4))
     assert [(f.parameter, f.kind) for f in flags] == [("b", "form"), ("c", "form")]
-    assert "holds 1" in flags[0].text
+    assert "holds 1; it may take up an error of the model's form" in flags[0].text
     assert "turns round" in flags[1].text
+    others = form_flags(names, np.exp(x), interval, share, tied)
+    assert "holds 1; the test tells it and d together, not each by itself" in others[0].text
+    assert others[1].text == flags[1].text  # its interval does not hold 1: it is known by itself
     assert np.isnan(kept(x, np.zeros((0, 4)))).all()
 
 

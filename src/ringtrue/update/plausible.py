@@ -15,6 +15,7 @@ EDGE = 0.01  # of the range between the bounds
 BEYOND = 2.0  # prior standard deviations
 SILENT = 0.9  # posterior over prior standard deviation: the data said nothing
 SLIGHT = 0.05  # change of a factor that needs no proof
+TIED = 0.9  # |correlation| from which on two parameters are known together, not each by itself
 KEPT = 0.5  # share of a change that should be there whatever modes are left out
 
 Kind = Literal["bound", "prior", "silent", "form"]
@@ -104,16 +105,31 @@ def unproven(factor: Float, interval: Float, share: Float) -> Bool:
     return np.asarray((np.abs(factor - 1) > SLIGHT) & (open_ | (share < KEPT)))
 
 
-def form_flags(parameters: ParameterSet, factor: Float, interval: Float, share: Float) -> tuple[Flag, ...]:
-    """A flag for each change that is `unproven`."""
+def form_flags(
+    parameters: ParameterSet, factor: Float, interval: Float, share: Float, correlation: Float
+) -> tuple[Flag, ...]:
+    """A flag for each change that is `unproven`; with others that the test tells only together with it, these instead.
+
+    Parameters
+    ----------
+    factor, interval, share
+        As in `unproven`.
+    correlation : (p, p) float64
+        Of x, posterior.
+    """
     flags: list[Flag] = []
     for i in np.flatnonzero(unproven(factor, interval, share)).tolist():  # over parameters: text for people
         low, high = interval[i].tolist()
-        why = [f"its interval, {low:.3g} to {high:.3g}, holds 1"] if low <= 1 <= high else []
+        open_ = low <= 1 <= high
+        why = [f"its interval, {low:.3g} to {high:.3g}, holds 1"] if open_ else []
         if share[i] < KEPT:
             turned = "turns round" if share[i] < 0 else f"shrinks to {100 * share[i]:.0f} %"
             why.append(f"its change {turned} when some of the modes are left out")
+        tied = [n for j, n in enumerate(parameters.names) if j != i and abs(correlation[i, j]) > TIED]
+        whence = "it may take up an error of the model's form"
+        if open_ and tied:
+            whence = f"the test tells it and {', '.join(tied)} together, not each by itself"
         name = parameters.names[i]
-        text = f"{name}: factor {factor[i]:.3g}, but {' and '.join(why)}; it may take up an error of the model's form"
+        text = f"{name}: factor {factor[i]:.3g}, but {' and '.join(why)}; {whence}"
         flags.append(Flag(name, "form", float(factor[i]), text))
     return tuple(flags)

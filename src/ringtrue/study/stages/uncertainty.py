@@ -224,7 +224,7 @@ def _result(
     band = np.stack([f - reach, f + reach], axis=1)
     factor, interval = p.factors(posterior.x), posterior.interval(level)
     flags = plausibility(p, posterior.x, posterior.ratio) + form_flags(
-        p, factor, interval, kept(posterior.x, held.ends)
+        p, factor, interval, kept(posterior.x, held.ends), posterior.correlation()
     )
     return UncertaintyStage(
         p,
