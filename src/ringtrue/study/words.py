@@ -43,7 +43,8 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     known: UncertaintyStage | None = r.get("uncertainty")
     if known is not None and known.unproven.any():
         names = [n for n, open_ in zip(known.parameters.names, known.unproven, strict=True) if open_]
-        out.append(f"not proven by the test, may take up an error of the model's form: {', '.join(names)}")
+        why = "may take up an error of the model's form, or are known only together with others"
+        out.append(f"not proven by the test, {why}: {', '.join(names)}")
     update, localise = r.get("update"), r.get("localise")
     if update is not None and (line := weighed_by(update.sets[update.chosen].discrepancy.tolist())):
         out.append(line)

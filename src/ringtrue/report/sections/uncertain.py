@@ -137,13 +137,13 @@ def _parameters(s: UncertaintyStage) -> Table:
         row: list[str | Cell] = [name, fixed(float(s.factor[i]), 3), _span(s.interval[i]), _span(s.prior[i])]
         row += [fixed(float(s.ratio[i]), 2), fixed(100 * float(s.kept[i]), 0)]
         row += [_span(s.sampled[i])] if sampled else []
-        chip: str | Cell = Cell("may stand for an error of form", "warn") if s.unproven[i] else ""
+        chip: str | Cell = Cell("not proven", "warn") if s.unproven[i] else ""
         rows.append([*row, chip if s.moved[i] else Cell("the test says little", "warn")])
     text = (
         "Intervals of the factors, around the delivered values, with the discrepancy of the model as the error and the "
         "candidates that were not chosen as wide as their priors. Change kept: the least that is left of a change when "
         "a fold of modes is left out. Where the interval holds 1, or less than half is kept, the parameter may take up "
-        "an error of the model's form."
+        "an error of the model's form, or the test tells it only together with others."
     )
     if sampled:
         text += (
