@@ -39,6 +39,7 @@ for _ in range({repeats}):
 print("result", np.median(times), peak() - before)
 """
 OURS = """
+import scipy.signal  # otherwise in the time and memory of the first run
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import identify_ambient
 from ringtrue.identify.ssi import SsiCov, ssi_cov

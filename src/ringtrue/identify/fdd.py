@@ -22,7 +22,6 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify.poles import unit
-from ringtrue.signal.peaks import prominent_peaks
 from ringtrue.signal.preprocess import detrend
 from ringtrue.signal.psd import Csd, Welch, csd
 from ringtrue.signal.windows import window
@@ -151,8 +150,10 @@ def _near(freqs: Float, level: Float, near: Sequence[float]) -> Int:
 
 def _peaks(spectra: Csd, vector: Complex, level: Float, s: FddSettings) -> Int:
     """Lines of peaks that stand eight standard deviations out of their surroundings, steady in their vector."""
+    from scipy.signal import find_peaks  # slow to import, and few commands need it
+
     # a singular value averaged over K segments scatters by 1/sqrt(K) of itself
-    found = prominent_peaks(np.log(np.maximum(level, 1e-300)), 8 / np.sqrt(spectra.segments))
+    found, _ = find_peaks(np.log(np.maximum(level, 1e-300)), prominence=8 / np.sqrt(spectra.segments))
     f = spectra.freqs
     top = s.fmax or 0.95 * f[-1]
     found = found[(f[found] >= max(s.fmin, 3 * f[1])) & (f[found] <= top) & (found < f.size - 2)]

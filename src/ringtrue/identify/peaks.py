@@ -17,7 +17,6 @@ from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identify.lsfd import lsfd
-from ringtrue.signal.peaks import prominent_peaks
 
 LEAST = 0.1  # of the response at its frequency: less is the flank of a stronger mode
 
@@ -53,9 +52,12 @@ def cmif(data: Complex) -> Float:
 
 def count_peaks(curve: Float) -> Int:
     """Positions of the peaks of the first two singular values that stand 2 dB above their surroundings."""
+    from scipy.signal import find_peaks  # slow to import, and few commands need it
+
     level = 20 * np.log10(np.maximum(curve[:, :2], curve.max() * 1e-9))
     kernel = np.ones(3) / 3
-    return np.concatenate([prominent_peaks(np.convolve(c, kernel, "same"), 2.0) for c in level.T])
+    found = [find_peaks(np.convolve(c, kernel, "same"), prominence=2.0)[0] for c in level.T]
+    return np.concatenate(found).astype(np.int64)
 
 
 def cmif_modes(frfs: FrfSet, settings: CmifPeaks | None = None) -> ModalModel:
@@ -102,8 +104,10 @@ def _size(model: ModalModel, frfs: FrfSet) -> Float:
 
 def _peaks(curve: Float, settings: CmifPeaks) -> list[tuple[int, int]]:
     """(singular value, line) of the peaks, the first singular value first."""
+    from scipy.signal import find_peaks  # slow to import, and few commands need it
+
     level = 20 * np.log10(np.maximum(curve, curve.max() * 1e-12))
-    tops = [at[c[at] >= level.max() + settings.level] for c in level.T for at in [prominent_peaks(c, settings.depth)]]
+    tops = [find_peaks(c, prominence=settings.depth, height=level.max() + settings.level)[0] for c in level.T]
     return [(rank, int(at)) for rank, top in enumerate(tops) for at in top]
 
 

@@ -6,14 +6,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 
 _STOP = 90.0  # dB
-PIECE = 16  # lengths of a filter that are transformed at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,22 +51,12 @@ def high_passer(corner: float, rate: float) -> Fir:
 
 
 def _low_pass(start: float, stop: float) -> Float:
-    """Taps of a low-pass with its edge from `start` to `stop`, in cycles per sample; window of Kaiser (1974)."""
-    half = int(np.ceil((_STOP - 7.95) / (2.285 * 2 * np.pi * (stop - start)) + 1)) // 2
-    taps = np.sinc((start + stop) * np.arange(-half, half + 1)) * np.kaiser(2 * half + 1, 0.1102 * (_STOP - 8.7))
-    return np.asarray(taps / taps.sum())
+    """Taps of a low-pass with its edge from `start` to `stop`, in cycles per sample."""
+    from scipy.signal import firwin, kaiserord  # slow to import, and few commands need it
 
-
-def convolved(x: Any_, taps: Any_) -> Any_:
-    """(..., n) first n samples of the convolution of signals (..., n) with a filter (k,), by pieces that overlap."""
-    n, size = x.shape[-1], int(next_fast_len(PIECE * taps.size, real=True))
-    hop = size - taps.size + 1
-    count = -(-n // hop)
-    pieces = np.zeros((*x.shape[:-1], count * hop), dtype=np.result_type(x, taps))
-    pieces[..., :n] = x
-    y = irfft(rfft(pieces.reshape(*x.shape[:-1], count, hop), size, axis=-1) * rfft(taps, size), size, axis=-1)
-    y[..., 1:, : size - hop] += y[..., :-1, hop:]
-    return y[..., :hop].reshape(pieces.shape)[..., :n]
+    count, beta = kaiserord(_STOP, 2 * (stop - start))
+    taps = firwin(count | 1, start + stop, window=("kaiser", beta), scale=True)
+    return np.asarray(taps, dtype=np.float64)
 
 
 def filtered(blocks: Iterable[TimeHistory], fir: Fir) -> Iterator[TimeHistory]:
@@ -115,11 +103,13 @@ def filtered(blocks: Iterable[TimeHistory], fir: Fir) -> Iterator[TimeHistory]:
 
 def _given(held: Any_, begin: int, wanted: int, fir: Fir) -> tuple[Float, int]:
     """The outputs whose inputs are all there, and the next sample of the record to give out."""
+    from scipy.signal import oaconvolve  # slow to import, and few commands need it
+
     half = fir.taps.size // 2
     end = begin + held.shape[1] - half  # outputs before this one are complete
     if end <= wanted:
         return np.zeros((held.shape[0], 0)), wanted
     start = wanted - half - begin
-    whole = convolved(held[:, start:], fir.taps)[:, 2 * half :]
+    whole = oaconvolve(held[:, start:], fir.taps[None], mode="valid", axes=1)
     part = np.ascontiguousarray(whole[:, : end - wanted : fir.factor])
     return part, wanted + part.shape[1] * fir.factor

@@ -16,7 +16,6 @@ from scipy.ndimage import maximum_filter1d
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import TimeHistory
-from ringtrue.signal.stream import convolved
 from ringtrue.signal.sweeps import mixes
 
 FRAME = 1024  # samples: longer transforms leave the cache
@@ -72,6 +71,8 @@ def _strokes(some: Any_) -> Int:
 
 def _unforeseen(x: Any_) -> Any_:
     """Error (sample,) of the linear prediction of a signal (sample,) from what went before (Yule and Walker)."""
+    from scipy.signal import oaconvolve  # slow to import, and few commands need it
+
     frames = x[: x.size // FRAME * FRAME].reshape(-1, FRAME)
     spectra = rfft(frames, 2 * FRAME, axis=1)
     r = irfft((spectra.real**2 + spectra.imag**2).sum(axis=0, dtype=np.float64))[: ORDER + 1]
@@ -79,7 +80,8 @@ def _unforeseen(x: Any_) -> Any_:
         return np.zeros_like(x)
     r[0] *= 1 + 1e-6
     filter_ = np.concatenate([[1.0], -solve_toeplitz(r[:-1], r[1:])]).astype(x.dtype)
-    return convolved(x, filter_)
+    foreseen: Any_ = oaconvolve(x, filter_)
+    return foreseen[: x.size]
 
 
 def _left(data: Any_, at: Int, taps: int) -> Any_:

@@ -9,19 +9,13 @@ import numpy as np
 from ringtrue.core.arrays import Float
 
 WindowName = Literal["hann", "hamming", "blackmanharris", "flattop", "boxcar"]
-COSINES: dict[WindowName, tuple[float, ...]] = {  # Harris (1978); flat top: D'Antona, Ferrero (2006)
-    "hann": (0.5, 0.5),
-    "hamming": (0.54, 0.46),
-    "blackmanharris": (0.35875, 0.48829, 0.14128, 0.01168),
-    "flattop": (0.21557895, 0.41663158, 0.277263158, 0.083578947, 0.006947368),
-    "boxcar": (1.0,),
-}
 
 
 def window(name: WindowName, samples: int) -> Float:
     """(sample,) float64 periodic window of unit mean square, so that a periodogram keeps its power."""
-    turn = 2 * np.pi * np.arange(samples) / samples
-    w = sum((-1) ** k * a * np.cos(k * turn) for k, a in enumerate(COSINES[name]))
+    from scipy.signal import get_window  # slow to import, and few commands need it
+
+    w = np.asarray(get_window(name, samples, fftbins=True), dtype=np.float64)
     return np.asarray(w / np.sqrt(np.mean(w**2)))
 
 
