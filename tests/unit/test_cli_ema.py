@@ -72,6 +72,22 @@ def test_blows_in_any_format_give_the_modes(ending: str, tmp_path: Path, capsys:
     assert "double hit" in found["blows"][2]["reasons"][0]
 
 
+def test_a_sensor_sheet_scales_blows_in_volts(tmp_path: Path, capsys: Capture) -> None:
+    blows = record(1, RESPONSES)
+    gain = 0.01 * (1 + np.arange(len(blows.channels)))
+    bare = tuple(Channel(c.id, unit="V") for c in blows.channels)
+    write_history(tmp_path / "v.csv", replace(blows, data=blows.data * gain[:, None], channels=bare))
+    write_history(tmp_path / "si.csv", blows)
+    rows = [f"{k},{k},0,0,+Z,{c.id},{c.unit},{g}" for k, (c, g) in enumerate(zip(blows.channels, gain, strict=True))]
+    (tmp_path / "s.csv").write_text("\n".join(["point,x,y,z,direction,channel,unit,sensitivity", *rows]))
+    volts = ema(capsys, tmp_path / "v.csv", "--fmax", 80, "--sensors", tmp_path / "s.csv")
+    given = ema(capsys, tmp_path / "si.csv", "--fmax", 80)
+    assert volts["scaling"] == given["scaling"]
+    for a, b in zip(volts["modes"], given["modes"], strict=True):
+        assert a["frequency_hz"] == pytest.approx(b["frequency_hz"], rel=1e-4)
+        np.testing.assert_allclose(np.abs(a["shape_re"]), np.abs(b["shape_re"]), rtol=1e-2, atol=1e-3)
+
+
 def test_what_was_struck_is_named_and_frfs_are_written(tmp_path: Path, capsys: Capture) -> None:
     """Two files of a roving hammer whose force channel is called the same."""
     for k, point in enumerate([1, 7]):

@@ -20,6 +20,7 @@ from ringtrue.cli.identify import (
     Json,
     LeaveOut,
     Rate,
+    Sensors,
     WriteChoice,
     check_band,
     check_method,
@@ -40,6 +41,7 @@ from ringtrue.identify.local import told_apart
 from ringtrue.identify.lsfd import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.frf import join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings, HitReport
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
@@ -141,6 +143,7 @@ def ema(
         ),
     ] = None,
     leave_out: LeaveOut = None,
+    sensors: Sensors = None,
     choice: ChoiceFile = None,
     choice_to: WriteChoice = None,
     diagram: Diagram = None,
@@ -169,7 +172,8 @@ def ema(
     check_band(fmin, fmax)
     by_hand = choice_of(choice, files[0])
     named, points, lost = (tuple(x or ()) for x in (force, struck, leave_out))
-    how = BlowFiles(named, points, lost, quantity.value if quantity else "", rate, group)
+    sheet = read_sensor_sheet(sensors) if sensors else None
+    how = BlowFiles(named, points, lost, quantity.value if quantity else "", rate, group, sheet=sheet)
     want = HammerSettings(force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end)
     want = replace(want, estimator=estimator.value, keep_to=fmax)
     band = HammerModes(fmin=fmin, fmax=fmax)

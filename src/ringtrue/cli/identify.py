@@ -29,6 +29,7 @@ from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.records import read_record, refuse_bad_samples
+from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.plots.picker import picker_page
 from ringtrue.signal.faults import find_faults
 from ringtrue.signal.gaps import bridged
@@ -68,6 +69,10 @@ Group = Annotated[
 ]
 LeaveOut = Annotated[
     list[str] | None, typer.Option("--leave-out", metavar="CHANNEL", help="Do not use this channel; may be repeated.")
+]
+Sensors = Annotated[
+    Path | None,
+    typer.Option("--sensors", metavar="FILE", help="Sensor sheet: units and sensitivities where a record tells none."),
 ]
 ChoiceFile = Annotated[
     Path | None, typer.Option("--choice", metavar="FILE", help="Apply a choice by hand (.toml, .json).")
@@ -193,6 +198,7 @@ def oma(
         typer.Option("--near", metavar="HZ", help="Peak of the FDD methods, guess of bayes; may be repeated."),
     ] = None,
     leave_out: LeaveOut = None,
+    sensors: Sensors = None,
     remove_harmonics: Annotated[
         Removal | None,
         typer.Option("--remove-harmonics", help="Take the lines of machines out first: each by itself, or families."),
@@ -220,7 +226,15 @@ def oma(
     if method is not AmbientMethod.SSI and len(records) > 1:
         raise ConfigError(f"--method {method.value}: one record, got {len(records)}")
     said: list[str] = []
-    parts = _parts(records, lambda x: record_without(x, rate, leave_out or [], group), remove_harmonics, said)
+    sheet = read_sensor_sheet(sensors) if sensors else None
+
+    def read(path: Path) -> TimeHistory:
+        history = record_without(path, rate, leave_out or [], group)
+        history, notes = sheet.scaled(history) if sheet else (history, ())
+        said.extend(n for n in notes if n not in said)
+        return history
+
+    parts = _parts(records, read, remove_harmonics, said)
     with progress("ambient modes") as show, about(record) if len(records) == 1 else nullcontext():
         if method is not AmbientMethod.SSI:
             other = identify_ambient_by(method.value, next(parts), settings, near=near or (), progress=show)
