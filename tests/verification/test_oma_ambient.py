@@ -128,6 +128,17 @@ def test_a_frequency_that_wanders_is_named_and_its_damping_in_doubt():
     assert (np.abs(off) < 2 * moved.uncertainty.damping).all()
 
 
+def test_gusts_leave_the_damping_to_the_blocks_of_the_record():
+    """A force of four times the level for half of each three minutes: its spectrum would state too little scatter."""
+    y, t = record(2, 20), np.arange(int(1200 * RATE)) / RATE
+    gusts = identify_ambient(wrap(y * np.where(t % 180 < 90, 4.0, 1.0), RATE), AmbientSettings(fmin=1.0, fmax=10.0))
+    even = identify_ambient(wrap(y, RATE), AmbientSettings(fmin=1.0, fmax=10.0))
+    assert all("maximum likelihood" in x for x in even.reasons)
+    assert not any("maximum likelihood" in x for x in gusts.reasons)
+    assert len(gusts.modes) == len(even.modes) == 3
+    assert (np.abs(gusts.modes.damping - even.modes.damping) < 3 * gusts.uncertainty.damping).all()
+
+
 def test_covariance_factor_holds_the_stated_deviations():
     u = result(0).uncertainty
     both = np.sqrt((u.factor**2).sum(0))

@@ -97,7 +97,7 @@ def modes_of_band(sums: BandSums, confidence_min: float, heard: Heard) -> Found:
     if not at.size or heard.driven:
         return found
     wandering = wander(table, at, poles.deviation.shape[1])
-    if steady(loudness):
+    if steady(table, at, power, sums.stretches * sums.bins.duration):
         bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
         table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
         sure = without_noise(table, without_echoes(table, sure), sums.stretches * sums.bins.duration)

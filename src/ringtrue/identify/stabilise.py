@@ -22,6 +22,7 @@ from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
 
 KNOWN, WITHIN = 0.025, 0.5  # standard deviation of a frequency: of itself, and of the half bandwidth of the mode
+UNEVEN = 1.2  # mean square of the power of blocks over its squared mean
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,10 +196,14 @@ def stacked(one: Candidates, two: Candidates) -> Candidates:
     )
 
 
-def steady(weights: Float) -> bool:
-    """Whether no stretch (an eighth) of the record is much louder than the others, from the weights of its blocks."""
-    parts = np.array([1 / x.mean() for x in np.array_split(weights, 8)])
-    return bool(parts.max() < 3 * np.median(parts))
+def steady(c: Candidates, at: Int, power: Float, seconds: float) -> bool:
+    """Whether the `power` (block,) of a record of `seconds` varies no more than that of the modes `at` by chance.
+
+    A spectrum takes loud blocks for more than they tell: the scatter of what is fitted to it grows as the mean square
+    of the power does over its squared mean, the blocks of the subspace estimate are weighed.
+    """
+    chance = np.median(1 / (1 - c.pole.real[at] * seconds / power.size))
+    return bool((power**2).mean() < (UNEVEN + 2 * chance) * power.mean() ** 2)
 
 
 def refined(c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: tuple[float, float]) -> Candidates:
