@@ -16,7 +16,7 @@ from ringtrue.fem.regions import Region, entries, owners, picked, roots
 from ringtrue.fem.rows import Rows
 
 BLOCK, BLOCKS = 16, 7  # points that are looked at first, then twice as many, and how often
-MOST = 160  # matrices of a region
+MOST = 320  # matrices of a region
 FITTED, HOLDS = 1e-10, 1e-8  # relative to the roots of diagonal entries: left by the points seen, allowed at others
 MARGIN = 1.05  # by which the range exceeds the bounds
 INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
