@@ -37,7 +37,7 @@ def affine_terms(
     """The parts of K(a) = K(1) + Σ g_t(a) K_t, M likewise, in the free degrees of freedom.
 
     What is a polynomial of degree three or less in each factor is exact; the rest (laminates, the sections of beams
-    with shear, Poisson's ratio) is interpolated between the bounds, to 1e-9 of the roots of the diagonal entries. Only
+    with shear, Poisson's ratio) is interpolated between the bounds, to 1e-8 of the roots of the diagonal entries. Only
     the affected elements are computed.
 
     Raises
