@@ -15,8 +15,9 @@ import pytest
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
-from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance, join_frfs
+from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance
 from ringtrue.signal.hits import HammerSettings, input_id
+from ringtrue.signal.setups import join_frfs
 from ringtrue.study.forced import forced_frfs
 
 RATE = 512.0

@@ -27,7 +27,7 @@ from ringtrue.identify.plscf import cluster_poles
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.rfp import Rfp, orthogonal, rfp
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.frf import join_frfs
+from ringtrue.signal.setups import join_frfs
 
 MASS = np.array([1.0, 1.2, 0.9, 1.1, 1.0, 0.8, 1.0, 1.1])
 N = MASS.size

@@ -42,8 +42,8 @@ from ringtrue.identify.lsfd import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.signal.frf import join_frfs, setups_of
 from ringtrue.signal.hits import HammerSettings, HitReport
+from ringtrue.signal.setups import join_frfs, setups_of
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
 from ringtrue.study.forced import Forced, forced_frfs
 

@@ -25,12 +25,12 @@ from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
-from ringtrue.signal.frf import join_frfs, setups_of
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
+from ringtrue.signal.setups import join_frfs, setups_of
 from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows, renamed
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.forced import forced_frfs

@@ -14,8 +14,8 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.modes_json import read_modes, read_std
-from ringtrue.signal.frf import join_frfs
 from ringtrue.signal.reciprocal import exchanged
+from ringtrue.signal.setups import join_frfs
 from ringtrue.study.results import IdentifyStage
 
 NO_MODES = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
