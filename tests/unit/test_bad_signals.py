@@ -285,13 +285,18 @@ def _h(frf: Callable[..., Path], change: Callable[[Any], Any]) -> Path:
         (lambda h: 0 * h, "no unit makes that"),
         (lambda h: 1e200 * h, "no unit makes that"),
         (np.abs, "amplitudes without phase"),
-        (np.conj, "no pole stays in place"),
     ],
 )
 def test_frfs_that_cannot_be_identified(
     frf: Callable[..., Path], change: Callable[[Any], Any], told: str, capsys: Capture
 ) -> None:
     assert told in refused(capsys, "ema", _h(frf, change))
+
+
+def test_frfs_of_the_other_sign_of_time_have_the_same_modes(frf: Callable[..., Path], capsys: Capture) -> None:
+    given = [parsed(capsys, "ema", _h(frf, change))["modes"] for change in (lambda h: h, np.conj)]
+    one, other = ([(m["frequency_hz"], m["damping"]) for m in modes] for modes in given)
+    np.testing.assert_allclose(other, one, rtol=1e-6)
 
 
 def test_noise_has_no_modes(frf: Callable[..., Path], capsys: Capture) -> None:
