@@ -243,7 +243,10 @@ class EmbeddedAnalysis:
             if request.band is not None or f.size >= min(request.count, near.size):
                 break
             top *= 1.3  # the projection put them too low
-        proof = f"all poles within {found.radius:.6g} rad/s of {found.shift:.6g} rad/s, by Arnoldi on the full problem"
+        proof = f"all poles of the {self.pencil.size} DOFs were computed"
+        if np.isfinite(found.radius):
+            circle = f"{found.radius:.6g} rad/s of {found.shift:.6g} rad/s"
+            proof = f"all poles within {circle}, by Arnoldi on the full problem"
         return found.modes.poles[keep], found.modes.shapes[:, keep], found.residuals[keep], proof
 
     def frf(

@@ -18,6 +18,7 @@ from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.errors import InputError, NotConverged
 
 REPEATED = 1e-8  # poles closer than this are made A-orthogonal as a group
+FEW = 4  # times the poles that are asked for: a problem of that size is solved whole
 REACH = 0.58  # radius around the shift, in upper ends, that holds all poles with a damping ratio up to 0.3
 SWING = 0.01  # share of |s| that Im(s) must pass: damping ratios up to 0.99995 count as oscillation
 STILL = 1e-9  # share of the largest λ sought under which |s|² is a rigid-body motion, which does not oscillate
@@ -66,7 +67,7 @@ class FullModes:
     shift : complex, rad/s
         Where Q was factorised.
     radius : float, rad/s
-        All poles nearer than this to the shift were found.
+        All poles nearer than this to the shift were found; inf where all were computed.
     """
 
     modes: ComplexModes
@@ -104,11 +105,12 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) ->
     shift = upper * (0.05 + 0.5j)  # right of the axis: no pole stands there
     need = REACH * upper
     n, count = 2 * system.size, max(2 * expected, 4) + 8
+    count = n if n <= FEW * count else count
     for _ in range(ROUNDS):
         count = min(count, n)
         s, shapes = _nearest(system, shift, upper, count)
-        radius = float(np.abs(s - shift).max(initial=0.0))
-        if radius >= need or count == n:
+        radius = np.inf if count >= n - 1 else float(np.abs(s - shift).max(initial=0.0))
+        if radius >= need:
             break
         count *= 2
     else:
