@@ -123,20 +123,31 @@ class ReducedModel:
         lam, y = self._solve(everything, all_modes=True)
         a, slope = self.system.parameters.factors(everything), self.system.parameters.slope(everything)
         m = self.count
-        ym = y[:, :m]
         d_lambda = np.empty((m, len(self.active)))
         c = np.empty((len(self.active), lam.size, m))
+        forces = self._forces(y[:, :m])
         for i, which in enumerate(self.active):  # over parameters
+            own = self.basis.of.get(which, [])
+            weights = slope[which] * np.array([self.basis.terms[t][0].slope(a, which) for t in own])
             # most parameters change one of the two matrices only
             dk, dm = (
-                y.T @ (d @ ym) if d.any() else np.zeros((lam.size, m))
-                for d in self.derivative(a, which, float(slope[which]))
+                y.T @ f if f.any() else np.zeros((lam.size, m))
+                for f in (np.tensordot(weights, each[own], axes=1) for each in forces)
             )
             d_lambda[:, i] = np.diag(dk) - np.diag(dm) * lam[:m]
             c[i] = modal_coefficients(dk, dm, lam, low=self.scale)
         seen = self.basis.observe @ y
         d_shapes = np.moveaxis(seen @ c, 0, -1)
         return Linearisation(np.array(x, dtype=float), frequencies(lam[:m]), seen[:, :m], d_lambda, d_shapes)
+
+    def _forces(self, y: Float) -> tuple[Float, Float]:
+        """Products of the stiffness and of the mass of each term with y (r, m), (t, r, m); 0 where none is active."""
+        k, m = np.zeros((2, len(self.basis.terms), *y.shape))
+        for t in {t for which in self.active for t in self.basis.of.get(which, [])}:
+            for forces, matrix in zip((k, m), self.basis.terms[t][1:], strict=True):
+                if matrix.any():
+                    forces[t] = matrix @ y
+        return k, m
 
     def modes(self, x: Float) -> Linearisation:
         """Modes only (sensitivities with no columns)."""
