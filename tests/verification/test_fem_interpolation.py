@@ -116,6 +116,14 @@ def test_for_some_elements_only() -> None:
     slopes_are_derivatives(m, every, terms, np.ones(4))
 
 
+def test_one_parameter_by_itself() -> None:
+    """Within its bounds and, where the kernels themselves are called, beyond them."""
+    m, (g1z,) = plate(second=1), [parameter("core", Target("MAT8", 2, "G1Z"))]
+    for a in (0.7, 1.9, 2.02):
+        terms = as_assembled_anew(m, assemble(m), [g1z], np.array([a]))
+        slopes_are_derivatives(scaled(m, g1z, a), [g1z], terms, np.array([a]))
+
+
 def test_nominal_is_exact() -> None:
     m = plate()
     terms = affine_terms(m, ParameterSet(tuple(constants("E1", "E2", "NU12"))), assemble(m))

@@ -24,6 +24,7 @@ from ringtrue.fem.nodes import HOLDS, INVALID, Nodes, learn, rough
 from ringtrue.fem.powers import Group, Pair, built
 from ringtrue.fem.regions import Region, apart, ends, entries, few, owners, picked, regions, roots
 from ringtrue.fem.rows import Rows, union
+from ringtrue.fem.series import Series, fitted
 
 SAMPLE, WORST, ROUNDS = 24, 12, 8  # elements of a kind that tell the functions; that join them; how often
 STEP = 1e-30
@@ -42,12 +43,15 @@ class Interpolation:
     nodes : tuple of Nodes
     colours : dict
         A number for each parameter: those of one act on no region together, and are stepped together.
+    series : dict
+        Of regions of one parameter, by their numbers: the coefficients without a call of the kernels.
     """
 
     mesh: Mesh
     regions: tuple[Region, ...]
     nodes: tuple[Nodes, ...]
     colours: dict[int, int]
+    series: dict[int, Series]
     _seen: dict[tuple[bytes, int], dict[int, Float]] = field(default_factory=dict)
 
     def at(self, a: Float) -> dict[int, Float]:
@@ -75,14 +79,21 @@ class Interpolation:
     def _computed(self, a: Float, colour: int) -> dict[int, Float]:
         stepped = np.array([self.colours.get(i) == colour for i in range(a.size)])
         on = stepped if colour >= 0 else a != 1.0
-        some = [k for k, r in enumerate(self.regions) if on[list(r.which)].any()]
+        own = {
+            k: (s, float(a[self.regions[k].which[0]])) for k, s in self.series.items() if on[self.regions[k].which[0]]
+        }
+        out = {k: s.value(x) if colour < 0 else s.slope(x) for k, (s, x) in own.items() if s.holds(x)}
+        some = [k for k, r in enumerate(self.regions) if on[list(r.which)].any() and k not in out]
+        if not some:
+            return out
         try:
             found = entries(self.mesh, [self.regions[k] for k in some], a + 1j * STEP * stepped if colour >= 0 else a)
         except INVALID as e:
             raise NumericalError(f"a section does not allow the factors {np.round(a, 4).tolist()}: {e}") from e
         if colour < 0:
-            return {k: self.nodes[k].coefficients(f) for k, f in zip(some, found, strict=True)}
-        return {k: self.nodes[k].slopes(f[self.nodes[k].places].imag / STEP) for k, f in zip(some, found, strict=True)}
+            return out | {k: self.nodes[k].coefficients(f) for k, f in zip(some, found, strict=True)}
+        slopes = (self.nodes[k].slopes(f.imag / STEP) for k, f in zip(some, found, strict=True))
+        return out | dict(zip(some, slopes, strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,8 +157,29 @@ def _interpolation(m: Mesh, batch: Sequence[Region], nodes: Sequence[Nodes]) -> 
     for i in sorted({i for r in batch for i in r.which}):
         taken = {colours.get(j) for r in batch if i in r.which for j in r.which}
         colours[i] = next(c for c in range(len(colours) + 1) if c not in taken)
-    used = (replace(r, rows=n.rows) for r, n in zip(batch, nodes, strict=True))
-    return Interpolation(m, tuple(used), tuple(nodes), colours)
+    used = tuple(replace(r, rows=n.rows) for r, n in zip(batch, nodes, strict=True))
+    return Interpolation(m, used, tuple(nodes), colours, _series(m, used, nodes))
+
+
+def _series(m: Mesh, used: Sequence[Region], nodes: Sequence[Nodes]) -> dict[int, Series]:
+    """Of the regions of one parameter; none where a section does not allow all factors between the bounds."""
+    single = [k for k, r in enumerate(used) if len(r.which) == 1]
+    which = [used[k].which[0] for k in single]
+    bounds = [(p.lower, p.upper) for p in (used[k].groups[0].parameter for k in single)]
+    a = np.ones(1 + max(which, default=0))
+
+    def values(factors: Float) -> list[Float]:
+        a[which] = factors
+        found = entries(m, [used[k] for k in single], a)
+        return [nodes[k].scaled(f) for k, f in zip(single, found, strict=True)]
+
+    try:
+        found = fitted(np.array(bounds), values) if single else []
+    except INVALID:
+        return {}
+    return {
+        k: replace(s, terms=nodes[k].solved(s.terms.T).T) for k, s in zip(single, found, strict=True) if s is not None
+    }
 
 
 def _whole(m: Mesh, region: Region, nodes: Nodes, system: System) -> tuple[list[Pair], Int]:

@@ -55,11 +55,19 @@ class Nodes:
 
     def coefficients(self, found: Float) -> Float:
         """c (r,) from the `entries` of its rows at some factors."""
-        return self.slopes(found[self.places] - self.start)
+        return self.solved(self.scaled(found))
 
-    def slopes(self, change: Float) -> Float:
-        """c (r,) from what its entries (r,) are more than at nominal; their derivatives, from those of the entries."""
-        return np.asarray(np.linalg.solve(self.values.T, self.weights * change))
+    def slopes(self, found: Float) -> Float:
+        """∂c (r,) from derivatives of the `entries` of its rows."""
+        return self.solved(self.weights * found[self.places])
+
+    def scaled(self, found: Float) -> Float:
+        """What tells c (r,): the scaled entries, less those at nominal, from the `entries` of its rows."""
+        return np.asarray(self.weights * (found[self.places] - self.start))
+
+    def solved(self, changes: Float) -> Float:
+        """c (r, ...) from scaled entries (r, ...) less those at nominal, or both their derivatives."""
+        return np.asarray(np.linalg.solve(self.values.T, changes))
 
 
 class _Learner:
