@@ -11,7 +11,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.comac import comac, ecomac
 from ringtrue.correlate.faults import suspect_channels
 from ringtrue.correlate.frf import fdac, frac, magnitude_deviation
-from ringtrue.correlate.observe import observe
+from ringtrue.correlate.observe import at_dofs, observe
 from ringtrue.correlate.pairing import pair_modes
 from ringtrue.errors import ConfigError, DataError, InputError
 
@@ -55,6 +55,16 @@ def test_signed_and_shuffled_dofs() -> None:
     one = observe(test, node, xyz, dofs, tolerance=1.0, unit=1e-3)
     two = observe(test, node, xyz, other, tolerance=1.0, unit=1e-3)
     np.testing.assert_allclose(two(u[order] * sign), one(u), rtol=1e-12)
+
+
+def test_channels_named_as_dofs_may_be_of_one_dof() -> None:
+    """A table of a static test, as of a hammer: pulled at 101-Z, read at 101+Z."""
+    _, _, dofs = grid()
+    seen = at_dofs(("101-Z", "101+Z", "100:RX"), dofs)
+    motion = np.arange(float(len(dofs)))
+    np.testing.assert_array_equal(seen(motion), [-8.0, 8.0, 3.0])
+    with pytest.raises(DataError, match=r"must be DOFs of the deck.* 2 DOFs are not in the set, first 8-Z 9\+Y"):
+        at_dofs(("8-Z", "101+Z", "9+Y"), dofs)
 
 
 def test_rigid_interpolation_is_exact_for_rigid_motions() -> None:

@@ -72,21 +72,11 @@ class DofSet:
         InputError
             On a text that is not a degree of freedom.
         """
-        node, direction = [], []
-        for text in labels:
-            m = _TEXT.fullmatch(text.strip().upper())
-            if not m:
-                raise InputError(f"{text!r} is not a DOF; allowed are forms like 101+Z, 101-RX, 7")
-            node.append(int(m[1]))
-            direction.append((-1 if m[2] == "-" else 1) * NAMES.index(m[3] or ""))
-        return cls(np.array(node, dtype=np.int64), np.array(direction, dtype=np.int8))
+        return cls(*parsed(labels))
 
     def labels(self) -> tuple[str, ...]:
         """The text forms, in order."""
-        return tuple(
-            str(n) if d == 0 else f"{n}{'+' if d > 0 else '-'}{NAMES[abs(d)]}"
-            for n, d in zip(self.node.tolist(), self.direction.tolist(), strict=True)
-        )
+        return tuple(map(_label, self.node.tolist(), self.direction.tolist()))
 
     def find(self, node: Int, direction: Int) -> Int:
         """Positions of (node, |direction|) in this set, (k,) int64, -1 where absent."""
@@ -112,9 +102,36 @@ class DofSet:
         InputError
             If a DOF of `other` is not here; it is named.
         """
-        index = self.find(other.node, other.direction)
-        if (index < 0).any():
-            lost = [other.labels()[i] for i in np.flatnonzero(index < 0)[:5]]
-            raise InputError(f"{int((index < 0).sum())} DOFs are not in the set, first {' '.join(lost)}")
-        sign = np.where(np.sign(self.direction[index]) * np.sign(other.direction) < 0, -1.0, 1.0)
+        return self.signed(other.node, other.direction)
+
+    def signed(self, node: Int, direction: Int) -> tuple[Int, Float]:
+        """As `align`, of (node, direction), (k,) each, among which a DOF may recur, as `101+Z` and `101-Z`."""
+        index = self.find(node, direction)
+        if (lost := np.flatnonzero(index < 0)).size:
+            named = " ".join(map(_label, node[lost[:5]].tolist(), direction[lost[:5]].tolist()))
+            raise InputError(f"{lost.size} DOFs are not in the set, first {named}")
+        sign = np.where(np.sign(self.direction[index]) * np.sign(direction) < 0, -1.0, 1.0)
         return index, sign
+
+
+def parsed(labels: Iterable[str]) -> tuple[Int, Int]:
+    """Nodes (n,) int64 and directions (n,) int8 of text forms such as `101+Z`, a DOF as often as it is named.
+
+    Raises
+    ------
+    InputError
+        On a text that is not a degree of freedom.
+    """
+    node, direction = [], []
+    for text in labels:
+        m = _TEXT.fullmatch(text.strip().upper())
+        if not m:
+            raise InputError(f"{text!r} is not a DOF; allowed are forms like 101+Z, 101-RX, 7")
+        node.append(int(m[1]))
+        direction.append((-1 if m[2] == "-" else 1) * NAMES.index(m[3] or ""))
+    return np.array(node, dtype=np.int64), np.array(direction, dtype=np.int8)
+
+
+def _label(node: int, direction: int) -> str:
+    sign = "+" if direction > 0 else "-"
+    return f"{node}{sign}{NAMES[abs(direction)]}" if direction else str(node)

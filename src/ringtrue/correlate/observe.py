@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.spatial import KDTree
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.dofs import DofSet
+from ringtrue.core.dofs import DofSet, parsed
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
@@ -131,7 +131,7 @@ def _matrix(weights: Float, nodes: Int, dofs: DofSet, channels: tuple[str, ...])
 
 
 def at_dofs(channels: tuple[str, ...], dofs: DofSet) -> Observation:
-    """The observation of channels whose names are DOFs, such as 101+Z.
+    """The observation of channels whose names are DOFs, such as 101+Z; 101+Z and 101-Z may both be among them.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def at_dofs(channels: tuple[str, ...], dofs: DofSet) -> Observation:
         If a name is no DOF of the model.
     """
     try:
-        index, sign = dofs.align(DofSet.parse(channels))
+        index, sign = dofs.signed(*parsed(channels))
     except InputError as e:
         raise DataError(f"channels of the test must be DOFs of the deck, such as 101+Z: {e}") from e
     pick = sparse.csr_array((sign, (np.arange(index.size), index)), shape=(index.size, len(dofs)))
