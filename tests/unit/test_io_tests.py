@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -191,5 +192,26 @@ def test_a_sheet_tells_what_a_record_does_not(tmp_path: Path) -> None:
     found, notes = sheet.scaled(record)
     np.testing.assert_allclose(found.data[:, 0], [98.0665, 98.0665, 1.0, 500.0, 1.0])
     assert [c.unit for c in found.channels] == ["m/s^2", "m/s^2", "m/s", "N", ""]
-    assert notes == ("3 channels without a unit taken as the sensor sheet says: 101+X 101-Y F:104+Z",)
-    assert sheet.scaled(found) == (found, ())
+    assert notes == (
+        "3 channels without a unit taken as the sensor sheet says: 101+X 101-Y F:104+Z",
+        "without a unit, and not on the sensor sheet: other",
+    )
+    assert sheet.scaled(found) == (found, notes[1:])
+
+
+@pytest.mark.parametrize("forces", [0, 1])
+def test_a_record_without_names_has_those_of_the_sheet(tmp_path: Path, forces: int) -> None:
+    """All rows, or those of motions; with another number of channels none are given."""
+    rows = [list(r) for r in SHEET] + [[104, "", "", "", "+Z", "N", 0.002, "", "F:104+Z"]]
+    sheet = read_sensor_sheet(write_sheet(tmp_path / "s.csv", rows))
+    names = (*sheet.model.channels, *["F:104+Z"] * forces)
+    bare = tuple(Channel(f"ch{i + 1}") for i in range(len(names)))
+    record = TimeHistory(np.ones((len(bare), 4)), 100.0, bare)
+    found, notes = sheet.scaled(record)
+    assert tuple(c.id for c in found.channels) == names
+    assert "in its order: 101+X" in notes[0]
+    by_name, _ = sheet.scaled(replace(record, channels=tuple(Channel(n) for n in names)))
+    np.testing.assert_array_equal(found.data, by_name.data)
+    same, notes = sheet.scaled(record.pick(["ch1", "ch2"]))
+    assert [c.id for c in same.channels] == ["ch1", "ch2"]
+    assert notes == ("without a unit, and not on the sensor sheet: ch1 ch2",)

@@ -29,7 +29,7 @@ from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.records import read_record, refuse_bad_samples
-from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.plots.picker import picker_page
 from ringtrue.signal.faults import find_faults
 from ringtrue.signal.gaps import bridged
@@ -120,13 +120,16 @@ def check_band(fmin: float | None, fmax: float | None) -> None:
         raise ConfigError(f"--fmin {fmin} --fmax {fmax}: must be 0 <= fmin < fmax")
 
 
-def record_without(path: Path, rate: float | None, lost: Sequence[str], group: str = "") -> TimeHistory:
-    """A record without some channels, in which samples may be missing; those that are left are checked."""
+def record_without(
+    path: Path, rate: float | None, lost: Sequence[str], group: str = "", sheet: SensorSheet | None = None
+) -> tuple[TimeHistory, tuple[str, ...]]:
+    """A record without some channels, in which samples may be missing, and what its sensor sheet told; it is checked."""
     history = read_record(path, rate, check=not lost, group=group, gaps=True)
+    history, notes = sheet.scaled(history) if sheet else (history, ())
     if lost:
         history = history.pick(kept_channels(path, history.channels, lost))
         refuse_bad_samples(history, path, gaps=True)
-    return history
+    return history, notes
 
 
 def kept_channels(path: Path, channels: Sequence[Channel], lost: Sequence[str]) -> list[str]:
@@ -229,8 +232,7 @@ def oma(
     sheet = read_sensor_sheet(sensors) if sensors else None
 
     def read(path: Path) -> TimeHistory:
-        history = record_without(path, rate, leave_out or [], group)
-        history, notes = sheet.scaled(history) if sheet else (history, ())
+        history, notes = record_without(path, rate, leave_out or [], group, sheet)
         said.extend(n for n in notes if n not in said)
         return history
 

@@ -62,9 +62,16 @@ class SensorSheet:
         """A record with what it does not tell itself taken from the sheet, and what is to be said of it.
 
         A channel without a unit, or in volts, is divided by its sensitivity and becomes SI of its unit; units that a
-        record tells stand. The type of a sensor is that of the sheet where the record has none.
+        record tells stand. The type of a sensor is that of the sheet where the record has none. A record without names,
+        of as many channels as the sheet has rows, or rows of motions, has those of the sheet in its order.
         """
-        rows = {c.id: c for c in self.channels}
+        rows, ids = {c.id: c for c in self.channels}, [c.id for c in history.channels]
+        if names := self._in_order(ids):
+            named = tuple(replace(c, id=n) for c, n in zip(history.channels, names, strict=True))
+            scaled, notes = self.scaled(replace(history, channels=named))
+            return scaled, (f"channels without names are those of the sensor sheet in its order: {_some(names)}", *notes)
+        lost = [c.id for c in history.channels if c.id not in rows and c.quantity == "unknown"]
+        notes = (f"without a unit, and not on the sensor sheet: {_some(lost)}",) if lost else ()
         channels, factors = list[Channel](), np.ones(len(history.channels))
         for k, c in enumerate(history.channels):
             row = rows.get(c.id)
@@ -72,11 +79,18 @@ class SensorSheet:
                 factors[k], c = row.to_si, row.channel()
             channels.append(replace(c, sensor=c.sensor or (row.sensor if row else "")))
         if tuple(channels) == history.channels:
-            return history, ()
+            return history, notes
         told = [new.id for old, new in zip(history.channels, channels, strict=True) if old.quantity != new.quantity]
-        note = f"{len(told)} channels without a unit taken as the sensor sheet says: {' '.join(told[:8])}"
+        note = f"{len(told)} channels without a unit taken as the sensor sheet says: {_some(told)}"
         data = history.data if (factors == 1).all() else history.data * factors[:, None]
-        return replace(history, data=data, channels=tuple(channels)), (note,) if told else ()
+        return replace(history, data=data, channels=tuple(channels)), (note, *notes) if told else notes
+
+    def _in_order(self, ids: Sequence[str]) -> tuple[str, ...]:
+        """Names of the sheet for a record that has none; empty where it has names or another number of channels."""
+        every = tuple(c.id for c in self.channels)
+        if list(ids) != [f"ch{i + 1}" for i in range(len(ids))] or set(ids) & set(every):
+            return ()
+        return next((names for names in (every, self.model.channels) if len(names) == len(ids)), ())
 
 
 def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> SensorSheet:
@@ -118,6 +132,10 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> Sens
         points, xyz, here, at[motion], axes[motion], np.array(pairs, dtype=np.int64).reshape(-1, 2), groups
     )
     return SensorSheet(model, channels, orientation_notes(model))
+
+
+def _some(ids: Sequence[str]) -> str:
+    return " ".join(ids[:8]) + (" ..." if len(ids) > 8 else "")
 
 
 def orientation_notes(model: TestModel) -> tuple[str, ...]:
