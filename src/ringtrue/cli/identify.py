@@ -123,7 +123,7 @@ def check_band(fmin: float | None, fmax: float | None) -> None:
 def record_without(
     path: Path, rate: float | None, lost: Sequence[str], group: str = "", sheet: SensorSheet | None = None
 ) -> tuple[TimeHistory, tuple[str, ...]]:
-    """A record without some channels, in which samples may be missing, and what its sensor sheet told; it is checked."""
+    """A record scaled by its sheet, and what that said; without some channels, checked. Samples may be missing."""
     history = read_record(path, rate, check=not lost, group=group, gaps=True)
     history, notes = sheet.scaled(history) if sheet else (history, ())
     if lost:

@@ -18,7 +18,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.motions import FRF_KIND, SI_UNIT
 from ringtrue.core.progress import part
 from ringtrue.core.signals import Channel, FrfKind, FrfSet
-from ringtrue.errors import ConfigError
+from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.nastran.loads import read_load_cases
@@ -119,12 +119,13 @@ def translations(option: str, points: list[str]) -> DofSet:
 
     Raises
     ------
-    InputError
-        If one is no DOF, or is given twice.
     ConfigError
-        If one is a rotation or has no direction.
+        If one is no DOF, is a rotation, has no direction or is given twice.
     """
-    dofs = DofSet.parse(p for text in points for p in text.split(","))
+    try:
+        dofs = DofSet.parse(p for text in points for p in text.split(","))
+    except InputError as e:
+        raise ConfigError(f"{option}: {e}") from e
     turned = np.flatnonzero((np.abs(dofs.direction) > 3) | (dofs.direction == 0))
     if turned.size:
         raise ConfigError(f"{option} {dofs.labels()[turned[0]]}: must be a node and X, Y or Z, such as 101+Z")
@@ -148,7 +149,11 @@ def _responses(
 
 def _warn_of_held(analysis: EmbeddedAnalysis, *ends: DofSet) -> None:
     free = np.diff(analysis.system.transform.indptr) > 0
-    held = [c for end in ends for c, ok in zip(end.labels(), free[analysis.dofs.align(end)[0]], strict=True) if not ok]
+    points = [c for end in ends for c in end.labels()]
+    row = np.concatenate([analysis.dofs.find(end.node, end.direction) for end in ends])
+    if lost := [c for c, r in zip(points, row, strict=True) if r < 0]:
+        raise ConfigError(f"the deck has no {' '.join(dict.fromkeys(lost))}")
+    held = [c for c, ok in zip(points, free[row], strict=True) if not ok]
     for c in dict.fromkeys(held):
         err.print(f"warning: {c} is held: it does not move, and a force there moves nothing")
 

@@ -69,7 +69,8 @@ class SensorSheet:
         if names := self._in_order(ids):
             named = tuple(replace(c, id=n) for c, n in zip(history.channels, names, strict=True))
             scaled, notes = self.scaled(replace(history, channels=named))
-            return scaled, (f"channels without names are those of the sensor sheet in its order: {_some(names)}", *notes)
+            said = f"channels without names are those of the sensor sheet in its order: {_some(names)}"
+            return scaled, (said, *notes)
         lost = [c.id for c in history.channels if c.id not in rows and c.quantity == "unknown"]
         notes = (f"without a unit, and not on the sensor sheet: {_some(lost)}",) if lost else ()
         channels, factors = list[Channel](), np.ones(len(history.channels))
