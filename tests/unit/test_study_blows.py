@@ -163,6 +163,18 @@ def test_the_log_names_the_channels_of_files_without_names(tmp_path: Path) -> No
     np.testing.assert_allclose(found.frequencies, told.frequencies, rtol=2e-3)  # the unit is not known: other weights
 
 
+def test_a_file_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
+    study = small_study.write_study(tmp_path, STUDY, hammer=False)
+    ids = without_names(study, lambda names: names)
+    np.save(tmp_path / "data/ambient.npy", np.load(tmp_path / "data/ambient.npy")[:, :-1])
+    log = json.loads((tmp_path / "data/campaign.json").read_text())
+    del log["tests"][0]["records"][0]["channels"]
+    (tmp_path / "data/campaign.json").write_text(json.dumps(log))
+    found = identified(study)
+    assert list(found.ambient.channels) == ids
+    assert "those of the sensor sheet in its order" in found.records[0].notes[0]
+
+
 @pytest.mark.parametrize(
     ("names", "told"),
     [

@@ -64,11 +64,11 @@ def _history(
     With `gaps` samples may be missing.
     """
     history = read_record(record.path, record.rate_hz, check=False, gaps=gaps)
-    history = renamed(history, record.channels, record.path)
+    history, told = sheet.scaled(renamed(history, record.channels, record.path))
     history = history.pick([c.id for c in history.channels if c.id not in set(lost)])
     refuse_bad_samples(history, record.path, gaps=gaps)
     _check_sheet(record.path, history.channels, sheet.model)
-    return sheet.scaled(history)
+    return history, told
 
 
 def files(desk: Workbench) -> list[Path]:
