@@ -79,6 +79,12 @@ def test_parts_of_a_property_are_looked_at_but_not_updated(tmp_path: Path, propo
     assert any(p.targets[0].elements for p in found.parameters.parameters) is not propose
 
 
+def test_a_proposal_of_parts_alone_is_refused(tmp_path: Path) -> None:
+    study = small_study.write_study(tmp_path, AUTO + '[localise]\nkinds = ["region"]\n', ambient=False)
+    with pytest.raises(DataError, match=r"further `kinds` under \[localise\] \(region, a part of a property"):
+        run_study(study, until="localise")
+
+
 def test_a_study_with_nothing_to_update_says_what_could_be(tmp_path: Path) -> None:
     run = run_study(small_study.write_study(tmp_path, PLAIN, ambient=False))
     assert len(run.results["localise"].proposal.members) >= 2

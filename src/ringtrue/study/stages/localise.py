@@ -36,6 +36,10 @@ from ringtrue.update.proposal import Proposal, propose
 from ringtrue.update.screening import screened
 from ringtrue.update.several import Problem
 
+NO_CANDIDATE = (
+    "no candidate made from the deck changes a mode and can be written into it: give [[candidate]], or further "
+    "`kinds` under [localise] (region, a part of a property, is only looked at)"
+)
 NO_PAIR = (
     "no mode of the model is paired with one that the updating may see: nothing can be localised; look at the deck, "
     "the sensor sheet and correlate.mac_gate"
@@ -65,7 +69,7 @@ def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
     pool = _pool(desk, found, part(progress, 0.0, 0.4)) if paired else _Pool(())
     if not pool.candidates:
         if desk.config.propose:
-            raise DataError(NO_PAIR if not paired else "no candidate of the deck changes a mode: give [[candidate]]")
+            raise DataError(NO_CANDIDATE if paired else NO_PAIR)
         return None
     aim, model = target(desk), _model(desk, pool, part(progress, 0.4, 0.6))
     start = model.linearise(np.zeros(len(model.parameters)))
