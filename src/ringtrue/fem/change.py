@@ -88,13 +88,12 @@ def _there(tables: dict[str, Table], card: str, wanted: int) -> str:
 def _with_fields(
     tables: dict[str, Table], where: str, card: str, field: str, ids: Int, step: float, factor: Factor
 ) -> Table:
-    lost = ~np.isin(ids, tables[card].ids) if card in tables else np.ones(ids.shape, dtype=bool)
-    if lost.any():
-        raise InputError(
-            f"{where} {ids[lost][0]} {field}: no such card in the model{_there(tables, card, ids[lost][0])}"
-        )
+    there = tables[card].ids if card in tables else ids[:0]
+    rows = np.flatnonzero(there == ids[0] if ids.size == 1 else np.isin(there, ids))
+    if lost := set(ids.tolist()).difference(there[rows].tolist()):
+        first = next(i for i in ids.tolist() if i in lost)
+        raise InputError(f"{where} {first} {field}: no such card in the model{_there(tables, card, first)}")
     table, where = tables[card], f"{where} {ids[0]} {field}"
-    rows = np.flatnonzero(np.isin(table.ids, ids))
     ply = _PLY.fullmatch(field)
     if field not in table.columns and ply and isinstance(table.columns.get(ply[1]), Ragged):
         return _with_ply(table, where, ply[1], int(ply[2]), rows, step, factor)
@@ -151,7 +150,7 @@ def _with_entries(
 def _filled(ragged: Ragged, rows: Int) -> NDArray[Any]:
     """The values with blanks of `rows` replaced by the entry before."""
     values = ragged.values.copy()
-    if values.dtype.kind not in "fc":
+    if values.dtype.kind not in "fc" or not np.isnan(values).any():
         return values
     of = ragged.owner
     given = np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(values.size)))

@@ -102,7 +102,7 @@ def built(m: Mesh, groups: Sequence[Group], rows: Rows, factors: Sequence[float 
     """Element matrices of the rows with the groups at their factors; none feels the fields of one it is not in."""
     model = m.model
     for g, a in zip(groups, factors, strict=True):
-        model = changed(model, g.parameter.name, g.targets, a) if g.targets else model
+        model = changed(model, g.parameter.name, g.targets, a) if g.targets and a != 1 else model
     there, out = Mesh(model, m.xyz, m.cd, m.scalar), list[Matrices]()
     for card, build, at in batches(model, rows):
         part = build(there, card, at)
