@@ -22,7 +22,7 @@ from ringtrue.fem.functions import AffineTerm
 from ringtrue.fem.mesh import Mesh
 from ringtrue.fem.nodes import HOLDS, INVALID, Nodes, learn, rough
 from ringtrue.fem.powers import Group, Pair, built
-from ringtrue.fem.regions import Region, apart, ends, entries, few, owners, picked, regions, roots
+from ringtrue.fem.regions import Region, Together, apart, ends, entries, few, owners, picked, regions, roots
 from ringtrue.fem.rows import Rows, union
 from ringtrue.fem.series import Series, fitted
 
@@ -53,6 +53,7 @@ class Interpolation:
     colours: dict[int, int]
     series: dict[int, Series]
     _seen: dict[tuple[bytes, int], dict[int, Float]] = field(default_factory=dict)
+    _some: dict[tuple[int, ...], Together] = field(default_factory=dict)
 
     def at(self, a: Float) -> dict[int, Float]:
         """c (r,) at the factors a (P,) of all parameters, of the regions that do not stay nominal.
@@ -76,6 +77,14 @@ class Interpolation:
             self._seen[key] = self._computed(np.asarray(a, dtype=np.float64), colour)
         return self._seen[key]
 
+    def _together(self, some: tuple[int, ...]) -> Together:
+        """Of the regions with these numbers."""
+        if some not in self._some:
+            if len(self._some) >= SEEN:
+                self._some.clear()
+            self._some[some] = Together.of(self.mesh, [self.regions[k] for k in some])
+        return self._some[some]
+
     def _computed(self, a: Float, colour: int) -> dict[int, Float]:
         stepped = np.array([self.colours.get(i) == colour for i in range(a.size)])
         on = stepped if colour >= 0 else a != 1.0
@@ -87,7 +96,7 @@ class Interpolation:
         if not some:
             return out
         try:
-            found = entries(self.mesh, [self.regions[k] for k in some], a + 1j * STEP * stepped if colour >= 0 else a)
+            found = self._together(tuple(some)).entries(a + 1j * STEP * stepped if colour >= 0 else a)
         except INVALID as e:
             raise NumericalError(f"a section does not allow the factors {np.round(a, 4).tolist()}: {e}") from e
         if colour < 0:
@@ -168,10 +177,11 @@ def _series(m: Mesh, used: Sequence[Region], nodes: Sequence[Nodes]) -> dict[int
     bounds = [(p.lower, p.upper) for p in (used[k].groups[0].parameter for k in single)]
     a = np.ones(1 + max(which, default=0))
 
+    together = Together.of(m, [used[k] for k in single])
+
     def values(factors: Float) -> list[Float]:
         a[which] = factors
-        found = entries(m, [used[k] for k in single], a)
-        return [nodes[k].scaled(f) for k, f in zip(single, found, strict=True)]
+        return [nodes[k].scaled(f) for k, f in zip(single, together.entries(a), strict=True)]
 
     try:
         found = fitted(np.array(bounds), values) if single else []

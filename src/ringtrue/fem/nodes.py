@@ -12,7 +12,7 @@ from ringtrue.core.parameters import Parameter
 from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.mesh import Mesh
 from ringtrue.fem.powers import Group
-from ringtrue.fem.regions import Region, entries, owners, picked, roots
+from ringtrue.fem.regions import Region, Together, entries, owners, picked, roots
 from ringtrue.fem.rows import Rows
 
 BLOCK, BLOCKS = 16, 7  # points that are looked at first, then twice as many, and how often
@@ -184,18 +184,19 @@ def _box(some: Sequence[Region]) -> tuple[list[Float], Float, Float]:
 
 def _at(m: Mesh, some: Sequence[Region], points: Sequence[Float]) -> list[list[Float | None]]:
     """Entries of each region at each of the points; None where a section does not allow these."""
+    every, each = Together.of(m, some), [Together.of(m, [r]) for r in some]
     with np.errstate(all="ignore"):  # a pole between the bounds is found by what does not hold
-        found = [_tried(m, some, a) for a in points]
-    return [list(each) for each in zip(*found, strict=True)]
+        # it may be one of them that does not allow the factors
+        found = [_tried(every, a) or [(_tried(one, a) or [None])[0] for one in each] for a in points]
+    return [list(of) for of in zip(*found, strict=True)]
 
 
-def _tried(m: Mesh, some: Sequence[Region], a: Float) -> list[Float | None]:
+def _tried(regions: Together, a: Float) -> list[Float | None]:
+    """The entries at the factors; nothing where a section does not allow these."""
     try:
-        return [f if np.isfinite(f).all() else None for f in entries(m, some, a)]
+        return [f if np.isfinite(f).all() else None for f in regions.entries(a)]
     except INVALID:
-        if len(some) == 1:
-            return [None]
-    return [f for r in some for f in _tried(m, [r], a)]  # it may be one of them that does not allow them
+        return []
 
 
 def rough(groups: Sequence[Group]) -> str:

@@ -72,23 +72,51 @@ def few(rows: Rows, count: int) -> Rows:
     return {card: at[np.unique(np.linspace(0, at.size - 1, count).astype(int))] for card, at in rows.items()}
 
 
-def entries(m: Mesh, some: Sequence[Region], a: Any_, of: Callable[[Any_], Any_] | None = None) -> list[Any_]:
-    """Lower triangles of K, then of M, of each region's elements end to end, at the factors a (P,) of all parameters.
+@dataclass(frozen=True, slots=True, eq=False)
+class Together:
+    """Regions whose kernels are called at once: `apart`.
 
-    Parameters
+    Attributes
     ----------
-    of : callable (matrices (e, d, d)) -> (e, d, d), optional
-        What of the matrices is wanted in place of themselves.
+    mesh : Mesh
+    groups : tuple of Group
+    rows : dict
+        Of all the regions.
+    places : tuple of tuple of (int, rows)
+        Of each region: in which batches its elements are, and where in these.
     """
-    rows = union(r.rows for r in some)
-    groups = list(dict.fromkeys(g for r in some for g in r.groups))
-    made = built(m, groups, rows, [a[g.which] for g in groups])
-    there = [(card, at) for card, _, at in batches(m.model, rows)]
-    out = []
-    for r in some:
-        on = [np.isin(at, r.rows.get(card, ())) for card, at in there]
-        out.append(ends([(p.stiffness[k], p.mass[k]) for p, k in zip(made, on, strict=True) if k.any()], of))
-    return out
+
+    mesh: Mesh
+    groups: tuple[Group, ...]
+    rows: Rows
+    places: tuple[tuple[tuple[int, Int], ...], ...]
+
+    @classmethod
+    def of(cls, m: Mesh, some: Sequence[Region]) -> Together:
+        """The regions, in their order."""
+        rows = union(r.rows for r in some)
+        there = [(card, at) for card, _, at in batches(m.model, rows)]
+        places = []
+        for r in some:
+            on = [np.flatnonzero(np.isin(at, r.rows.get(card, ()))) for card, at in there]
+            places.append(tuple((i, k) for i, k in enumerate(on) if k.size))
+        return cls(m, tuple(dict.fromkeys(g for r in some for g in r.groups)), rows, tuple(places))
+
+    def entries(self, a: Any_, of: Callable[[Any_], Any_] | None = None) -> list[Any_]:
+        """Lower triangles of K, then of M, of each region's elements end to end, at the factors a (P,) of all.
+
+        Parameters
+        ----------
+        of : callable (matrices (e, d, d)) -> (e, d, d), optional
+            What of the matrices is wanted in place of themselves.
+        """
+        made = built(self.mesh, self.groups, self.rows, [a[g.which] for g in self.groups])
+        return [ends([(made[i].stiffness[k], made[i].mass[k]) for i, k in on], of) for on in self.places]
+
+
+def entries(m: Mesh, some: Sequence[Region], a: Any_, of: Callable[[Any_], Any_] | None = None) -> list[Any_]:
+    """`Together.entries` of the regions, once."""
+    return Together.of(m, some).entries(a, of)
 
 
 def ends(parts: Sequence[tuple[Any_, Any_]], of: Callable[[Any_], Any_] | None = None) -> Any_:
