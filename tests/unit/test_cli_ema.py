@@ -84,11 +84,29 @@ def test_a_sensor_sheet_scales_blows_in_volts(tmp_path: Path, capsys: Capture) -
     np.save(tmp_path / "v.npy", (blows.data * gain[:, None]).T)
     nameless = ema(capsys, tmp_path / "v.npy", "--rate", blows.rate, "--fmax", 80, "--sensors", tmp_path / "s.csv")
     assert nameless["channels"] == volts["channels"]
+    lost = volts["channels"][1]
+    less = ("--rate", blows.rate, "--fmax", 80, "--sensors", tmp_path / "s.csv", "--leave-out", lost)
+    assert lost not in ema(capsys, tmp_path / "v.npy", *less)["channels"]
     given = ema(capsys, tmp_path / "si.csv", "--fmax", 80)
     assert volts["scaling"] == given["scaling"]
     for a, b in zip(volts["modes"], given["modes"], strict=True):
         assert a["frequency_hz"] == pytest.approx(b["frequency_hz"], rel=1e-4)
         np.testing.assert_allclose(np.abs(a["shape_re"]), np.abs(b["shape_re"]), rtol=1e-2, atol=1e-3)
+
+
+def test_what_is_taken_for_granted_is_told(tmp_path: Path, capsys: Capture) -> None:
+    """Volts without a sheet; one file twice would count as two measurements."""
+    blows = record(1, RESPONSES)
+    channels = (Channel("Hammer", unit="V"), *(Channel(c.id, unit="V") for c in blows.channels[1:]))
+    path = tmp_path / "v.csv"
+    write_history(path, replace(blows, channels=channels))
+    assert run(["ema", str(path), "--fmax", "80"]) == 0
+    told = capsys.readouterr().out
+    assert "taken as accelerations, m/s^2" in told
+    assert "Hammer: a force without a unit, taken as N" in told
+    for command in ("ema", "oma"):
+        assert run([command, str(path), str(path)]) == 2
+        assert "v.csv is given twice" in capsys.readouterr().err
 
 
 def test_what_was_struck_is_named_and_frfs_are_written(tmp_path: Path, capsys: Capture) -> None:

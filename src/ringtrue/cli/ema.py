@@ -23,6 +23,7 @@ from ringtrue.cli.identify import (
     Sensors,
     WriteChoice,
     check_band,
+    check_each_once,
     check_method,
     choice_of,
     kept_channels,
@@ -170,6 +171,7 @@ def ema(
     Example: ringtrue ema blows-1.csv blows-2.csv --struck 1+Z --struck 5+Z --fmax 400 --write-frfs frfs.h5
     """
     check_band(fmin, fmax)
+    check_each_once(files)
     by_hand = choice_of(choice, files[0])
     named, points, lost = (tuple(x or ()) for x in (force, struck, leave_out))
     sheet = read_sensor_sheet(sensors) if sensors else None

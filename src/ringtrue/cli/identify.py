@@ -219,6 +219,7 @@ def oma(
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
     """
     check_band(fmin, fmax)
+    check_each_once(records)
     record = records[0]
     title = str(record) if len(records) == 1 else f"{record} .. {records[-1].name} ({len(records)} files)"
     by_hand = choice_of(choice, record)
@@ -258,6 +259,12 @@ def _parts(
         where = "" if len(records) == 1 else f"{path.name}: "
         said += [where + note for note in (*fault_notes(history), *removed, *short)]
         yield history
+
+
+def check_each_once(files: Sequence[Path]) -> None:
+    """Refuse a file that is given twice: it would count as a measurement of its own."""
+    if twice := [str(f) for f, n in Counter(p.resolve() for p in files).items() if n > 1]:
+        raise ConfigError(f"{twice[0]} is given twice")
 
 
 def check_method(method: StrEnum, first: StrEnum, options: Mapping[str, object]) -> None:

@@ -133,17 +133,17 @@ def read_blows(
     for option, given in (("--struck", how.struck), ("--force", how.force)):
         if len(given) not in (0, 1, len(paths)):
             raise ConfigError(f"{option}: given {len(given)} times for {len(paths)} files; once for all, or once each")
-    runs = [(i, p, run) for i, p in enumerate(paths) for run in _runs(p, how)]
-    known = {c.id for *_, run in runs for c in run.channels}
+    runs = [(i, p, *found) for i, p in enumerate(paths) for found in _runs(p, how.of(i))]
+    known = {c.id for _, _, run, _ in runs for c in run.channels}
     if lost := [c for c in how.leave_out if c not in known]:
         raise ConfigError(
             f"--leave-out {lost[0]}: no file has such a channel; there are {' '.join(sorted(known)[:40])}"
         )
     records, notes = [], dict[str, None]()
-    for i, path, run in runs:
+    for i, path, run, scaled in runs:
         record, said = _ready(path, run, how.of(i))
         records.append(record)
-        notes.update(dict.fromkeys(said))
+        notes.update(dict.fromkeys((*scaled, *said)))
     ranges: dict[str, float] = {}
     for path in paths:
         ranges |= full_scale(path)
@@ -161,23 +161,23 @@ def read_file(path: Path, how: BlowFiles | None = None) -> tuple[tuple[TimeHisto
         As `read_blows` does.
     """
     how = how or BlowFiles()
-    ready = [_ready(path, run, how) for run in _runs(path, how)]
-    return tuple(r for r, _ in ready), tuple(dict.fromkeys(n for _, notes in ready for n in notes))
+    ready = [(*_ready(path, run, how), scaled) for run, scaled in _runs(path, how)]
+    return tuple(r for r, *_ in ready), tuple(dict.fromkeys(n for _, said, scaled in ready for n in (*scaled, *said)))
 
 
 def _ready(path: Path, run: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, Sequence[str]]:
-    run = renamed(run, how.channels, path)
-    run, scaled = how.sheet.scaled(run) if how.sheet else (run, ())
     kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
     record, notes = _prepared(kept, how)
     refuse_bad_samples(record, path)
-    return record, [*scaled, *notes]
+    return record, notes
 
 
-def _runs(path: Path, how: BlowFiles) -> Iterator[TimeHistory]:
+def _runs(path: Path, how: BlowFiles) -> Iterator[tuple[TimeHistory, tuple[str, ...]]]:
+    """The acquisitions by the names and the sheet that are given, and what the sheet told."""
     runs = read_runs(path, how.rate, group=how.group)
     for k, run in enumerate(runs):
-        yield replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}")
+        named = renamed(replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}"), how.channels, path)
+        yield how.sheet.scaled(named) if how.sheet else (named, ())
 
 
 def _prepared(record: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, list[str]]:
@@ -195,7 +195,9 @@ def _prepared(record: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, list[st
     if not motions and unknown:
         motions = unknown
         if not how.quantity:
-            notes.append("no unit tells what the responses measure: taken as accelerations (--quantity)")
+            notes.append("no unit tells what the responses measure: taken as accelerations, m/s^2 (--quantity)")
+    if bare := [record.channels[i].id for i in at if record.channels[i].quantity == "unknown"]:
+        notes.append(f"{' '.join(bare)}: a force without a unit, taken as N (--sensors)")
     if lost := [record.channels[i].id for i in rest if i not in motions]:
         notes.append(f"channel {' '.join(lost)}: no motion, not used")
     if not motions:
