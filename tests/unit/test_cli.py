@@ -282,6 +282,17 @@ def test_oma(record: Callable[..., Path], capsys: Capture) -> None:
     assert len(found["channels"]) == 6
 
 
+def test_oma_names_the_channels_by_the_sensor_sheet(
+    record: Callable[..., Path], tmp_path: Path, capsys: Capture
+) -> None:
+    names, sheet = [f"{k + 1}+Z" for k in range(6)], tmp_path / "s.csv"
+    rows = [f"{k + 1},{k},0,0,Z,g,0.1" for k in range(6)]
+    sheet.write_text("\n".join(["point,x,y,z,direction,unit,sensitivity", *rows]))
+    words = ("oma", record(), "--rate", 64, "--fmin", 3, "--fmax", 10, "--sensors", sheet)
+    assert parsed(capsys, *words)["channels"] == names
+    assert parsed(capsys, *words, "--leave-out", "2+Z")["channels"] == [names[0], *names[2:]]
+
+
 def test_oma_of_several_files_is_that_of_one_record(
     record: Callable[..., Path], tmp_path: Path, capsys: Capture
 ) -> None:

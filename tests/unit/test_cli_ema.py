@@ -81,12 +81,6 @@ def test_a_sensor_sheet_scales_blows_in_volts(tmp_path: Path, capsys: Capture) -
     rows = [f"{k},{k},0,0,+Z,{c.id},{c.unit},{g}" for k, (c, g) in enumerate(zip(blows.channels, gain, strict=True))]
     (tmp_path / "s.csv").write_text("\n".join(["point,x,y,z,direction,channel,unit,sensitivity", *rows]))
     volts = ema(capsys, tmp_path / "v.csv", "--fmax", 80, "--sensors", tmp_path / "s.csv")
-    np.save(tmp_path / "v.npy", (blows.data * gain[:, None]).T)
-    nameless = ema(capsys, tmp_path / "v.npy", "--rate", blows.rate, "--fmax", 80, "--sensors", tmp_path / "s.csv")
-    assert nameless["channels"] == volts["channels"]
-    lost = volts["channels"][1]
-    less = ("--rate", blows.rate, "--fmax", 80, "--sensors", tmp_path / "s.csv", "--leave-out", lost)
-    assert lost not in ema(capsys, tmp_path / "v.npy", *less)["channels"]
     given = ema(capsys, tmp_path / "si.csv", "--fmax", 80)
     assert volts["scaling"] == given["scaling"]
     for a, b in zip(volts["modes"], given["modes"], strict=True):

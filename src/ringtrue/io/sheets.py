@@ -63,13 +63,13 @@ class SensorSheet:
 
         A channel without a unit, or in volts, is divided by its sensitivity and becomes SI of its unit; units that a
         record tells stand. The type of a sensor is that of the sheet where the record has none. A record without names,
-        of as many channels as the sheet has rows, or rows of motions, has those of the sheet in its order.
+        of as many channels as the sheet has motions, has those in their order.
         """
         rows, ids = {c.id: c for c in self.channels}, [c.id for c in history.channels]
         if names := self._in_order(ids):
             named = tuple(replace(c, id=n) for c, n in zip(history.channels, names, strict=True))
             scaled, notes = self.scaled(replace(history, channels=named))
-            said = f"channels without names are those of the sensor sheet in its order: {_some(names)}"
+            said = f"channels without names are the motions of the sensor sheet in its order: {_some(names)}"
             return scaled, (said, *notes)
         lost = [c.id for c in history.channels if c.id not in rows and c.quantity == "unknown"]
         notes = (f"without a unit, and not on the sensor sheet: {_some(lost)}",) if lost else ()
@@ -87,11 +87,9 @@ class SensorSheet:
         return replace(history, data=data, channels=tuple(channels)), (note, *notes) if told else notes
 
     def _in_order(self, ids: Sequence[str]) -> tuple[str, ...]:
-        """Names of the sheet for a record that has none; empty where it has names or another number of channels."""
-        every = tuple(c.id for c in self.channels)
-        if list(ids) != [f"ch{i + 1}" for i in range(len(ids))] or set(ids) & set(every):
-            return ()
-        return next((names for names in (every, self.model.channels) if len(names) == len(ids)), ())
+        """The motions for a record without names; empty where it has names or another number of channels."""
+        bare = list(ids) == [f"ch{i + 1}" for i in range(len(self.model.channels))]
+        return self.model.channels if bare and not set(ids) & set(self.model.channels) else ()
 
 
 def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> SensorSheet:
