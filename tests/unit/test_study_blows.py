@@ -172,7 +172,7 @@ def test_a_file_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
     (tmp_path / "data/campaign.json").write_text(json.dumps(log))
     found = identified(study)
     assert list(found.ambient.channels) == ids
-    assert "those of the sensor sheet in its order" in found.records[0].notes[0]
+    assert "the motions of the sensor sheet in its order" in found.records[0].notes[0]
 
 
 @pytest.mark.parametrize(
