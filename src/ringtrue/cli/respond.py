@@ -243,7 +243,7 @@ def static(
         write_json({"deck": str(deck), "cases": told}, json)
     if json != "-":
         every = [(c, p, f"{x:.6g}") for c, u in zip(names, moved, strict=True) for p, x in zip(points, u, strict=True)]
-        rows(f"{deck}: {len(names)} load cases", ("case", "at", "deflection [m]"), every)
+        rows(f"{deck}: {len(names)} load case{'s' if len(names) > 1 else ''}", ("case", "at", "deflection [m]"), every)
     return 0
 
 

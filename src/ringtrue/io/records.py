@@ -307,7 +307,7 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
     if table.data.size == 0:
         raise DataError(f"{path}: empty, there are no samples")
     if table.rate is None and rate is None:
-        raise DataError(f"{path}: the file has no sampling rate; give rate=, Hz")
+        raise DataError(f"{path}: the file has no sampling rate; give it in Hz: --rate, `rate_hz` of a log, rate=")
     if table.rate is not None:
         if not (np.isfinite(table.rate) and table.rate > 0):
             raise DataError(f"{path}: rate {table.rate} Hz must be positive")
