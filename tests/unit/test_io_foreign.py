@@ -408,7 +408,7 @@ def test_times_too_coarse_for_a_rate_want_one(tmp_path):
     path = tmp_path / "r.csv"
     rows = [";".join([t, *map(str, y)]) for t, y in zip(_stamps("%d.%m.%Y %H:%M:%S", False), SIGNAL.T, strict=True)]
     path.write_text("Zeit;a;b;c (left)\n" + "\n".join(rows), encoding="utf-8")
-    with pytest.raises(DataError, match="give rate"):
+    with pytest.raises(DataError, match="give it in Hz"):
         read_record(path)
     got = read_record(path, 256.0)
     assert [c.id for c in got.channels] == ["a", "b", "c (left)"]
