@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -57,6 +58,14 @@ def test_the_log_is_taken(tmp_path: Path) -> None:
     records, sensors = read_log(tmp_path / "log.json")
     assert [r.kind for r in records] == ["ambient", "hammer"]
     assert sensors
+
+
+def test_a_crew_may_note_down_more(tmp_path: Path) -> None:
+    record = {"file": "a.h5", "excitation": "ambient", "test": "B", "kind": "night", "path": "/x", "tests": 3}
+    log = {"tests": [{"name": "A", "kind": "ambient", "weather": "rain", "records": [record]}]}
+    (tmp_path / "log.json").write_text(json.dumps(log))
+    ((one,), _) = read_log(tmp_path / "log.json")
+    assert (one.test, one.kind, one.path) == ("A", "ambient", tmp_path / "a.h5")
 
 
 def test_options_that_are_named_are_there() -> None:

@@ -126,7 +126,9 @@ def read_log(path: Path) -> tuple[list[Logged], dict[str, SensorType]]:
     except ValidationError as e:
         raise DataError(explain(path, e, _Log, "log")) from e
     records = [
-        Logged(**dict(r), path=path.parent / r.file, test=t.name, kind=t.kind) for t in log.tests for r in t.records
+        Logged(**{k: getattr(r, k) for k in _Record.model_fields}, path=path.parent / r.file, test=t.name, kind=t.kind)
+        for t in log.tests
+        for r in t.records
     ]
     if not records:
         raise DataError(f"{path}: no record in any test")
