@@ -20,8 +20,8 @@ from ringtrue.errors import NumericalError, UnsupportedError
 from ringtrue.fem.assembly import System, full_matrices, reduced
 from ringtrue.fem.functions import AffineTerm
 from ringtrue.fem.mesh import Mesh
-from ringtrue.fem.nodes import HOLDS, INVALID, Nodes, learn, rough
-from ringtrue.fem.powers import Group, Pair, built
+from ringtrue.fem.nodes import HOLDS, Nodes, learn, rough
+from ringtrue.fem.powers import INVALID, Group, Pair, built
 from ringtrue.fem.regions import Region, Together, apart, ends, entries, few, owners, picked, regions, roots
 from ringtrue.fem.rows import Rows, union
 from ringtrue.fem.series import Series, fitted
@@ -88,10 +88,11 @@ class Interpolation:
     def _computed(self, a: Float, colour: int) -> dict[int, Float]:
         stepped = np.array([self.colours.get(i) == colour for i in range(a.size)])
         on = stepped if colour >= 0 else a != 1.0
-        own = {
-            k: (s, float(a[self.regions[k].which[0]])) for k, s in self.series.items() if on[self.regions[k].which[0]]
-        }
-        out = {k: s.value(x) if colour < 0 else s.slope(x) for k, (s, x) in own.items() if s.holds(x)}
+        out = dict[int, Float]()
+        for k, series in self.series.items():
+            (i,) = self.regions[k].which
+            if on[i] and series.holds(x := float(a[i])):
+                out[k] = series.value(x) if colour < 0 else series.slope(x)
         some = [k for k, r in enumerate(self.regions) if on[list(r.which)].any() and k not in out]
         if not some:
             return out
@@ -176,7 +177,6 @@ def _series(m: Mesh, used: Sequence[Region], nodes: Sequence[Nodes]) -> dict[int
     which = [used[k].which[0] for k in single]
     bounds = [(p.lower, p.upper) for p in (used[k].groups[0].parameter for k in single)]
     a = np.ones(1 + max(which, default=0))
-
     together = Together.of(m, [used[k] for k in single])
 
     def values(factors: Float) -> list[Float]:

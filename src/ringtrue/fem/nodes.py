@@ -9,9 +9,9 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import Parameter
-from ringtrue.errors import DeckError, UnsupportedError
+from ringtrue.errors import UnsupportedError
 from ringtrue.fem.mesh import Mesh
-from ringtrue.fem.powers import Group
+from ringtrue.fem.powers import INVALID, Group
 from ringtrue.fem.regions import Region, Together, entries, owners, picked, roots
 from ringtrue.fem.rows import Rows
 
@@ -19,8 +19,6 @@ BLOCK, BLOCKS = 16, 7  # points that are looked at first, then twice as many, an
 MOST = 320  # matrices of a region
 FITTED, HOLDS = 1e-10, 1e-8  # relative to the roots of diagonal entries: left by the points seen, allowed at others
 MARGIN = 1.05  # by which the range exceeds the bounds
-INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
-
 
 Found = Sequence[Float | None]
 

@@ -21,6 +21,7 @@ from ringtrue.model.model import Model
 
 CHECK = 1.37  # a factor at which the polynomial must hold
 EXACT, NOISE = 1e-10, 1e-13  # relative: not polynomial above, no such power below
+INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
 Pair = tuple[sparse.csr_array, sparse.csr_array]
 
 

@@ -19,12 +19,12 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.progress import Progress, part
-from ringtrue.errors import DeckError, UnsupportedError
+from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import System, full_matrices, reduced
 from ringtrue.fem.functions import AffineTerm, Product, power
 from ringtrue.fem.kinds import batches
 from ringtrue.fem.mesh import Matrices, Mesh
-from ringtrue.fem.powers import CHECK, Group, Pair, built, cubic, size
+from ringtrue.fem.powers import CHECK, INVALID, Group, Pair, built, cubic, size
 from ringtrue.fem.regions import few
 from ringtrue.fem.rows import Rows, common, union
 from ringtrue.model.model import Model
@@ -35,7 +35,6 @@ AT_ONCE = 16  # sets whose samples are evaluated together
 HELD = 200_000  # element matrices of samples that are kept
 KEPT = 5000  # elements of which the matrices at all points fit into memory
 HOLDS, NOISE = 1e-9, 1e-12  # relative: error allowed, no such part below
-INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
 Exponents = tuple[int, ...]
 Member = tuple[int, Group, Exponents]  # its number, and the exponents that it has by itself
 Set = tuple[Sequence[Member], Rows]  # groups that act on the same elements, and the rows of these

@@ -133,7 +133,7 @@ def summary(record: Logged, history: TimeHistory, notes: Sequence[str], *, draw:
         power[:, ::thin],
         tuple(notes),
         unit,
-        _setup(record),
+        str(record.setup),
     )
 
 
@@ -142,11 +142,7 @@ def _listed(record: Logged, history: TimeHistory, notes: Sequence[str]) -> Recor
     line, curves = np.zeros(0), np.zeros((0, 0))
     what = (record.name, record.test, record.excitation, record.path.name)
     size = (len(history.channels), history.rate, history.duration)
-    return RecordSummary(*what, *size, line, curves, (), line, curves, tuple(notes), setup=_setup(record))
-
-
-def _setup(record: Logged) -> str:
-    return str(record.setup)
+    return RecordSummary(*what, *size, line, curves, (), line, curves, tuple(notes), setup=str(record.setup))
 
 
 def _peaks(data: Float, step: int) -> Float:
@@ -217,7 +213,7 @@ def struck(
         names = {b.source for b in blows}
         mine = [h for h in found.hits if h.source in names]
         kept = [kept_blows(mine)] if found.hits else []
-        first = _setup(record) == _setup(records[0])  # the others look alike
+        first = record.setup == records[0].setup  # the others look alike
         shown.append(summary(record, _in_a_row(blows), [*notes, *kept, *found.notes], draw=first))
     return join_frfs(found.columns), shown, refused_blows(found.hits), setups_of(found.columns)
 
