@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ FLOORS = [
     {"plots"},
     {"report"},
     {"demos", "testing"},
-    {"cli", "studio"},
+    {"cli"},
     {"__main__"},
 ]
 SIDEWAYS = {("core", "errors"), ("reduce", "fem"), ("identify", "signal"), ("plan", "virtual")}
@@ -75,3 +76,13 @@ def test_imports_point_down(path: Path) -> None:
         else:
             ok = parts[0] in STDLIB_OK or parts[0] in THIRD_PARTY.get(here, set())
             assert ok, f"{path.relative_to(SRC)} imports {name}: not allowed on this floor"
+
+
+LARGE = [d for d in (SRC, *sorted(SRC.rglob("*/"))) if d != SRC and len(list(d.glob("*.py"))) > 20]
+
+
+@pytest.mark.parametrize("package", LARGE, ids=lambda p: str(p.relative_to(SRC)))
+def test_a_large_package_tells_where_each_module_has_its_place(package: Path) -> None:
+    modules = {p.stem for p in package.glob("*.py")} | {p.parent.name for p in package.glob("*/__init__.py")}
+    told = re.findall(r"`(\w+)`", ast.get_docstring(ast.parse((package / "__init__.py").read_text())) or "")
+    assert sorted(told) == sorted(modules - {"__init__"})

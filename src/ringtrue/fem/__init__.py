@@ -1,1 +1,14 @@
+"""Model to matrices, and their derivatives.
 
+Matrices: `kinds` the element cards, `mesh`, `place` and `rows` what elements need, `elements` their kernels,
+`assembly` the sum, `added_mass`; `algebra` and `isotropy` in small.
+
+Constraints: `equations`, `rigid`, `average`, `spins`, `constraints` all of them as one elimination.
+
+Parameters: `change` a model with other fields, `slopes` and `derivatives` of matrices.
+
+All parameters together: `dependence` fixed matrices times `functions`; `powers` and `products` where these
+are polynomials, `regions`, `nodes`, `interpolation` and `series` where not.
+
+Answers: `response`.
+"""

@@ -1,1 +1,23 @@
+"""Signals and FRFs to modes with their standard deviations.
 
+Ambient records: `ambient` is the call; `ambient_record` what a record allows, `bands` and `stretches` what is
+kept of it, `ambient_band` the modes of one band, `ambient_verdict` the verdict on those of all;
+`ambient_methods` by another method.
+
+Blows, shakers, FRFs: `hammer` is the call; `frf_input` what is refused, `condense` fewer lines,
+`bands_hammer` the candidates, `deflate` what they miss, `refine` the fit, `lsfd` and `scale` residues and
+modal masses, `normal` real shapes; `local` setups that disagree, `linearity` several force levels;
+`frf_methods` by another method.
+
+Methods: `ssi`, `ssi_data`, `era`, `half_spectra`, `fdd`, `bayes` (ambient); `plscf`, `lsce`, `rfp`, `peaks`
+(FRFs); `opinion` asks one of them for a second opinion.
+
+From poles to modes: `poles` of all orders, `stabilise` and `cluster` or `pick`, `judge` with reasons,
+`variance` their scatter, `whittle` their maximum likelihood, `repeated` and `repeated_hammer` roots nearer
+than the data tell, `mixing` shapes of close modes; `choice` and `choice_hammer` by hand.
+
+What is no mode, or no steady one: `forced`, `struck`, `wander`.
+
+Several records: `setups` as one, `merge` one by one, `common` their channels; `tracking` through time,
+`environment` why.
+"""

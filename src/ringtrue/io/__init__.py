@@ -1,1 +1,12 @@
+"""Files to dataclasses and back. `nastran` decks, `nastran_results` of solvers, `uff` universal files.
 
+Records: `records` of any format: `delimited`, `lvm`, `matfile`, `plain`, `tdms`, `wav`, `record_layout` (our
+own); `clock`, `complex_cells` and `si` what stands in their cells.
+
+FRFs: `frfs` of any format: `frf_arrays`, `frf_tables`. Modes: `modes_json`. Matrices: `matrices`, `op4`,
+`mat5`.
+
+Tests: `sheets` of sensors, `statics`, `choices` by hand.
+
+For all: `files` that are read, `atomic` writes, `codec` dataclasses in HDF5.
+"""

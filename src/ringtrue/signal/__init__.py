@@ -1,1 +1,14 @@
+"""Records to spectra, correlations and FRFs; what is wrong with records, and what machines put into them.
 
+Preparation: `preprocess`, `sensors` (transfer functions), `windows`, `faults`, `gaps`, `overloads`.
+
+Recorders: `align`, `phases` and `drifts` of their clocks.
+
+Spectra of ambient records: `psd`; `pyramid`, `stream`, `listened` and `threads` for records larger than
+memory.
+
+FRFs: `hits` and `earlier` find blows, `frf` their FRFs, `spectra` those of shakers, `periodic` and
+`local_rational` without leakage; `setups` and `reciprocal` join them, `frf_checks` judges them.
+
+Machines and events: `harmonics`, `lines`, `locked`, `sweeps`, `strokes`, `events`.
+"""

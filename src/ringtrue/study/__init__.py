@@ -1,1 +1,15 @@
+"""study.toml to study.h5: the settings, the stages, and what is stored of each.
 
+Settings: `config`, `config_plan`, `config_update`; `log` of a crew; `config_errors` what is wrong with them,
+in words.
+
+Running: `run` is the driver, `workbench` what its stages share, `store` the file, `iterates` what an
+interrupted updating goes on from, `words` and `summary` what it tells, `acceptance` the user's limits. A
+stage is a module of `stages`, its result a type of `results`.
+
+What several stages need of the test: `blows` and `forced` FRFs of records, `placing` and `arrangement` its
+geometry, `reference` the modes judged by, `measured` data beside modes, `evidence` what a correlation rests
+on, `expansion` its shapes.
+
+Of the model: `opened`, `parametric`, `loads`, `scene`. Of the updating: `objective`, `course`.
+"""

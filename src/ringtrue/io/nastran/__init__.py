@@ -1,1 +1,11 @@
+"""Decks to tables and back, and edited in place.
 
+Reading: `reader` is the call; `deck` its lines, `case` control, `gather` logical cards from `free` and fixed
+fields, `replicate`, `lexer` and `fields` their values, `tables` one a card.
+
+Cards with a pattern of their own: `special`, `lists`, `beams`, `welds`, `added_mass`, `loads`; `defaults`
+what they leave blank, `constraint_sets` which hold.
+
+Writing: `edit` in place, `places` where a field stands; `writer` cards, `bulk` and `bulk_special` whole
+models.
+"""
