@@ -43,6 +43,8 @@ def test_fixed_points_stay_and_distances_hold() -> None:
     at = select_points(shapes, xyz, 6, fixed=fixed, min_distance=0.1)
     assert 7 in at
     assert np.diff(np.sort(xyz[at, 0])).min() > 0.1
+    fixed[:5] = True  # more than are asked for, and nearer to each other than others may be
+    assert select_points(shapes, xyz, 4, fixed=fixed, min_distance=0.1).tolist() == [0, 1, 2, 3, 4, 7]
     with pytest.raises(InputError, match="lower min_distance"):
         select_points(shapes, xyz, 20, min_distance=0.2)
     with pytest.raises(InputError, match="cannot tell 4 modes apart"):

@@ -177,8 +177,20 @@ def test_redundant_layouts_survive_any_loss() -> None:
     for c in combinations(range(safe.size), 2):
         assert np.linalg.matrix_rank(np.delete(shapes[safe, 0], c, axis=0), tol=1e-6) == 4
     assert worst_loss(shapes[safe], 2).left >= 0.2
-    with pytest.raises(InputError, match="allow more points"):
+    with pytest.raises(InputError, match="allow more points or"):
         make_redundant(shapes, few, 2, most=5)
+
+
+def test_points_added_for_redundancy_keep_their_distance() -> None:
+    shapes, xyz = string(59, 4)
+    few = select_points(shapes, xyz, 4, min_distance=0.08)
+    close = xyz[make_redundant(shapes, few, 2), 0]
+    assert np.diff(np.sort(close)).min() < 0.08
+    apart = make_redundant(shapes, few, 2, xyz=xyz, min_distance=0.08)
+    assert np.diff(np.sort(xyz[apart, 0])).min() > 0.08
+    assert worst_loss(shapes[apart], 2).left >= 0.1
+    with pytest.raises(InputError, match=r"a distance below 0\.2 m"):
+        make_redundant(shapes, few, 3, xyz=xyz, min_distance=0.2)
 
 
 def test_layouts_that_cannot_tell_modes_apart_have_nothing_to_lose() -> None:

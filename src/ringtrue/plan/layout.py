@@ -42,15 +42,15 @@ def select_points(
         Mass-normalised shapes at the candidates; d directions a point (a triaxial sensor has 3).
     xyz : (n, 3) float64, m
     count : int
-        Points to keep.
+        Points to keep, the fixed ones included.
     fixed : (n,) bool, optional
-        Points that stay.
+        Points that stay, be they more than `count`.
     min_distance : float, m
         Of two candidates that are closer the weaker goes first.
 
     Returns
     -------
-    (count,) int64
+    (max(count, fixed),) int64
         Positions, ascending.
 
     Raises
@@ -59,10 +59,11 @@ def select_points(
         If the points asked for cannot tell the modes apart, or there are too few.
     """
     n, d, m = shapes.shape
+    held = np.zeros(n, dtype=np.bool_) if fixed is None else np.asarray(fixed, dtype=np.bool_)
+    count = max(count, int(held.sum()))
     if count * d < m:
         raise InputError(f"{count} points with {d} directions cannot tell {m} modes apart; ask for more points")
     keep = np.arange(n)
-    held = np.zeros(n, dtype=np.bool_) if fixed is None else np.asarray(fixed, dtype=np.bool_)
     if min_distance > 0:
         keep = thinned(independence(shapes), xyz, held, min_distance)
     if keep.size < count:

@@ -250,7 +250,16 @@ def _built(rows: Float, k: int) -> Int:
     return subsets
 
 
-def make_redundant(shapes: Float, chosen: Int, k: int, *, least: float = 0.1, most: int = 0) -> Int:
+def make_redundant(
+    shapes: Float,
+    chosen: Int,
+    k: int,
+    *,
+    least: float = 0.1,
+    most: int = 0,
+    xyz: Float | None = None,
+    min_distance: float = 0.0,
+) -> Int:
     """Adds points until at least the share `least` of the information about any mode survives the loss of any k.
 
     Each added point is the one that sees most of the combination of modes that the worst loss blinds.
@@ -263,6 +272,9 @@ def make_redundant(shapes: Float, chosen: Int, k: int, *, least: float = 0.1, mo
     least : float, 0..1
     most : int
         Most points in all; 0: all candidates.
+    xyz : (n, 3) float64, m, optional
+    min_distance : float, m
+        From each point that is added to all others.
 
     Returns
     -------
@@ -272,19 +284,25 @@ def make_redundant(shapes: Float, chosen: Int, k: int, *, least: float = 0.1, mo
     Raises
     ------
     InputError
-        If the limit is not reached with `most` points.
+        If the limit is not reached with `most` points, or with all that are far enough from each other.
     """
     points = np.array(chosen, dtype=np.int64)
     most = most or len(shapes)
+    free = np.ones(len(shapes), dtype=np.bool_)
+    for i in points.tolist():
+        free &= _apart(xyz, i, len(shapes), min_distance)
     while (loss := worst_loss(shapes[points], k)).left < least:
-        rest = np.setdiff1d(np.arange(len(shapes)), points)
+        rest = np.flatnonzero(free)
         if points.size >= most or not rest.size:
+            lower = f", a distance below {min_distance:.2g} m" if min_distance > 0 and not rest.size else ""
             raise InputError(
                 f"with {points.size} points the loss of any {k} leaves {100 * loss.left:.2g} % of the information, "
-                f"{100 * least:g} % are asked for: allow more points or less redundancy"
+                f"{100 * least:g} % are asked for: allow more points{lower} or less redundancy"
             )
         seen = ((shapes[rest] @ loss.combination) ** 2).sum(axis=1)
-        points = np.append(points, rest[int(np.argmax(seen))])
+        best = int(rest[np.argmax(seen)])
+        points = np.append(points, best)
+        free &= _apart(xyz, best, len(shapes), min_distance)
     return points
 
 

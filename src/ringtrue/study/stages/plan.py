@@ -238,7 +238,8 @@ def _points(
     most = plan.sensors + 15
     chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, most, xyz=xyz, min_distance=kept, worth=WORTH)
     if plan.redundancy:
-        chosen = np.sort(make_redundant(phi, chosen, plan.redundancy, most=2 * plan.sensors + 15))
+        most = 2 * plan.sensors + 15
+        chosen = np.sort(make_redundant(phi, chosen, plan.redundancy, most=most, xyz=xyz, min_distance=kept))
     return chosen
 
 
