@@ -19,6 +19,7 @@ from ringtrue.shapes.scale import modal_scale_factor
 
 Fault = Literal["reversed", "swapped", "scaled", "dead"]
 MOST_SWAPS = 500  # channels that are tried against each other, the worst of them
+MOST_THREES = 60  # the same in rounds of three
 USUAL = ((9.80665, "g for m/s²"), (10.0, "20 dB of gain"), (1e3, "a factor 1000 of units"), (2.0, "6 dB of gain"))
 
 
@@ -63,9 +64,9 @@ class Suspect:
     fault : {"reversed", "swapped", "scaled", "dead"}
     message : str
     partner : str
-        The channel it is swapped with, else empty.
+        The channel whose motion it reads if swapped, else empty.
     factor : float
-        What it reads over what it should; −1 if reversed, 1 if swapped.
+        What it reads over what it, or its partner, should; −1 if reversed, ±1 if swapped.
     mac_now, mac_mended : float, 0..1
         Mean MAC of the pairs as measured, and if this fault alone were mended (a dead channel left out).
     """
@@ -81,13 +82,27 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True)
 class ChannelFault:
-    """A fault by row: `j` is the partner of a swap, else `i`."""
+    """A fault by row.
+
+    Attributes
+    ----------
+    i, j : int
+        The row; with a swap the first and the last row, else `j` is `i`.
+    fault : {"reversed", "swapped", "scaled", "dead"}
+    factor : float
+        What the row reads over what it should.
+    gain : float
+        In squared error, by mending it.
+    moved : tuple of (int, int, float)
+        Of a swap: row, the row whose motion it reads, and with which sign.
+    """
 
     i: int
     j: int
     fault: Fault
     factor: float
     gain: float
+    moved: tuple[tuple[int, int, float], ...] = ()
 
 
 def mended(a: Any_, faults: Sequence[ChannelFault]) -> Any_:
@@ -95,7 +110,8 @@ def mended(a: Any_, faults: Sequence[ChannelFault]) -> Any_:
     out = np.array(a)
     for f in faults:
         if f.fault == "swapped":
-            out[[f.i, f.j]] = out[[f.j, f.i]]
+            row, real, sign = (np.array(x) for x in zip(*f.moved, strict=True))
+            out[real] = sign[:, None] * out[row]
         elif f.fault == "dead":
             out[f.i] = 0.0
         else:
@@ -117,8 +133,8 @@ def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[
     Notes
     -----
     Fails where the model is so wrong that its error hides the fault, where more than about a third of the channels
-    are wrong, or where two channels move alike (exchanging them changes nothing). A swapped pair of which one is
-    also reversed, and a triaxial sensor turned about a skewed axis, are not recognised.
+    are wrong, or where two channels move alike (exchanging them changes nothing). A triaxial sensor turned by a
+    quarter or about its diagonal is two or three swapped channels, with signs; one turned by less is not recognised.
     """
     a, b = np.asarray(a), np.asarray(b)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] < 3:
@@ -131,7 +147,7 @@ def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[
         if best is None:
             break
         found.append(best)
-        gone = np.union1d(gone, [best.i, best.j])
+        gone = np.union1d(gone, [best.i, *(row for row, _, _ in best.moved)])
     return tuple(found)
 
 
@@ -205,20 +221,44 @@ def _mis_scaled(
 
 
 def _swapped(y: Float, b: Float, error: Float, at: Int, limits: FaultLimits) -> list[ChannelFault]:
-    """The best exchange among the rows `at`."""
+    """The best exchange of two of the rows `at`, and the best one round three, some of them reversed, too."""
     if at.size < 2:
         return []
-    y, b = y[at], b[at]
-    cross = y @ b.T
-    distance = (y**2).sum(axis=1)[:, None] + (b**2).sum(axis=1)[None, :] - 2 * cross
-    cosine = cross / np.maximum(np.linalg.norm(y, axis=1)[:, None] * np.linalg.norm(b, axis=1), 1e-300)
-    now = np.add.outer(error[at], error[at])
-    then = distance + distance.T
-    good = np.triu(np.minimum(cosine, cosine.T) > limits.correlation, 1) & (then < limits.explained * now)
-    gain = np.where(good, now - then, 0.0)
-    p, q = np.unravel_index(int(np.argmax(gain)), gain.shape)
-    i, j = sorted((int(at[p]), int(at[q])))
-    return [ChannelFault(i, j, "swapped", 1.0, float(gain[p, q]))] if gain[p, q] > 0 else []
+    cross = y[at] @ b[at].T
+    size_y, size_b = np.linalg.norm(y[at], axis=1), np.linalg.norm(b[at], axis=1)
+    left = size_y[:, None] ** 2 + size_b**2 - 2 * np.abs(cross)  # where row p reads ±q
+    alike = np.abs(cross) > limits.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
+    np.fill_diagonal(alike, False)
+    left = np.where(alike, left, np.inf)
+    rounds = [_pair(left, error[at], limits), _three(left[:MOST_THREES, :MOST_THREES], error[at], limits)]
+    out = []
+    for gain, order in rounds:
+        if gain > 0:
+            moved = [(p, q, float(np.sign(cross[p, q]))) for p, q in zip(order, (*order[1:], order[0]), strict=True)]
+            rows = tuple(sorted((int(at[p]), int(at[q]), sign) for p, q, sign in moved))
+            out.append(ChannelFault(rows[0][0], rows[-1][0], "swapped", rows[0][2], gain, rows))
+    return out
+
+
+def _pair(left: Float, error: Float, limits: FaultLimits) -> tuple[float, tuple[int, ...]]:
+    """Gain and positions of the best exchange of two; `left` (r, r) is the error of a row that reads another."""
+    now, then = np.add.outer(error, error), left + left.T
+    gain = np.where(np.triu(then < limits.explained * now, 1), now - then, 0.0)
+    at = np.unravel_index(int(np.argmax(gain)), gain.shape)
+    return float(gain[at]), tuple(int(k) for k in at)
+
+
+def _three(left: Float, error: Float, limits: FaultLimits) -> tuple[float, tuple[int, ...]]:
+    """The same of three that read each other in a round."""
+    best: tuple[float, tuple[int, ...]] = (0.0, ())
+    for p in range(len(left)):  # tens
+        now = error[p] + np.add.outer(error[: len(left)], error[: len(left)])
+        then = left[p][:, None] + left + left[:, p]  # p reads q, q reads r, r reads p
+        gain = np.where(then < limits.explained * now, now - then, 0.0)
+        q, r = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        if gain[q, r] > best[0]:
+            best = float(gain[q, r]), (p, int(q), int(r))
+    return best
 
 
 def suspect_channels(
@@ -259,11 +299,19 @@ def _mac_without_fault(left: Any_, right: Any_, fault: ChannelFault) -> float:
 
 def _suspects(f: ChannelFault, channels: tuple[str, ...], now: float, then: float) -> list[Suspect]:
     told = f"mean MAC {100 * now:.1f} % -> {100 * then:.1f} %"
-    one, two = channels[f.i], channels[f.j]
+    one = channels[f.i]
     if f.fault == "swapped":
         return [
-            Suspect(x, "swapped", f"reads what {z} should; exchanged: {told}", z, 1.0, now, then)
-            for x, z in ((one, two), (two, one))
+            Suspect(
+                channels[row],
+                "swapped",
+                f"reads what {channels[real]} should{' with the opposite sign' if sign < 0 else ''}; put right: {told}",
+                channels[real],
+                sign,
+                now,
+                then,
+            )
+            for row, real, sign in f.moved
         ]
     text = f"reads {f.factor:.3g} times what it should{_usual(f.factor)}; divided by it: {told}"
     if f.fault == "dead":
