@@ -336,6 +336,26 @@ def test_csv_of_loggers(tmp_path, head, body):
     _is_the_signal(read_record(path))
 
 
+def test_times_that_jitter_are_stamps_of_even_samples(tmp_path, caplog):
+    path, rng = tmp_path / "r.csv", np.random.default_rng(0)
+    step = TIMES[1] - TIMES[0]
+    stamps = TIMES + 0.3 * step * rng.uniform(-1, 1, TIMES.size)
+    path.write_text("time,a,b,c\n" + _rows([f"{t:.9f}" for t in stamps]))
+    _is_the_signal(read_record(path))
+    assert "jitter by up to 0.32 of a step" in caplog.text
+    walk = np.cumsum(step * (1 + 0.3 * rng.uniform(-1, 1, TIMES.size)))  # sampled when there was time
+    path.write_text("time,a,b,c\n" + _rows([f"{t:.9f}" for t in walk]))
+    with pytest.raises(DataError, match="uneven steps"):
+        read_record(path)
+
+
+def test_a_dead_first_channel_is_no_time(tmp_path):
+    np.save(tmp_path / "r.npy", np.vstack([np.zeros_like(TIMES), SIGNAL]).T)
+    with pytest.raises(DataError, match="ch1 is constant"):
+        read_record(tmp_path / "r.npy", 256.0)
+    assert read_record(tmp_path / "r.npy", 256.0, check=False).data.shape == (4, TIMES.size)
+
+
 def test_csv_with_a_short_or_wrong_line_is_refused(tmp_path):
     path = tmp_path / "r.csv"
     for bad in ("a,b\n1,2\n3\n4,5\n", "a,b\n1,x\n3,4\n", ",\n,\n", "a;b;c\n1,5;2,5\n1;2;3\n"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +16,8 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.errors import DataError, did_you_mean
 
+log = logging.getLogger(__name__)
+
 _RATE_NAMES = ("rate", "fs", "samplingrate", "samplerate", "fsamp", "fsample", "sr")  # in letters and digits
 _RATE_WORDS = ("samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq")
 _STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep")
@@ -22,6 +25,7 @@ TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "se
 _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
 _LONG = 64  # samples: a shorter table is no record
 _SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times
+_JITTER = 0.5  # of a step: each time still has a place of its own on the even grid
 _THIN = 0.5  # share of the rows that must be there, where some are missing
 _CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
 
@@ -261,16 +265,26 @@ def read_text(path: Path) -> str:
 def even_rate(t: Float, named: bool, path: Path) -> float | None:
     """The rate of a time column; None if an unnamed column is not one."""
     step = np.diff(t)
-    if not step.size or not np.isfinite(step).all() or (step < 0).any() or not ((step > 0).all() or _rounded(t)):
+    rises = step.any() and np.isfinite(step).all() and (step >= 0).all()
+    if not rises or not ((step > 0).all() or _rounded(t)):
         if named:
             raise DataError(f"{path}: the time column does not rise, or has fewer than 2 rows")
         return None
     mean = float(step.mean())
     if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max() and not _rounded(t):
+        if t.size >= _LONG and (off := float(np.abs(t - _line(t)).max()) / mean) < _JITTER:
+            log.warning("%s: times jitter by up to %.2g of a step: taken for the stamps of even samples", path, off)
+            return _shortest_rate(t, mean)
         if named:
             raise DataError(f"{path}: {_uneven(step)}")
         return None
     return _shortest_rate(t, mean)
+
+
+def _line(t: Float) -> Float:
+    """Even times through those of a column (row,), by least squares."""
+    k = np.arange(t.size)
+    return np.asarray(np.polynomial.Polynomial.fit(k, t, 1)(k))
 
 
 def even_grid(t: Float, named: bool, path: Path) -> tuple[float | None, Int | None]:
@@ -323,7 +337,7 @@ def _uneven(step: Float) -> str:
 
 def _rounded(t: Float) -> bool:
     """Whether the times are even ones, written with few decimals."""
-    line = np.polynomial.Polynomial.fit(np.arange(t.size), t, 1)(np.arange(t.size))
+    line = _line(t)
     top = max(float(np.abs(t).max()), 1e-300)
     decade = np.floor(np.log10(np.maximum(np.abs(t), 1e-12 * top) * (1 + 1e-12)))
     units = [np.full(t.size, 10.0**-k) for k in range(1, 7)] + [10.0 ** (decade + 1 - k) for k in range(3, 10)]
