@@ -77,7 +77,17 @@ def test_a_peak_far_sharper_than_the_modes_is_forced() -> None:
     mixed = np.stack([shape[:, 0], 0.4 * shape[:, 0] + 0.6 * shape[:, 2], shape[:, 2]], axis=1)
     assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[], [0, 2], []]
     assert not any(x.size for x in carriers(f, z, sure, shape))
-    assert not any(x.size for x in carriers(f, np.array([0.01, 0.004, 0.015]), sure, mixed))
+    z[1] = 0.006
+    assert not any(x.size for x in carriers(f, z, 0.05 * np.sqrt(z / f), mixed))
+
+
+def test_of_a_mode_and_a_wide_peak_that_is_as_well_known_the_peak_is_forced() -> None:
+    """Walkers of many paces, whose third harmonic meets a mode: each shape is a sum of the other and of a third."""
+    shape = np.random.default_rng(3).standard_normal((8, 2)).astype(complex)
+    f, z = np.array([4.0, 6.2, 7.9]), np.array([0.03, 0.011, 0.01])
+    sure = np.array([0.06, 0.065, 0.02]) * np.sqrt(z / f)
+    mixed = np.stack([shape[:, 0] + 0.5 * shape[:, 1], shape[:, 0], shape[:, 1]], axis=1)
+    assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[1, 2], [], []]
 
 
 def test_a_peak_below_all_modes_is_carried_by_two_above() -> None:

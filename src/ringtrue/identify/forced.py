@@ -63,16 +63,17 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
     shape = _of_one_level(shape)
     psi = shape / np.linalg.norm(shape, axis=0)
     loose = deviation / np.sqrt(damping / frequency)  # over the statistical floor, up to the length of the record
-    loose = loose * np.maximum(np.median(damping) / (SHARP * damping), 1.0)
+    usual = np.median(damping)
+    loose = loose * np.maximum(usual / (SHARP * damping), 1.0)
     out = [np.empty(0, dtype=np.int64) for _ in frequency]
     accepted = np.zeros(frequency.size, dtype=np.bool_)
     each = min(EACH_SIDE, len(psi) // ROOM)
-    for k in np.argsort(loose, kind="stable").tolist():
+    for k in np.argsort(loose * np.maximum(damping / usual, 1.0), kind="stable").tolist():
         at = np.flatnonzero(accepted)
         near = _beside(at[at < k], at[at > k], each)
         if near.size:
-            usual = min(np.median(loose[near]), np.median(loose[at]))
-            doubt = max(damping[k] / np.median(damping[near]), 1.0) * loose[k] / usual
+            known = min(np.median(loose[near]), np.median(loose[at]))
+            doubt = max(damping[k] / np.median(damping[near]), 1.0) * loose[k] / known
             within = min(OUTSIDE * doubt, _least_own(psi[:, near]) / BLIND)
             if doubt > LOOSE and _outside(psi[:, near], psi[:, k]) < within:
                 out[k] = near
