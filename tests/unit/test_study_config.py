@@ -35,6 +35,16 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
         (MODEL + '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\nlower = 2.0\n', "bounds 2.0, 5.0 must enclose 1"),
         (MODEL + 2 * '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\n', "twice: a"),
         ("[model]\n", "model.deck: Field required"),
+        (MODEL + "[[damping]]\nerror = 0.1\n", "damping: one section, not a list of them (in TOML [damping], not"),
+        (
+            MODEL + '[candidate]\nname = "a"\n',
+            "candidate: a list of sections, not one (in TOML [[candidate]], not [cand",
+        ),
+        (MODEL + "[[residual]]\nmass = 1.0\n", "residual.0: Field required: kind"),
+        (
+            MODEL + '[[residual]]\nkind = "mas"\n',
+            "residual.0: unknown kind 'mas'; did you mean 'mass'? Allowed: anti-res",
+        ),
         ("", "study: a study needs a [model], a [test] or both"),
         ("[model\n", "study.toml: not TOML: "),
     ],

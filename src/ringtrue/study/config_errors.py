@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,10 +20,24 @@ def explain(path: Path, error: ValidationError, top: type[BaseModel], whole: str
             hint = did_you_mean(str(e["loc"][-1]), _allowed(top, e["loc"][:-1]))
             lines.append(f"{path}: unknown key {place!r}{hint}")
         else:
-            simple = isinstance(e["input"], str | int | float | list)
-            got = f" (got {e['input']!r})" if simple and e["type"] != "missing" else ""
-            lines.append(f"{path}: {place or whole}: {e['msg'].removeprefix('Value error, ')}{got}")
+            lines.append(f"{path}: {place or whole}: {_said(dict(e), place)}")
     return "\n".join(lines)
+
+
+def _said(e: Mapping[str, Any], place: str) -> str:
+    """What is wrong with a value, and what was given."""
+    given, about = e["input"], e.get("ctx", {})
+    if e["type"] == "model_type" and isinstance(given, list):
+        return f"one section, not a list of them (in TOML [{place}], not [[{place}]])"
+    if e["type"] == "list_type" and isinstance(given, dict):
+        return f"a list of sections, not one (in TOML [[{place}]], not [{place}])"
+    if e["type"] == "union_tag_not_found":
+        return "Field required: kind"
+    if e["type"] == "union_tag_invalid":
+        allowed = [x.strip(" '") for x in about["expected_tags"].split(",")]
+        return f"unknown kind {about['tag']!r}{did_you_mean(about['tag'], allowed)}"
+    got = f" (got {given!r})" if isinstance(given, str | int | float | list) and e["type"] != "missing" else ""
+    return str(e["msg"]).removeprefix("Value error, ") + got
 
 
 def _allowed(top: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
