@@ -15,7 +15,7 @@ from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.identify.bands_hammer import choose_bands, grouped, merged, principal
+from ringtrue.identify.bands_hammer import MOST_PEAKS, choose_bands, grouped, merged, principal
 from ringtrue.identify.frf_input import frf_notes, refuse_bad_frfs, sound_pairs
 from ringtrue.identify.hammer import HammerModes, band_limits, lines_between, mode_scale
 from ringtrue.identify.judge import judge
@@ -33,6 +33,7 @@ METHODS: tuple[str, ...] = get_args(Method)
 NAMES = {"lsce": "LSCE", "rfp": "rational fraction polynomials", "cmif": "CMIF peaks"}
 WIDER = 0.2  # of a band, at either end: LSCE tapers it, and the polynomials know their band best within
 SPARE = 8  # orders above twice the peaks
+PEAKS = 2 * MOST_PEAKS  # of a band that count: more are noise
 MOST_RESPONSES = 8  # that the polynomials are fitted to
 
 
@@ -96,20 +97,21 @@ def _stable(method: str, used: FrfSet, settings: HammerModes, tell: Progress) ->
         wide = (used.freqs >= a - WIDER * (b - a)) & (used.freqs <= b + WIDER * (b - a))
         white = used.data[wide] / (np.median(sigma.line[wide]) * sigma.response[:, None] * sigma.input)
         white = _few(white) if method == "rfp" else principal(white)  # the polynomials take every FRF for as good
-        poles = _poles(method, white, used.freqs[wide], count_peaks(curve[wide]).size, used.window_decay)
+        peaks = min(count_peaks(curve[wide]).size, PEAKS)
+        poles = _poles(method, white, used.freqs[wide], peaks, used.window_decay)
         f = poles.frequencies
         poles = poles.take((f >= a) & (f <= b))
         found.append(grouped(poles, white, sigma, used, wide)[1])
     c = merged(found, used.freqs, used.window_decay)
     lines, pairs = prepare(used, sigma), sound_pairs(used)
-    while c.pole.size:  # a verdict hangs on the other modes: the worst goes, and it is taken again
+    while c.pole.size:  # a verdict hangs on the other modes: the worse half of the bad go, and it is taken again
         fit = refine(lines, c.pole, c.participation, iterations=0)
         here = replace(c, pole=fit.poles, participation=fit.participation)
         verdict = judge(lines, fit, here, pairs, damping_max=settings.damping_max)
-        worst = int(verdict.confidence.argmin())
-        if verdict.confidence[worst] >= settings.confidence_min:
+        bad = np.count_nonzero(verdict.confidence < settings.confidence_min)
+        if not bad:
             return lsfd(used, fit.poles, fit.participation, lines, pairs), verdict.confidence, list(verdict.reason)
-        c = c.take(np.arange(c.pole.size) != worst)
+        c = c.take(np.sort(np.argsort(verdict.confidence, kind="stable")[(bad + 1) // 2 :]))
     raise DataError(f"{used.source}: {NAMES[method]} shows no mode that stays in place over the orders")
 
 
