@@ -134,7 +134,7 @@ MOMENT,1,2,4,30.,1.,0.,0.
 LOAD,5,2.,3.,1,1.,2
 GRAV,2,4,9.81,0.,1.,0.
 FORCE,3,2,4,100.,0.,2.,0.
-PLOAD4,9,1,3.
+RFORCE,9,1,,3.
 """
 
 
@@ -156,10 +156,10 @@ def test_static_loads_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("LOAD = 3", "LOAD = 9", "PLOAD4 is not supported: of a static load, FORCE, MOMENT, GRAV are read"),
+        ("LOAD = 3", "LOAD = 9", "RFORCE is not supported: of a static load, FORCE, MOMENT, GRAV"),
         ("LOAD = 3", "LOAD = 33", "load set 33 is not in the deck"),
         ("LOAD = 3", "LOAD = 3\n  SPC = 2", "SUBCASE 8 has other"),
-        ("FORCE,3,2", "FORCE,3,22", "SUBCASE 8: FORCE at node 22, which is not in the deck"),
+        ("FORCE,3,2", "FORCE,3,22", "SUBCASE 8: FORCE names node 22, which is not in the deck"),
         ("FORCE,3,2,4,100.", "FORCE,3,2,4,x", "'X' is not a real"),
         ("LOAD", "LAOD", "case control has no LOAD"),
     ],

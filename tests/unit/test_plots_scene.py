@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ringtrue.io.nastran.reader import read_deck
 from ringtrue.plots.scene import regions
 from ringtrue.study.results import Scene
 from ringtrue.study.run import run_study
+from ringtrue.study.scene import _faces
 
 
 def test_a_region_has_the_colour_of_what_changes_it_and_little_else() -> None:
@@ -34,3 +36,16 @@ def test_cards_are_those_of_the_deck(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text('[model]\ndeck = "bar.bdf"\n')
     found = run_study(tmp_path / "study.toml", until="model").results["model"].cards
     assert found == {"CBAR": 3, "GRID": 4, "MAT1": 1, "PBAR": 1, "PBARL": 1, "SPC1": 1}
+
+
+def test_the_skin_of_solids_and_shells_of_every_card(tmp_path: Path) -> None:
+    """Two tetrahedra joined at 1, 2, 3, on a pyramid and a shell of the second order."""
+    deck = tmp_path / "d.bdf"
+    grids = "".join(f"GRID,{i + 1},,{x},{y},{z}\n" for i, (x, y, z) in enumerate(np.eye(9, 3).tolist()))
+    solids = "CTETRA,1,1,1,2,3,4\nCTETRA,2,1,1,3,2,5\nCPYRAM,3,1,1,2,6,7,8\n"
+    deck.write_text(f"BEGIN BULK\n{grids}{solids}CTRIA6,4,2,1,2,9\nPSOLID,1,1\nPSHELL,2,1,1.\nMAT1,1,1.,,.3\n")
+    drawn, _ = _faces(read_deck(deck))
+    skin = sorted(tuple(sorted(set(q))) for q in drawn.tolist())
+    pyramid = [(1, 2, 6, 7), (1, 2, 8), (2, 6, 8), (6, 7, 8), (1, 7, 8)]
+    tetrahedra = [(1, 2, 4), (1, 3, 4), (2, 3, 4), (1, 2, 5), (1, 3, 5), (2, 3, 5)]
+    assert skin == sorted([*tetrahedra, *pyramid, (1, 2, 9)])

@@ -21,8 +21,7 @@ from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.nastran.loads import read_load_cases
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.nastran.reader import read_deck, read_loaded_deck
 from ringtrue.io.statics import COLUMNS
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
@@ -211,7 +210,7 @@ def static(
 ) -> int:
     """Deflections of a deck under its own loads, or under single forces, each a load case of its own.
 
-    Directions are those of the basic frame. Of the deck FORCE, MOMENT and GRAV are read, of each subcase with a LOAD.
+    Directions are those of the basic frame. Of the deck forces, moments, pressures and GRAV are read.
 
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """
@@ -225,8 +224,7 @@ def static(
     metres = unit_length(units)
     with progress("static") as show:
         show(0.0, f"reading {deck}")
-        model = read_deck(deck)
-        cases = () if force else read_load_cases(deck)
+        model, cases = (read_deck(deck), ()) if force else read_loaded_deck(deck)
         show(0.3, "solving")
         with EmbeddedSolver().open(model) as analysis:
             _warn_of_held(analysis, heard, into)

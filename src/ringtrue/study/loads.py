@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -11,9 +12,13 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.nastran.loads import LoadCase
+from ringtrue.fem.kinds import SOLIDS
+from ringtrue.fem.pressure import SURFACES, face, face_forces
+from ringtrue.io.nastran.loads import Load, LoadCase, Pressure
+from ringtrue.model.choices import taken_sets
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
+from ringtrue.model.places import error
 
 
 def load_vectors(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
@@ -22,24 +27,94 @@ def load_vectors(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float
     Raises
     ------
     InputError
-        If a load names a node that is not in the model.
+        If a load names a node, element or face that is not in the model, or a support is displaced (D of SPC).
     """
-    out = np.zeros((len(dofs), len(cases)))
-    xyz, grid = positions(model), model["GRID"]
+    _refuse_displaced(model)
+    out, xyz = np.zeros((len(dofs), len(cases))), positions(model)
     gravity = np.zeros((3, len(cases)))
     for j, case in enumerate(cases):
         for ld in case.loads:  # few beside the elements
-            row = int(grid.find(np.array([ld.node]))[0])
-            if ld.node and row < 0:
-                raise InputError(f"{case.name}: {ld.card} at node {ld.node}, which is not in the deck")
-            at = xyz[row] if ld.node else np.zeros(3)
-            vector = np.asarray(ld.vector) @ axes(model, np.array([ld.cid]), at[None])[0]
-            if ld.node:
+            if isinstance(ld, Load) and ld.node:
                 first = 4 if ld.card == "MOMENT" else 1
+                vector = _vector(model, xyz, case, ld)
                 out[dofs.find(np.full(3, ld.node), np.arange(first, first + 3)), j] += vector
-            else:
-                gravity[:, j] += vector
+            elif isinstance(ld, Load):
+                gravity[:, j] += _vector(model, xyz, case, ld)
+        _press(out[:, j], model, xyz, [ld for ld in case.loads if isinstance(ld, Pressure)])
     if gravity.any():  # all masses, those at supports too, which hang on what is free by a consistent mass
         whole = assemble(unconstrained(model))
         out += whole.local.T @ (whole.mass @ (whole.rigid_body()[:, :3] @ gravity))
     return out
+
+
+def _refuse_displaced(model: Model) -> None:
+    if "SPC" in model:
+        table = model["SPC"]
+        rows = np.flatnonzero(np.isin(table["SID"], taken_sets(model, "SPC")) & (table["D"] != 0))
+        if rows.size:
+            raise error(model, table, int(rows[0]), "displaces a support (D); ringtrue holds supports at 0")
+
+
+def _vector(model: Model, xyz: Float, case: LoadCase, ld: Load) -> Float:
+    """A load in basic, (3,)."""
+    nodes = [ld.node] * bool(ld.node) + list(ld.ends or ())
+    rows = model["GRID"].find(np.array(nodes, dtype=np.int64))
+    if (rows < 0).any():
+        raise InputError(f"{case.name}: {ld.card} names node {nodes[int(rows.argmin())]}, which is not in the deck")
+    at = xyz[rows]
+    if ld.ends:
+        along = at[2] - at[1]
+        if not along.any():
+            raise InputError(f"{case.name}: {ld.card} from node {ld.ends[0]} to {ld.ends[1]}, which are at one place")
+        return np.asarray(ld.vector[0] * along / np.linalg.norm(along))
+    where = at[:1] if ld.node else np.zeros((1, 3))
+    return np.asarray(np.asarray(ld.vector) @ axes(model, np.array([ld.cid]), where)[0])
+
+
+def _press(out: Float, model: Model, xyz: Float, pressures: Sequence[Pressure]) -> None:
+    """Add the forces of pressures to those of all nodes, (dof,), six a row of GRID."""
+    faces = list(_faces(model, pressures))
+    kinds = [(len(nodes), ld.cid, ld.vector) for nodes, ld, _ in faces]
+    for kind in dict.fromkeys(kinds):
+        mine = [f for f, k in zip(faces, kinds, strict=True) if k == kind]
+        ids = np.array([nodes for nodes, _, _ in mine])
+        rows = model["GRID"].find(ids)
+        if (rows[ids > 0] < 0).any():
+            raise mine[int(np.argwhere((rows < 0) & (ids > 0))[0, 0])][1].error("a node of the face is not in the deck")
+        x = np.where((ids > 0)[..., None], xyz[rows], np.nan)
+        p = np.array([[sign * size for size in ld.sizes[: kind[0] // 2]] for _, ld, sign in mine])
+        force = face_forces(x, p, _towards(model, *kind[1:]))
+        np.add.at(out[: 6 * len(xyz)].reshape(-1, 6)[:, :3], rows[ids > 0], force[ids > 0])
+
+
+def _towards(model: Model, cid: int, vector: tuple[float, ...] | None) -> Callable[[Float], Float] | None:
+    """Directions in basic at points (n, 3) of a vector in a frame, which may be curved."""
+    if vector is None:
+        return None
+    return lambda at: np.asarray(np.asarray(vector) @ axes(model, np.full(len(at), cid), at))
+
+
+def _faces(model: Model, pressures: Sequence[Pressure]) -> Iterator[tuple[list[int], Pressure, float]]:
+    """Nodes of each loaded face, its pressure, and its sign along the normal; a pressure acts into a solid."""
+    known = [card for card in (*SURFACES, *SOLIDS) if card in model]
+    ids = np.concatenate([np.empty(0, dtype=np.int64), *(model[card].ids for card in known)])
+    order = np.argsort(ids)
+    where = [(card, row) for card in known for row in range(len(model[card]))] if pressures else []
+    for ld in pressures:
+        if ld.card == "PLOAD":
+            corners = [g for g in ld.nodes if g]
+            yield corners + [0] * len(corners), ld, 1.0
+            continue
+        found = order[slice(*np.searchsorted(ids, [ld.first, ld.last + 1], sorter=order))]
+        if not found.size:
+            raise ld.error(f"names element {ld.first}, which is no shell or solid of the deck")
+        for card, row in (where[i] for i in found.tolist()):
+            nodes = [int(model[card][name][row]) for name in model[card].columns if re.fullmatch(r"G\d+", name)]
+            if card in SOLIDS:
+                try:
+                    yield face(card, nodes, *ld.nodes), ld, -1.0 if ld.vector is None else 1.0
+                except InputError as e:
+                    raise ld.error(f"element {model[card].ids[row]}: {e}") from None
+            else:
+                sides = 3 if "TRIA" in card else 4
+                yield (nodes + [0] * sides)[: 2 * sides], ld, 1.0

@@ -9,20 +9,12 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
+from ringtrue.fem.pressure import FACES, SURFACES
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.study.results import Scene
 
-# corner positions of each face, outward; triangles repeat their last corner
-_FACES = {
-    "CHEXA": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
-    "CPENTA": ((0, 2, 1, 1), (3, 4, 5, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
-    "CTETRA": ((0, 2, 1, 1), (0, 1, 3, 3), (1, 2, 3, 3), (2, 0, 3, 3)),
-    "CQUAD4": ((0, 1, 2, 3),),
-    "CTRIA3": ((0, 1, 2, 2),),
-    "CSHEAR": ((0, 1, 2, 3),),
-}
-_CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4, "CQUAD4": 4, "CTRIA3": 3, "CSHEAR": 4}
+_SURFACES = {card: ((0, 1, 2),) if "TRIA" in card else ((0, 1, 2, 3),) for card in SURFACES}
 _LINES = {
     "CBAR": ("GA", "GB"),
     "CBEAM": ("GA", "GB"),
@@ -38,17 +30,17 @@ def _faces(model: Model) -> tuple[Int, Int]:
     """Quads (q, 4) of node numbers and their property numbers, inner faces of solids left out."""
     solid: list[Int] = []
     shell: list[Int] = []
-    for card, faces in _FACES.items():
+    for card, faces in (FACES | _SURFACES).items():
         if card not in model:
             continue
         t = model[card]
-        g = t.stack(*(f"G{i + 1}" for i in range(_CORNERS[card])))
-        quads = np.concatenate([np.column_stack([g[:, list(f)], t["PID"]]) for f in faces])
+        g = t.stack(*(f"G{i + 1}" for i in range(1 + max(max(f) for f in faces))))
+        quads = np.concatenate([np.column_stack([g[:, (*f, f[-1])[:4]], t["PID"]]) for f in faces])
         (shell if len(faces) == 1 else solid).append(quads)
     kept = shell
     if solid:
         q = np.concatenate(solid)
-        key = np.sort(q[:, :4], axis=1)
+        key = np.sort(np.where(q[:, 3:4] == q[:, 2:3], q[:, [0, 1, 2, 4]] * [1, 1, 1, 0], q[:, :4]), axis=1)
         _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
         kept = [q[np.sort(first[count == 1])], *shell]
     every = np.concatenate(kept) if kept else np.zeros((0, 5), dtype=np.int64)

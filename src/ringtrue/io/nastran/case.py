@@ -23,7 +23,8 @@ STIFFENING = {  # commands that bring in stiffness which is not read, and how th
     "STATSUB": PRELOADS,
 }
 _UNREAD = ("K2PP", "M2PP", "B2PP", "K42GG", "A2GG", "TFL")  # matrices of other solutions
-_NAMES = (*_CHOICES, *STIFFENING, *_UNREAD, "LOAD")
+_LOADING = ("TEMP(LOAD)", "DEFORM", "P2G")  # what else acts in statics, and is not read
+_NAMES = (*_CHOICES, *STIFFENING, *_UNREAD, *_LOADING, "LOAD")
 _SHORT = {
     "METH": "METHOD",
     "TITL": "TITLE",
@@ -61,6 +62,8 @@ def _sections(top: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
         name = _SHORT.get(name[:4], name)
         if begun and found and name in _NAMES:
             sections[-1][1][name] = found[3]
+            if name == "TEMPERATURE" and not re.match(r"\(\s*(MAT|INIT)", found[2] or "", re.I):
+                sections[-1][1]["TEMP(LOAD)"] = found[3]
     return sections
 
 
@@ -77,7 +80,8 @@ def load_sets(top: Sequence[str]) -> list[tuple[str, int]]:
     Raises
     ------
     DeckError
-        If a LOAD is no number, or a subcase has other sets of SPC or MPC than those that count for modes.
+        If a LOAD is no number, or a subcase has other sets of SPC or MPC than those that count for modes, or acts by
+        temperatures and the like, too.
     """
     (_, common), *subcases = _sections(top)
     every = [(f"SUBCASE {n}", {**common, **choices}) for n, choices in subcases] or [("LOAD", common)]
@@ -87,6 +91,8 @@ def load_sets(top: Sequence[str]) -> list[tuple[str, int]]:
             continue
         if any(choices.get(k) != taken.get(k) for k in _SETS):
             raise DeckError(f"{name} has other {', '.join(_SETS)} than the subcase that is taken; give it alone")
+        if other := next((k for k in _LOADING if k in choices), None):
+            raise DeckError(f"{name} has {other} = {choices[other]}: of static loads only those of LOAD are read")
         if not re.fullmatch(r"\d{1,18}", choices["LOAD"], re.A):
             raise DeckError(f"LOAD = {choices['LOAD']} in case control: it must be the number of a set")
         out.append((name, int(choices["LOAD"])))

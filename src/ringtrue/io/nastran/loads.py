@@ -1,34 +1,65 @@
-"""Static loads of a deck: FORCE, MOMENT and GRAV, as LOAD adds them up for the subcases."""
+"""Static loads of a deck, as LOAD adds them up for the subcases."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.io.nastran.case import load_sets
-from ringtrue.io.nastran.deck import load
 from ringtrue.io.nastran.defaults import written_out
 from ringtrue.io.nastran.fields import Reader
-from ringtrue.io.nastran.gather import Cards, cards
+from ringtrue.io.nastran.gather import Cards
 from ringtrue.model.cards import PRELOADS
 
-READ = ("FORCE", "MOMENT", "GRAV")
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """A force or moment at `node`, or an acceleration of all masses (GRAV, node 0), in frame `cid`; deck units."""
+    """A force or moment at `node`, or an acceleration of all masses (GRAV, node 0), in frame `cid`; deck units.
+
+    With `ends`, two nodes, only the size of the vector counts: its direction is from the one to the other (FORCE1).
+    """
 
     card: str
     node: int
     cid: int
-    vector: tuple[float, float, float]
+    vector: Vector
+    ends: tuple[int, int] | None = None
 
     def times(self, factor: float) -> Load:
         """The load multiplied."""
         x, y, z = self.vector
-        return Load(self.card, self.node, self.cid, (factor * x, factor * y, factor * z))
+        return replace(self, vector=(factor * x, factor * y, factor * z))
+
+
+@dataclass(frozen=True, slots=True)
+class Pressure:
+    """A pressure `sizes` at the corners of elements or, for PLOAD, of the face between `nodes`; deck units.
+
+    `first` to `last` are the elements, `nodes` what names a face of a solid (G1 and G3 or G4, 0 for none). It acts
+    along `vector` in frame `cid`, or without one along the normal, into a solid.
+    """
+
+    card: str
+    place: tuple[str, int]
+    sizes: tuple[float, ...]
+    first: int = 0
+    last: int = 0
+    nodes: tuple[int, ...] = (0, 0)
+    cid: int = 0
+    vector: Vector | None = None
+
+    def times(self, factor: float) -> Pressure:
+        """The pressure multiplied."""
+        return replace(self, sizes=tuple(factor * p for p in self.sizes))
+
+    def error(self, why: str) -> DeckError:
+        """An error at the place of the card."""
+        return DeckError(why, path=self.place[0], line=self.place[1], card=self.card)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +67,10 @@ class LoadCase:
     """What acts in a subcase."""
 
     name: str
-    loads: tuple[Load, ...]
+    loads: tuple[Load | Pressure, ...]
 
 
-def read_load_cases(path: str | Path) -> tuple[LoadCase, ...]:
+def load_cases(found: Cards) -> tuple[LoadCase, ...]:
     """The load cases of a deck: its subcases with a LOAD, in order.
 
     Raises
@@ -47,16 +78,14 @@ def read_load_cases(path: str | Path) -> tuple[LoadCase, ...]:
     DeckError
         If there is none, a set is not in the deck, a field is no number, or subcases have other SPC or MPC.
     UnsupportedCard
-        If a set has loads of other cards, such as PLOAD4.
+        If a set has loads of other cards, such as RFORCE.
     """
-    deck = load(path)
-    found = cards(deck)
-    if not (asked := load_sets(deck.top)):
-        raise DeckError("case control has no LOAD: give one, or --force", path=deck.files[0])
+    if not (asked := load_sets(found.deck.top)):
+        raise DeckError("case control has no LOAD: give one, or --force", path=found.deck.files[0])
     return tuple(LoadCase(name, _of_set(found, number)) for name, number in asked)
 
 
-def _of_set(found: Cards, number: int) -> tuple[Load, ...]:
+def _of_set(found: Cards, number: int) -> tuple[Load | Pressure, ...]:
     for r in (Reader(c, found.deck.files) for c in written_out(found, "LOAD")):
         if r.whole(0, "SID") == number:
             every, last = r.real(1, "S", 0.0), len(r.card.fields) - 1
@@ -65,28 +94,80 @@ def _of_set(found: Cards, number: int) -> tuple[Load, ...]:
     return _alone(found, number)
 
 
-def _alone(found: Cards, number: int) -> tuple[Load, ...]:
+def _alone(found: Cards, number: int) -> tuple[Load | Pressure, ...]:
     """The loads of a set, without LOAD."""
-    out = list[Load]()
+    out = list[Load | Pressure]()
     for name in (n.decode() for n in found.kinds()[0].tolist()):
-        if name.startswith("LOAD") or not name.startswith(PRELOADS):
+        if name == "LOAD" or not name.startswith(PRELOADS):
             continue
         for c in written_out(found, name):  # over the loads, which are few beside the elements
             r = Reader(c, found.deck.files)
             if r.text(0) != str(number):
                 continue
-            if name not in READ:
-                why = f"of a static load, {', '.join(READ)} are read"
+            if name not in _READ:
+                why = f"of a static load, {', '.join(_READ)} are read"
                 raise UnsupportedCard(name, path=found.deck.files[c.file], line=c.line, why=why)
-            out.append(_load(name, r))
+            out += _READ[name](r)
     if not out:
         raise DeckError(f"load set {number} is not in the deck", path=found.deck.files[0])
     return tuple(out)
 
 
-def _load(name: str, r: Reader) -> Load:
+def _vector(r: Reader, at: int) -> Vector:
+    return r.real(at, "N1", 0.0), r.real(at + 1, "N2", 0.0), r.real(at + 2, "N3", 0.0)
+
+
+def _force(r: Reader) -> list[Load | Pressure]:
     """FORCE and MOMENT: SID G CID F N1 N2 N3; GRAV: SID CID A N1 N2 N3."""
-    at = 1 if name == "GRAV" else 2
-    x, y, z = (r.real(at + k, f"N{k - 1}", 0.0) for k in (2, 3, 4))
+    at = 1 if r.card.name == "GRAV" else 2
     node, cid = 0 if at == 1 else r.whole(1, "G"), r.whole(at, "CID", 0)
-    return Load(name, node, cid, (x, y, z)).times(r.real(at + 1, "the size", 0.0))
+    return [Load(r.card.name, node, cid, _vector(r, at + 2)).times(r.real(at + 1, "the size", 0.0))]
+
+
+def _between(r: Reader) -> list[Load | Pressure]:
+    """FORCE1 and MOMENT1: SID G F G1 G2."""
+    ends = (r.whole(3, "G1"), r.whole(4, "G2"))
+    return [Load(r.card.name[:-1], r.whole(1, "G"), 0, (r.real(2, "F"), 0.0, 0.0), ends)]
+
+
+def _place(r: Reader) -> tuple[str, int]:
+    return r.files[r.card.file], r.card.line
+
+
+def _pload(r: Reader) -> list[Load | Pressure]:
+    """PLOAD: SID P G1 G2 G3 G4."""
+    nodes = tuple(r.whole(i, f"G{i - 1}", 0) for i in (2, 3, 4, 5))
+    return [Pressure("PLOAD", _place(r), (r.real(1, "P"),) * 4, nodes=nodes)]
+
+
+def _pload2(r: Reader) -> list[Load | Pressure]:
+    """PLOAD2: SID P and elements, or a range of them."""
+    size = (r.real(1, "P"),) * 4
+    if r.text(3).upper() == "THRU":
+        ranges = [(r.whole(2, "EID1"), r.whole(4, "EID2"))]
+    else:
+        ranges = [(r.whole(i, "EID"),) * 2 for i in range(2, len(r.card.fields)) if r.text(i)]
+    return [Pressure("PLOAD2", _place(r), size, a, b) for a, b in ranges]
+
+
+def _pload4(r: Reader) -> list[Load | Pressure]:
+    """PLOAD4: SID EID P1 P2 P3 P4 and G1 G3, or THRU EID2; CID N1 N2 N3 SORL LDIR."""
+    first = r.real(2, "P1", 0.0)
+    sizes = tuple(r.real(i, f"P{i - 1}", first) for i in (2, 3, 4, 5))
+    eid, ranged = r.whole(1, "EID"), r.text(6).upper() == "THRU"
+    last, nodes = (r.whole(7, "EID2"), (0, 0)) if ranged else (eid, (r.whole(6, "G1", 0), r.whole(7, "G3", 0)))
+    vector = _vector(r, 9) if any(r.text(i) for i in (9, 10, 11)) else None
+    if r.text(12).upper() not in ("", "SURF") or r.text(13).upper() not in ("", "NORM"):
+        raise r.fail("SORL", "loads along edges (LINE) and LDIR are not read; give FORCE")
+    if vector is not None and not np.any(vector):
+        raise r.fail("N1", "a direction without length")
+    return [Pressure("PLOAD4", _place(r), sizes, eid, last, nodes, r.whole(8, "CID", 0), vector)]
+
+
+_READ: Mapping[str, Callable[[Reader], list[Load | Pressure]]] = {
+    **dict.fromkeys(("FORCE", "MOMENT", "GRAV"), _force),
+    **dict.fromkeys(("FORCE1", "MOMENT1"), _between),
+    "PLOAD": _pload,
+    "PLOAD2": _pload2,
+    "PLOAD4": _pload4,
+}

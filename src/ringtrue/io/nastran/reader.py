@@ -15,9 +15,10 @@ from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.io.nastran.beams import dimensions
 from ringtrue.io.nastran.case import STIFFENING, case_control, commands, params, value
 from ringtrue.io.nastran.constraint_sets import empty_choices, only_sets, unclear_sets
-from ringtrue.io.nastran.deck import load
+from ringtrue.io.nastran.deck import Deck, load
 from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written_out
 from ringtrue.io.nastran.gather import Cards, cards
+from ringtrue.io.nastran.loads import LoadCase, load_cases
 from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, columns, is_unsupported, reason
@@ -71,11 +72,20 @@ def read_deck(path: str | Path) -> Model:
     UnsupportedCard
         On a card that carries stiffness, mass or constraint and is not supported.
     """
-    deck = load(path)
+    return _read(load(path))[0]
+
+
+def read_loaded_deck(path: str | Path) -> tuple[Model, tuple[LoadCase, ...]]:
+    """Read a deck, as `read_deck` does, and its static load cases, as `load_cases` does."""
+    model, found = _read(load(path))
+    return model, load_cases(found)
+
+
+def _read(deck: Deck) -> tuple[Model, Cards]:
     if deck.superelements:
         file, line = deck.superelements
         raise UnsupportedCard("BEGIN SUPER", path=deck.files[file], line=line, why=reason("BEGIN SUPER"))
-    found = cards(deck)
+    found, path = cards(deck), deck.files[0]
     _refuse(found)
     model, skipped = _model(found)
     for card, (why, place) in skipped.items():
@@ -92,7 +102,7 @@ def read_deck(path: str | Path) -> Model:
             raise _dangling(model, fault_)
     for wrong in _misnamed(model):
         raise wrong
-    return model
+    return model, found
 
 
 def survey(path: str | Path) -> Survey:
