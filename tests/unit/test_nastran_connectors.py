@@ -9,7 +9,7 @@ import pytest
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.io.nastran.bulk import write_bulk
 from ringtrue.io.nastran.edit import edit_fields
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.nastran.reader import read_deck, survey
 from ringtrue.model.edit import FieldChange
 from ringtrue.model.model import Model, Ragged
 
@@ -182,3 +182,46 @@ def test_pipes_with_flexibility_factors_stop(tmp_path: Path, pipe: str) -> None:
 def test_other_welds_stop(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedCard, match=r"main.bdf:10: CWELD is not supported: type ALL; allowed are GRIDID"):
         read(tmp_path, NODES + "CWELD,1,2,,ALL\n,3,4\n,5.,5.,0.\n")
+
+
+@pytest.mark.parametrize(
+    ("bush", "stiffness", "told"),
+    [
+        ("CBUSH,7,8,1,2", "1.,2.,3.", "not alike"),
+        ("CBUSH,7,8,1,2", "1.,2.,2.,0.,4.,5.", "not alike"),
+        ("CBUSH,7,8,1,2", "1.,2.,2.,3.,5.,5.", ""),
+        ("CBUSH,7,8,1,2", "1.,,,3.", ""),
+        ("CBUSH,7,8,1,2,,,,0", "1.,2.,3.", ""),
+        ("CBUSH,7,8,1,2,0.,1.,0.", "1.,2.,3.", ""),
+        ("CBUSH,7,8,1,2,5", "1.,2.,3.", ""),
+        ("CBUSH,7,8,1", "1.,2.,3.", ""),
+    ],
+)
+def test_a_bush_whose_axes_nothing_gives(tmp_path: Path, bush: str, stiffness: str, told: str) -> None:
+    """As in Nastran, springs across the line of the ends need an orientation; alike ones answer in any."""
+    deck = tmp_path / "d.bdf"
+    deck.write_text(f"BEGIN BULK\n{NODES}PBUSH,8,K,{stiffness}\n{bush}\n")
+    if told:
+        with pytest.raises(DeckError, match=f"d.bdf:11: CBUSH 7: .*{told}"):
+            read_deck(deck)
+        assert any(told in str(f) for f in survey(deck).faults)
+    else:
+        assert len(read_deck(deck)["CBUSH"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "lost"),
+    [
+        ("SPC1,1,123,1,2,3,4,5,6,77", "77"),
+        ("SPC1,1,123,1,2,3,4,5,6,+A\n+A,5", ""),
+        ("SPC1,1,123,1,2,3,4,5,6,9\n+9,5", ""),
+        ("SPC1,1,123,1,2,3,4,5,6,CONT", ""),
+        ("SPC1,1,123,1,2,3,4,5,6,", ""),
+    ],
+)
+def test_a_number_in_the_place_of_a_continuation_name_is_told(
+    tmp_path: Path, line: str, lost: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "d.bdf").write_text(f"BEGIN BULK\n{NODES}{line}\n")
+    read_deck(tmp_path / "d.bdf")
+    assert (f"d.bdf:10: '{lost}' stands behind the eight data fields" in caplog.text) == bool(lost)

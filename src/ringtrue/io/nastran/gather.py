@@ -166,6 +166,7 @@ def cards(deck: Deck) -> Cards:
     star = (first == 42).any(axis=1)
     field_1: Names = first.view("S8")[:, 0]
     style = (star + 2 * free).astype(np.int8)
+    _warn_of_tenth(deck, text, np.flatnonzero(free), follows, keep)
     order = _continuation_order(deck, text, follows, keep)
     if order is not None:
         text, style, keep, field_1, follows = text[order], style[order], keep[order], field_1[order], follows[order]
@@ -328,6 +329,22 @@ def _continuation_order(deck: Deck, text: NDArray[np.uint8], follows: Bool, keep
             why = "no line calls it" if not found else f"{len(found)} lines call it"
             raise _at(deck, int(keep[i]), f"continuation {mine[i].decode('latin-1')!r} has no parent: {why}")
     return _chain(len(text), follows, after) if after else None
+
+
+def _warn_of_tenth(deck: Deck, text: NDArray[np.uint8], free: Int, follows: Bool, keep: Int) -> None:
+    """Say where a free-format line has a number in the place of a continuation name, and no line of that name."""
+    digit = (text[free, 72] - np.uint8(48) <= 9) | np.isin(text[free, 72], (45, 46))
+    lines = free[digit]
+    lines = lines[~np.isin(_tags(text[lines, 72:80]), _tags(text[follows, :8]))]
+    if lines.size:
+        row = int(keep[lines[0]])
+        more = f" ({lines.size - 1} more like it)" if lines.size > 1 else ""
+        tag = text[lines[0], 72:80].tobytes().decode("latin-1").strip()
+        log.warning(
+            "%s:%d: %r stands behind the eight data fields of its line, where a continuation is named: it is not read; "
+            "put it on a line of its own that begins with a comma%s",
+            *(deck.files[deck.file[row]], deck.line[row], tag, more),
+        )
 
 
 def _chain(n: int, follows: Bool, after: dict[int, int]) -> Int:

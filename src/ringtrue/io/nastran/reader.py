@@ -19,6 +19,7 @@ from ringtrue.io.nastran.deck import Deck, load
 from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written_out
 from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.loads import LoadCase, load_cases
+from ringtrue.io.nastran.orientations import open_bushes
 from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, columns, is_unsupported, reason
@@ -100,7 +101,7 @@ def _read(deck: Deck) -> tuple[Model, Cards]:
     for fault_ in missing(model):
         if not np.isin(fault_.rows, out.get(fault_.reference.card, ())).all():
             raise _dangling(model, fault_)
-    for wrong in _misnamed(model):
+    for wrong in (*_misnamed(model), *open_bushes(model)):
         raise wrong
     return model, found
 
@@ -128,6 +129,7 @@ def survey(path: str | Path) -> Survey:
     unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
     faults = [_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported))]
     faults += [*unclear_sets(model, chosen=bool(deck.top)), *_misnamed(model)]
+    faults += [] if faults else open_bushes(model)
     counts = {n.decode(): c for n, c in zip(names.tolist(), count.tolist(), strict=True)}
     return Survey(model, counts, unsupported, tuple(faults))
 
