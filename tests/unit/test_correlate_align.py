@@ -92,3 +92,13 @@ def test_points_on_a_line_fix_nothing() -> None:
     rng = np.random.default_rng(5)
     with pytest.raises(InputError, match="6 source points for 5"):
         best_fit(body(rng)[:6], body(rng)[:5])
+
+
+def test_three_points_with_small_errors_are_all_used() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(40):
+        source = rng.standard_normal((3, 3))
+        target = source + 0.002 * rng.standard_normal((3, 3))
+        fit = best_fit(source, target)
+        assert fit.used.all()
+        assert fit.rms < 0.01

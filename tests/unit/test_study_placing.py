@@ -1,16 +1,25 @@
-"""Sensors at a place where two nodes are: on the structure, not on what holds it; else by their number."""
+"""Sensors on a deck: where two nodes are at one place, and where the test has a frame or unit of its own."""
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import small_study
 
+from ringtrue.cli.main import run
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlate.align import Alignment
+from ringtrue.errors import DataError
+from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import shared_places
+from ringtrue.study.placing import alignment, shared_places
+from ringtrue.virtual.logbook import write_sheet
 
 # a bar on two bushes of no length; its middle node 2 and, beside it, node 30 that nothing holds or uses
 DECK = """BEGIN BULK
@@ -87,3 +96,56 @@ def test_a_place_whose_nodes_move_apart_is_said(tmp_path: Path, point: int, spri
     assert [n.split(", and one")[0] for n in notes] == told * [
         "point 7: nodes that do not move alike are at the place (2 and 30 at point 7)"
     ]
+
+
+TURN = Alignment(
+    np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]), np.array([2.0, -3, 1]), 1.0, np.zeros(0), np.zeros(0, bool)
+)
+
+
+@pytest.fixture(scope="module")
+def frame(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Opened]:
+    path = tmp_path_factory.mktemp("frame") / "frame.bdf"
+    path.write_text(small_study.deck())
+    return path, Opened(read_deck(path), 1.0)
+
+
+def test_a_test_in_millimetres_or_with_left_handed_axes_is_not_laid_onto_the_deck(frame: tuple[Path, Opened]) -> None:
+    opened = frame[1]
+    test = TURN.move(small_study.test_model())
+    assert alignment(test, opened, "points").rms < 1e-9
+    millimetres = replace(test, xyz=1e3 * test.xyz)
+    for how in ("points", "nearest"):
+        with pytest.raises(DataError, match=f"align {how}: the points of the test are .* times as far apart"):
+            alignment(millimetres, opened, how)
+    with pytest.raises(DataError, match="mirror image"):
+        alignment(replace(test, xyz=test.xyz * [1, -1, 1]), opened, "points")
+    wrong = np.array(test.xyz)
+    wrong[0] += 2.0  # one point is a gross error, no reason to refuse the others
+    assert np.flatnonzero(~alignment(replace(test, xyz=wrong), opened, "points").used).tolist() == [0]
+
+
+def test_correlate_lays_a_sheet_onto_a_deck_and_judges_over_its_mass(
+    frame: tuple[Path, Opened], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deck, opened = frame
+    test = small_study.test_model()
+    modes = opened.modes(20.0).modes
+    shapes = opened.observation(test, 0.01)(modes.shapes)
+    here = ModeSet(0.7 * modes.frequencies, np.full(len(modes), 0.01), shapes, test.channels)
+    write_modes(tmp_path / "test.json", here.take(np.arange(4)))
+    write_sheet(tmp_path / "sensors.csv", TURN.move(test), test.channels)
+    words = ["correlate", str(tmp_path / "test.json"), str(deck), "--sensors", str(tmp_path / "sensors.csv")]
+    assert run(words) == 2
+    assert "farther than" in capsys.readouterr().err
+    words += ["--align", "points", "--complete", "--json", "-"]
+    for options, pairs in (([], 0), (["--frequency-gate", "60"], 4)):  # the model is 43 % too high
+        run([*words, *options])
+        found = json.loads(capsys.readouterr().out)
+        assert len(found["pairs"]) == pairs
+    assert all(p["mac_percent"] > 99.9 for p in found["pairs"])
+    names = [c["name"] for c in found["complete"]["orthogonality"]]
+    assert "cross-orthogonality, IRS mass" in names
+    for wrong in (["--tam", "iris"], ["--match", "far"], ["--align", "point"]):
+        assert run([*words, *wrong]) == 2
+        assert f"{wrong[0]} '{wrong[1]}'" in capsys.readouterr().err

@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import degrees
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
-from scipy import sparse
 
 from ringtrue.cli.show import json_target, listed, out, progress, rows, tell, unit_length, write_json
+from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import part
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
 from ringtrue.correlate.gates import Gate
+from ringtrue.correlate.observe import Method
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
-from ringtrue.errors import ConfigError, DataError
+from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.study.config import CorrelateSection, Tam
+from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import placed, shared_places
+from ringtrue.study.placing import alignment, placed, shared_places, words
 from ringtrue.study.summary import correlation_json
 
 MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
 ABOVE = 1.5  # modes of a deck up to here over the highest test mode
+CHOICES = {"match": get_args(Method), "align": ("", "points", "nearest"), "tam": get_args(Tam)}
 
 Json = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
@@ -43,19 +47,23 @@ def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, Mode
 
 
 def _of_deck(
-    deck: Path, test: ModeSet, sensors: Path | None, units: str, tolerance: float
-) -> tuple[ModeSet, tuple[str, ...]]:
-    """The modes of a deck at the channels of a test, as far up as a partner may lie, and notes on its places."""
+    deck: Path, test: ModeSet, sensors: Path | None, units: str, tolerance: float, asked: CorrelateSection
+) -> tuple[ModeSet, tuple[str, ...], Callable[[], ChannelMass]]:
+    """The modes of a deck at the channels of a test, as far up as a partner may lie, notes, and the deck's mass."""
     unit, top = unit_length(units), float(test.frequencies.max(initial=0.0))
+    reach = max(ABOVE, 1 + asked.frequency_gate) * top
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
         opened = Opened(read_deck(deck), unit)
-        look = placed(opened, test.channels, sensors, tolerance=tolerance)
-        modes = opened.modes(ABOVE * top, part(show, 0.3, 1.0)).modes
+        look = placed(opened, test.channels, sensors, tolerance=tolerance, method=asked.match, align=asked.align)
+        modes = opened.modes(reach, part(show, 0.3, 1.0)).modes
     there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
-    if sensors is None:
-        return there, ()
-    return there, shared_places(opened, read_sensor_sheet(sensors).model.pick(test.channels), modes)
+    notes: tuple[str, ...] = ()
+    if sensors is not None and asked.align:
+        notes = (words(alignment(read_sensor_sheet(sensors).model, opened, asked.align)),)
+    elif sensors is not None:
+        notes = shared_places(opened, read_sensor_sheet(sensors).model.pick(test.channels), modes)
+    return there, notes, lambda: channel_mass(opened, look, test.channels, asked, reach)
 
 
 def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], ...]:
@@ -69,13 +77,13 @@ def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], .
     return tuple(out)
 
 
-def _mass(path: Path, channels: int) -> sparse.csr_array:
+def _mass(path: Path, channels: int) -> Float:
     """The one matrix of a file, or that named M, over the channels."""
     found = read_matrices(path)
     mass = next(iter(found.matrices.values())) if len(found.matrices) == 1 else found["M"]
     if mass.shape != (channels, channels):
         raise DataError(f"{path}: mass {mass.shape}; there are {channels} common channels, in the order of A")
-    return mass
+    return mass.toarray()
 
 
 def _reasons(unpaired: Sequence[dict[str, Any]]) -> list[str]:
@@ -118,6 +126,14 @@ def correlate(
     ] = None,
     units: Annotated[str, typer.Option(help="Unit system of the deck.")] = "SI",
     tolerance: Annotated[float, typer.Option(metavar="M", help="Largest distance of a sensor from a node.")] = 0.05,
+    match: Annotated[
+        str, typer.Option(help=f"What a sensor off the nodes reads: {', '.join(CHOICES['match'])}.")
+    ] = "nearest",
+    align: Annotated[
+        str, typer.Option(metavar="HOW", help="Lay the sheet onto the deck by points (numbered as nodes) or nearest.")
+    ] = "",
+    mac_gate: Annotated[float, typer.Option(metavar="%", help="Least MAC of a pair.")] = 60.0,
+    frequency_gate: Annotated[float, typer.Option(metavar="%", help="Largest deviation of a pair.")] = 40.0,
     lock: Annotated[
         list[str] | None, typer.Option("--lock", metavar="A:B", help="Modes that belong together, such as 3:4.")
     ] = None,
@@ -127,6 +143,9 @@ def correlate(
     everything: Annotated[
         bool, typer.Option("--complete", help="Orthogonality, CoMAC, channels, complexity, significance.")
     ] = False,
+    tam: Annotated[
+        str, typer.Option(help=f"Mass of a deck at the channels, with --complete: {', '.join(CHOICES['tam'])}.")
+    ] = "irs",
     mass: Annotated[
         Path | None, typer.Option("--mass", metavar="FILE", help="Mass at the common channels, in the order of A.")
     ] = None,
@@ -142,21 +161,43 @@ def correlate(
 
     Example: ringtrue correlate test.json wing.bdf --sensors sensors.csv --complete
     """
+    for name, choice in (("match", match), ("align", align), ("tam", tam)):
+        if choice not in CHOICES[name]:
+            raise ConfigError(f"--{name} {choice!r}{did_you_mean(choice, CHOICES[name])}")
     gate = Gate(diagonal / 100, off_diagonal / 100, f"{diagonal:g} % / {off_diagonal:g} %")
+    settings = PairingSettings(mac_gate=mac_gate / 100, frequency_gate=frequency_gate / 100)
     locks = Locks(_pair_list("--lock", lock), _pair_list("--forbid", forbid))
     test, deck = read_modes(a), b.suffix.lower() not in MODES
     if sensors is not None and not deck:
         raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
-    there, notes = _of_deck(b, test, sensors, units, tolerance) if deck else (read_modes(b), ())
+    if align and sensors is None:
+        raise ConfigError(f"--align {align}: lays the places of a sheet onto a deck; give --sensors")
+    asked = CorrelateSection.model_validate(
+        {"match": match, "align": align, "tam": tam, "frequency_gate": settings.frequency_gate}
+    )
+    there, notes, held = (
+        _of_deck(b, test, sensors, units, tolerance, asked) if deck else (read_modes(b), (), ChannelMass)
+    )
     one, two = _common(test, there, a, b)
     names = ("A", "B")
-    table = correlation_table(one, two, pair_modes(one, two, PairingSettings(), names=names, locks=locks), names=names)
+    table = correlation_table(one, two, pair_modes(one, two, settings, names=names, locks=locks), names=names)
     value: dict[str, Any] = correlation_json(table)
     full: CompleteCorrelation | None = None
     if everything or mass is not None:
-        weight = _mass(mass, len(one.channels)) if mass is not None else None
-        std_a, std_b = read_std(a)[0], 0.0 if deck else read_std(b)[0]
-        full = complete(one, two, table.pairing, mass=weight, gate=gate, std_a=std_a, std_b=std_b)
+        weight = ChannelMass(_mass(mass, len(one.channels))) if mass is not None else held()
+        full = complete(
+            one,
+            two,
+            table.pairing,
+            mass=weight.matrix,
+            mass_name="given" if mass is not None else NAMES.get(tam, tam),
+            lift=weight.lift,
+            gate=gate,
+            std_a=read_std(a)[0],
+            std_b=0.0 if deck else read_std(b)[0],
+            settings=settings,
+        )
+        notes = (*notes, *filter(None, [weight.why]))
         value["complete"] = complete_json(full, table.pairing)
     if json:
         write_json(value, json)

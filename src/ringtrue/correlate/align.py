@@ -105,7 +105,7 @@ def best_fit(source: Float, target: Float, *, scale: bool = False, tolerance: fl
         Fit a common scale too (unknown units).
     tolerance : float, optional, unit of the target
         Points farther off are set aside; estimated from the points if not given (three robust standard deviations of
-        the fit of least absolute deviations).
+        the fit of least absolute deviations). Of three points none is, without it: two cannot outvote the third.
 
     Notes
     -----
@@ -121,6 +121,9 @@ def best_fit(source: Float, target: Float, *, scale: bool = False, tolerance: fl
     if source.shape != target.shape:
         raise InputError(f"{source.shape[0]} source points for {target.shape[0]} target points")
     weight = np.ones(source.shape[0])
+    if source.shape[0] == 3 and tolerance is None:
+        fit = _fit(source, target, weight, scale)
+        return Alignment(*fit, _distance(source, target, fit), weight > 0)
     size = float(np.sqrt(((target - target.mean(axis=0)) ** 2).sum(axis=1).mean()))
     for _ in range(MOST_STEPS):  # least absolute deviations by reweighting
         r = _distance(source, target, _fit(source, target, weight, scale))

@@ -82,6 +82,9 @@ class IdentifySection(_Section):
         return self
 
 
+Tam = Literal["irs", "guyan", "hybrid", "serep", "craig-bampton"]
+
+
 class CorrelateSection(_Section):
     """Pairing and acceptance."""
 
@@ -105,7 +108,7 @@ class CorrelateSection(_Section):
     accept_orthogonality: float = Field(default=90.0, ge=0, le=100)  # %, least cross-orthogonality of a pair
     accept_off_diagonal: float = Field(default=10.0, ge=0, le=100)  # %, largest between different modes
     # the mass at the channels that orthogonality is over
-    tam: Literal["irs", "guyan", "hybrid", "serep", "craig-bampton"] = "irs"
+    tam: Tam = "irs"
     # of the test shapes to the whole deck, for the error indicators (hybrid if not given) and the report (none)
     expand: Literal["", "hybrid", "serep", "guyan", "dynamic"] = ""
 

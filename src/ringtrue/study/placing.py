@@ -15,13 +15,15 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.align import Alignment, best_fit, nearest_fit
 from ringtrue.correlate.observe import Method, at_dofs
-from ringtrue.errors import DataError, did_you_mean
+from ringtrue.errors import DataError, InputError, did_you_mean
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.frames import positions
 from ringtrue.study.opened import ROUNDING, Opened
 
 ALIKE = 0.05  # of the largest motion: nodes at one place that differ by less tell a sensor the same
 MANY = 12  # points that are named
+BAD, BETTER = 0.01, 0.2  # of the size of the deck: a fit that is looked into; of its error: what explains it
+LARGER = 1.5  # times the deck: a test that cannot lie on it
 
 
 def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
@@ -35,10 +37,14 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
     Raises
     ------
     DataError
-        If the points do not decide: too few have the number of a node, or the geometry is symmetric.
+        If the points do not decide: too few have the number of a node, or the geometry is symmetric; or if they have
+        another unit of length, or left-handed axes.
     """
     nodes, ids = positions(opened.model) * opened.length, opened.model["GRID"].ids
     if how == "nearest":
+        times = float(np.linalg.norm(np.ptp(test.xyz, axis=0)) / np.linalg.norm(np.ptp(nodes, axis=0)))
+        if times > LARGER:
+            raise DataError(f"correlate.align nearest: {_other_size(times)}")
         found = nearest_fit(test.xyz, nodes)
         if found.rivals:
             raise DataError(
@@ -49,7 +55,40 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
     same, of_test, of_deck = np.intersect1d(test.points, ids, return_indices=True)
     if same.size < 3:
         raise DataError(f"correlate.align points: {same.size} points have the number of a node; three or more decide")
-    return best_fit(test.xyz[of_test], nodes[of_deck])
+    found = best_fit(test.xyz[of_test], nodes[of_deck])
+    _look_into(found, test.xyz[of_test], nodes[of_deck])
+    return found
+
+
+def _look_into(found: Alignment, points: Float, nodes: Float) -> None:
+    """Refuse a poor fit that another unit or a mirror image explains."""
+    off = _off(found)
+    if off < BAD * float(np.linalg.norm(np.ptp(nodes, axis=0))):
+        return
+    try:
+        sized, mirrored = best_fit(points, nodes, scale=True), best_fit(points * [1, 1, -1], nodes)
+    except InputError:  # neither fits
+        return
+    if _off(sized) < BETTER * off:
+        raise DataError(f"correlate.align points: {_other_size(1 / sized.scale)}")
+    if _off(mirrored) < BETTER * off:
+        raise DataError(
+            f"correlate.align points: the points are a mirror image of their nodes ({1e3 * off:.3g} mm off, "
+            f"{1e3 * _off(mirrored):.3g} mm when mirrored): the axes of the test are left-handed, turn one of them and "
+            "the directions along it"
+        )
+
+
+def _off(fit: Alignment) -> float:
+    """Root mean square distance of all points, those set aside, too."""
+    return float(np.sqrt((fit.residual**2).mean()))
+
+
+def _other_size(times: float) -> str:
+    return (
+        f"the points of the test are {times:.4g} times as far apart as the nodes of the deck: places on a sensor sheet "
+        "are in m, those of the deck in the unit that [model] units names"
+    )
 
 
 def words(found: Alignment) -> str:
