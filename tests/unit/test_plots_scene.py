@@ -10,7 +10,7 @@ from ringtrue.io.nastran.reader import read_deck
 from ringtrue.plots.scene import regions
 from ringtrue.study.results import Scene
 from ringtrue.study.run import run_study
-from ringtrue.study.scene import _faces
+from ringtrue.study.scene import _faces, make_scene
 
 
 def test_a_region_has_the_colour_of_what_changes_it_and_little_else() -> None:
@@ -49,3 +49,40 @@ def test_the_skin_of_solids_and_shells_of_every_card(tmp_path: Path) -> None:
     pyramid = [(1, 2, 6, 7), (1, 2, 8), (2, 6, 8), (6, 7, 8), (1, 7, 8)]
     tetrahedra = [(1, 2, 4), (1, 3, 4), (2, 3, 4), (1, 2, 5), (1, 3, 5), (2, 3, 5)]
     assert skin == sorted([*tetrahedra, *pyramid, (1, 2, 9)])
+
+
+def grids(*places: tuple[float, float, float]) -> list[str]:
+    return [f"GRID,{i},,{x},{y},{z}" for i, (x, y, z) in enumerate(places, 1)]
+
+
+def scene_of(tmp_path: Path, *cards: str) -> Scene:
+    (tmp_path / "part.bdf").write_text("\n".join(["BEGIN BULK", *cards, "MAT1,1,2.1+11,,.3,7850.", "ENDDATA"]))
+    return make_scene(read_deck(tmp_path / "part.bdf"), {})
+
+
+def test_shells_of_all_kinds_are_drawn(tmp_path: Path) -> None:
+    """Four strips of one square metre each; those of second order by their corners."""
+    places = [(float(x), float(y), 0.0) for y in (0, 1) for x in range(5)]
+    middle = [(0.5, 0.0, 0.0), (1.0, 0.5, 0.0), (0.5, 1.0, 0.0), (0.0, 0.5, 0.0), (1.5, 0.5, 0.0)]
+    cards = ["CQUAD8,1,1,1,2,7,6,11,12", ",13,14", "CTRIA6,2,1,2,3,7,,15,12", "CTRIAR,3,1,3,8,7", "CQUADR,4,1,3,4,9,8"]
+    s = scene_of(tmp_path, *grids(*places, *middle), *cards, "CQUAD4,5,1,4,5,10,9", "PSHELL,1,1,.01,1")
+    a, b, c = (s.xyz[s.triangles[:, k]] for k in range(3))
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == 4.0
+    assert s.node.tolist() == list(range(1, 11))
+
+
+def test_the_faces_of_a_pyramid_look_outward(tmp_path: Path) -> None:
+    corners = grids((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 1))
+    s = scene_of(tmp_path, *corners, "CPYRAM,1,1,1,2,3,4,5", "PSOLID,1,1")
+    a, b, c = (s.xyz[s.triangles[:, k]] for k in range(3))
+    outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3 - s.xyz.mean(axis=0))
+    assert (outward > 0).all()
+    assert np.einsum("ij,ij->", np.cross(a, b), c) / 6 == 1 / 3  # the volume they enclose (Gauss)
+
+
+def test_what_springs_hold_is_drawn_and_a_joint_without_length_is_a_point(tmp_path: Path) -> None:
+    places = grids((0, 0, 0), (1, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0))
+    cards = ["CROD,1,1,1,2", "PROD,1,1,.01", "CBUSH,2,2,2,3,,,,0", "PBUSH,2,K,1.+6", "CBUSH,3,2,3,4,,,,0"]
+    s = scene_of(tmp_path, *places, *cards, "CELAS2,4,1.+6,4,1", "CONM2,5,5,,8.")
+    lines = {tuple(x) for x in s.node[s.lines].tolist()}
+    assert lines == {(1, 2), (3, 4), (2, 2), (3, 3), (4, 4), (5, 5)}

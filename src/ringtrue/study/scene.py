@@ -1,4 +1,4 @@
-"""What is drawn of a model: the skin of its solids, its shells, its lines and its bushes, by region."""
+"""What is drawn of a model: the skin of its solids, its shells, lines, joints and lumped masses, by region."""
 
 from __future__ import annotations
 
@@ -20,10 +20,19 @@ _LINES = {
     "CBEAM": ("GA", "GB"),
     "CBEND": ("GA", "GB"),
     "CROD": ("G1", "G2"),
+    "CONROD": ("G1", "G2"),
     "CTUBE": ("G1", "G2"),
-    "CGAP": ("GA", "GB"),
-    "CBUSH": ("GA", "GA"),  # a bush has no length worth drawing: a point
 }
+_JOINTS = {
+    "CBUSH": ("GA", "GB"),
+    "CBUSH1D": ("GA", "GB"),
+    "CGAP": ("GA", "GB"),
+    "CELAS1": ("G1", "G2"),
+    "CELAS2": ("G1", "G2"),
+    "CVISC": ("G1", "G2"),
+    "CONM2": ("G", "G"),
+}
+NOWHERE = 1e-9  # of the size of the model: ends of a joint that are as near are at one place
 
 
 def _faces(model: Model) -> tuple[Int, Int]:
@@ -47,15 +56,27 @@ def _faces(model: Model) -> tuple[Int, Int]:
     return every[:, :4], every[:, 4]
 
 
+def _ends(model: Model, cards: Mapping[str, tuple[str, str]]) -> Int:
+    """Ends and property number (l, 3); 0 for what has no property."""
+    tables = [(model[c], names) for c, names in cards.items() if c in model]
+    rows = [np.column_stack([t.stack(*names), t["PID"] if "PID" in t.columns else 0 * t.ids]) for t, names in tables]
+    return np.concatenate(rows) if rows else np.zeros((0, 3), dtype=np.int64)
+
+
 def _lines(model: Model) -> tuple[Int, Int]:
-    parts = [np.column_stack([model[c].stack(a, b), model[c]["PID"]]) for c, (a, b) in _LINES.items() if c in model]
-    every = np.concatenate(parts) if parts else np.zeros((0, 3), dtype=np.int64)
+    """Lines (l, 2) and property numbers; of a joint of no length or to the ground its ends, as points."""
+    lines, joints = _ends(model, _LINES), _ends(model, _JOINTS)
+    xyz, at = positions(model), model["GRID"].find(joints[:, :2])
+    length = np.linalg.norm(xyz[at[:, 0]] - xyz[at[:, 1]], axis=1)
+    apart = (at >= 0).all(axis=1) & (length > NOWHERE * np.linalg.norm(np.ptp(xyz, axis=0)))
+    points = [joints[~apart & (at[:, k] >= 0)][:, [k, k, 2]] for k in (0, 1)]
+    every = np.concatenate([lines, joints[apart], np.unique(np.concatenate(points), axis=0)])
     return every[:, :2], every[:, 2]
 
 
 def _groups(pids: Int, regions: Mapping[str, Sequence[int]]) -> tuple[Int, tuple[str, ...]]:
     named = {pid: name for name, members in regions.items() for pid in members}
-    labels = [named.get(p, f"property {p}") for p in pids.tolist()]
+    labels = [named.get(p, f"property {p}" if p else "no property") for p in pids.tolist()]
     names = tuple(dict.fromkeys([*regions, *labels]))
     at = {n: i for i, n in enumerate(names)}
     return np.array([at[x] for x in labels], dtype=np.int64), names

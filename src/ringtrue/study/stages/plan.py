@@ -33,6 +33,7 @@ from ringtrue.study.workbench import Workbench
 
 SEED = 7919  # of the virtual test, added to that of the study
 WORTH = 0.02  # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
+STILL = 1e-9  # of the largest motion: a node that is held is no candidate
 APART = 0.8  # m, most that measuring points must be apart where nothing is said
 RESIDUE: dict[str, Callable[[Float, int], Int]] = {
     "greedy": select_references,
@@ -154,6 +155,9 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     targets = wanted.modes
     nodes, region = _within(desk, plan, *_candidates(plan, model))
     motion = _shapes(desk, nodes, np.arange(f.size))
+    moves = np.abs(motion).max(axis=(1, 2)) > STILL * np.abs(motion).max(initial=0.0)
+    keep = np.flatnonzero(moves | np.isin(nodes, plan.fixed))
+    nodes, region, motion = nodes[keep], tuple(region[i] for i in keep.tolist()), motion[keep]
     xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(nodes)] * desk.length
     able = arranged(nodes, region, xyz, plan.directions, model.scene)
     shapes = able.seen(motion)
