@@ -7,7 +7,7 @@ import numpy as np
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.signal.sensors import Geophone
 from ringtrue.study.log import SensorType
-from ringtrue.study.stages.identify import corrected
+from ringtrue.study.stages.ambient import corrected
 
 RATE, LINES = 64.0, 2**15
 SHEETS = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -107,6 +108,19 @@ class Logged(_Record):
     def name(self) -> str:
         """The name of its file without folder and ending."""
         return self.path.stem
+
+    def goes_on_in(self, later: Logged) -> bool:
+        """Whether another may be the next file of one measurement: alike but for numbers in its name, which rise."""
+        known = [k for k in (*_Record.model_fields, "test", "kind") if k != "file"]
+        (words, numbers), (others, further) = _parts_of_name(self.path), _parts_of_name(later.path)
+        alike = all(getattr(self, k) == getattr(later, k) for k in known)
+        return alike and words == others and numbers < further
+
+
+def _parts_of_name(path: Path) -> tuple[list[str], list[int]]:
+    """What stays in the names of the files of one measurement, and what counts on."""
+    words, numbers = re.split(r"\d+", path.stem), re.findall(r"\d+", path.stem)
+    return [str(path.parent), path.suffix, *words], [int(n) for n in numbers]
 
 
 def read_log(path: Path) -> tuple[list[Logged], dict[str, SensorType]]:

@@ -2,45 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Int
 from ringtrue.core.choice import Choice
 from ringtrue.core.progress import Progress, part
-from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.errors import ConfigError, about, did_you_mean
-from ringtrue.identify.ambient import AmbientSettings, identify_ambient
+from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.local import told_apart
 from ringtrue.identify.merge import Contribution, merge_modes
 from ringtrue.identify.peaks import cmif
 from ringtrue.io.choices import read_choice
-from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.wireframe import neighbours
-from ringtrue.signal.gaps import bridged
 from ringtrue.signal.hits import HammerSettings
-from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.reciprocal import exchanged
-from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
 from ringtrue.signal.setups import join_frfs, setups_of
-from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows, renamed
+from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.forced import forced_frfs
-from ringtrue.study.log import Logged, SensorType, read_log
+from ringtrue.study.log import Logged, read_log
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
-from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, on_sheet, supplied_frfs, supplied_modes
+from ringtrue.study.stages.ambient import ambient, check_sheet, summary
+from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, supplied_frfs, supplied_modes
 from ringtrue.study.workbench import Workbench
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
-SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 
 
 def section(desk: Workbench) -> TestSection:
@@ -51,105 +46,12 @@ def section(desk: Workbench) -> TestSection:
     return test
 
 
-def _check_sheet(path: Path, channels: Sequence[Channel], sheet: TestModel) -> None:
-    """Every response in a record must have its place on the sheet; a force channel names its point itself."""
-    on_sheet([c.id for c in channels if c.quantity != "force"], sheet, path)
-
-
-def _history(
-    record: Logged, sheet: SensorSheet, lost: Sequence[str], *, gaps: bool = False
-) -> tuple[TimeHistory, tuple[str, ...]]:
-    """A record without the channels `lost`, and what the sheet told; the others are checked and must be on the sheet.
-
-    With `gaps` samples may be missing.
-    """
-    history = read_record(record.path, record.rate_hz, check=False, gaps=gaps)
-    history, told = sheet.scaled(renamed(history, record.channels, record.path))
-    history = history.pick([c.id for c in history.channels if c.id not in set(lost)])
-    refuse_bad_samples(history, record.path, gaps=gaps)
-    _check_sheet(record.path, history.channels, sheet.model)
-    return history, told
-
-
 def files(desk: Workbench) -> list[Path]:
     """All inputs of the stage."""
     test = section(desk)
     records, _ = read_log(desk.base / test.log) if test.log else ([], {})
     names = (test.sheet, test.log, test.lines, test.modes, desk.config.identify.choice, *test.frfs)
     return [*(desk.base / f for f in names if f), *(r.path for r in records)]
-
-
-def corrected(history: TimeHistory, sensors: Mapping[str, SensorType]) -> tuple[TimeHistory, float, str]:
-    """The history with the corners of its geophones taken out where the signals allow, from which frequency, and why.
-
-    Channels of other sensors stay as they are.
-    """
-    types = sorted({c.sensor for c in history.channels} & {t for t, sheet in sensors.items() if sheet.corrected})
-    if not types:
-        return history, 0.0, ""
-    parts = {t: history.pick([c.id for c in history.channels if c.sensor == t]) for t in types}
-    low = max(_lowest(parts[t], sensors[t]) for t in types)
-    fixed: dict[str, tuple[Channel, Float]] = {}
-    for t, part_ in parts.items():
-        whole = deconvolve(part_, Geophone(sensors[t].corner_hz, sensors[t].damping or 0.0), low=low)
-        fixed |= {c.id: (w, d) for c, w, d in zip(part_.channels, whole.channels, whole.data, strict=True)}
-    every = [fixed.get(c.id, (c, d)) for c, d in zip(history.channels, history.data, strict=True)]
-    corners = " and ".join(f"{sensors[t].corner_hz:g}" for t in types)
-    note = f"{corners} Hz corner corrected from {low:.2f} Hz on"
-    return replace(history, channels=tuple(c for c, _ in every), data=np.stack([d for _, d in every])), low, note
-
-
-def _lowest(history: TimeHistory, sheet: SensorType) -> float:
-    """From where on the signals of geophones stand above their noise, Hz."""
-    psd = csd(history, Welch(0.1))
-    level = np.median(np.real(np.einsum("fii->fi", psd.data)), axis=1)
-    return max(lowest_frequency(psd.freqs, level, np.full(psd.freqs.shape, sheet.noise**2)), sheet.corner_hz * 0.6)
-
-
-def summary(record: Logged, history: TimeHistory, notes: Sequence[str], *, draw: bool = True) -> RecordSummary:
-    """What the report shows of a record: channels of one unit, thinned so that no peak is lost; none unless `draw`."""
-    unit = history.channels[0].unit
-    at = [i for i, c in enumerate(history.channels) if c.unit == unit][: SHOWN if draw else 0]
-    if not at:
-        return _listed(record, history, notes)
-    shown = tuple(history.channels[i] for i in at)
-    show = np.asarray(history.data[at], dtype=np.float64)
-    psd = csd(TimeHistory(show, history.rate, shown), Welch(max(0.05, 4 / history.duration)))
-    power = np.real(np.einsum("fii->if", psd.data))
-    thin = max(1, psd.freqs.size // 2000)
-    step = max(1, show.shape[1] // POINTS)
-    return RecordSummary(
-        record.name,
-        record.test,
-        record.excitation,
-        record.path.name,
-        len(history.channels),
-        history.rate,
-        history.duration,
-        np.arange(show.shape[1] // step) * step / history.rate,
-        _peaks(show, step),
-        tuple(c.id for c in shown),
-        psd.freqs[::thin],
-        power[:, ::thin],
-        tuple(notes),
-        unit,
-        str(record.setup),
-    )
-
-
-def _listed(record: Logged, history: TimeHistory, notes: Sequence[str]) -> RecordSummary:
-    """A record that the report lists and does not draw."""
-    line, curves = np.zeros(0), np.zeros((0, 0))
-    what = (record.name, record.test, record.excitation, record.path.name)
-    size = (len(history.channels), history.rate, history.duration)
-    return RecordSummary(*what, *size, line, curves, (), line, curves, tuple(notes), setup=str(record.setup))
-
-
-def _peaks(data: Float, step: int) -> Float:
-    """The value of largest modulus in each run of `step` samples, (channel, runs)."""
-    runs = data[:, : data.shape[1] // step * step].reshape(len(data), -1, step)
-    best = np.abs(runs).argmax(axis=2)
-    return np.asarray(np.take_along_axis(runs, best[:, :, None], axis=2)[:, :, 0])
 
 
 def _by_hand(desk: Workbench, records: Sequence[Logged]) -> Choice:
@@ -169,32 +71,6 @@ def _reason(parts: Sequence[Contribution], found: Sequence[IdentifiedRecord]) ->
     reasons = {r.record: r.reasons for r in found}
     mine = [(c.record, reasons[c.record][c.mode].split(";")[0]) for c in parts]
     return "; ".join([*(c.why for c in parts), *(f"{r}: {why}" for r, why in mine if "by hand" in why)])
-
-
-def ambient(
-    desk: Workbench,
-    records: Sequence[Logged],
-    sensors: Mapping[str, SensorType],
-    sheet: SensorSheet,
-    choice: Choice,
-    progress: Progress,
-) -> tuple[list[IdentifiedRecord], list[RecordSummary]]:
-    """Modes of each ambient record."""
-    settings, lost = desk.config.identify, section(desk).leave_out
-    found, shown = [], []
-    for i, record in enumerate(records):
-        progress(i / max(len(records), 1), f"ambient modes: {record.name}")
-        read, told = _history(record, sheet, lost, gaps=True)
-        raw, gaps = bridged(read)
-        history, low, note = corrected(raw, sensors)
-        fmin = max(low, settings.ambient_fmin or 0.0) or None
-        with about(record.path):
-            band = AmbientSettings(fmin=fmin, fmax=settings.ambient_fmax)
-            result = identify_ambient(gaps.marked(history), band, choice=choice.of(record.name))
-        notes = [n for n in (*told, note, *gaps.channels, *result.notes) if n]
-        found.append(IdentifiedRecord(record.name, result.modes, result.uncertainty, result.reasons, result.diagrams))
-        shown.append(summary(record, history, notes))
-    return found, shown
 
 
 def struck(
@@ -230,7 +106,7 @@ def _blows(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[tup
     )
     runs, notes = read_file(record.path, how)
     for run in runs:
-        _check_sheet(record.path, run.channels, sheet.model)
+        check_sheet(record.path, run.channels, sheet.model)
     names = [record.name] if len(runs) == 1 else [f"{record.name} #{k + 1}" for k in range(len(runs))]
     return tuple(replace(r, source=name) for r, name in zip(runs, names, strict=True)), notes
 
@@ -280,7 +156,9 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     if hits and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     choice = _by_hand(desk, records)
-    found, shown = ambient(desk, quiet, sensors, sheet, choice, part(progress, 0.0, 0.5))
+    found, shown = ambient(
+        quiet, sensors, sheet, desk.config.identify, test.leave_out, choice, part(progress, 0.0, 0.5)
+    )
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
     frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, test.leave_out), tuple[str, ...]()
