@@ -159,5 +159,5 @@ def test_a_mass_that_is_negative_by_rounding_is_none(n):
 def test_a_singular_mass_of_full_blocks_is_not_called_negative():
     """A point mass on arms: all minors of two rows are zero but for rounding, with entries of many decades."""
     arm = np.array([1.0, 1e3, 1e-4, 0.3, 1e-7])
-    m = sparse.csr_array(sparse.block_diag([0.7 * np.outer(arm, arm)] * 100))
+    m = sparse.csr_array(sparse.block_diag([sparse.coo_array(0.7 * np.outer(arm, arm))] * 100))
     assert solve_modes(Pencil(chain(500), m), 3).residuals.max() < 1e-6

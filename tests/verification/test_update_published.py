@@ -129,7 +129,7 @@ def test_dtu_five_storeys_on_frequencies_and_shapes_beats_the_published_end() ->
 
 
 def test_concrete_frame_is_recovered_on_a_reduced_basis() -> None:
-    given = loadmat(DATA / "concrete_frame" / "ConcreteBuildingFrame.mat")
+    given = loadmat(DATA / "concrete_frame" / "ConcreteBuildingFrame.mat", spmatrix=False)
     matrices = MatrixModel(given["K0"], given["M0"], stiffness=[given[f"E_{i}"] for i in range(1, 13)])
     parameters = matrices.parameters(0.05, 2.0, 1e6)
     seen = matrices.observe(given["measDOFs"].ravel().astype(np.int64) - 1)

@@ -135,7 +135,7 @@ def _read_5(path: Path) -> dict[str, Any]:
         return read_mat5(path)
     _check_4(path)
     try:
-        found = loadmat(path)
+        found = loadmat(path, spmatrix=False)
     except _BROKEN as exc:
         raise DataError(f"{path}: not a readable MATLAB file ({type(exc).__name__}: {exc})") from exc
     return {k: v for k, v in found.items() if not k.startswith("__")}
