@@ -4,7 +4,7 @@ Reading: `reader` is the call; `deck` its lines, `case` control, `gather` logica
 fields, `replicate`, `lexer` and `fields` their values, `tables` one a card.
 
 Cards with a pattern of their own: `special`, `lists`, `beams`, `welds`, `added_mass`, `loads`; `defaults`
-what they leave blank, `constraint_sets` which hold.
+what they leave blank, `constraint_sets` which hold, `orientations` what they leave open.
 
 Writing: `edit` in place, `places` where a field stands; `writer` cards, `bulk` and `bulk_special` whole
 models.
