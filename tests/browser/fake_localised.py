@@ -35,6 +35,7 @@ def _proposal(names: Sequence[str]) -> Proposal:
         0.18,
         0.009,
         np.array([0.84, 0.96]),
+        np.array([18, 20]),
         np.array([0.012, 0.04]),
         {rule: tuple(RNG.permutation(list(names))[:8].tolist()) for rule in rules},
     )

@@ -155,6 +155,7 @@ def _table(
         "aicc": dict(zip(map(str, found.sizes.tolist()), found.criteria.tolist(), strict=True)),
         "mean_deviation_percent": [100 * found.before, 100 * found.after],
         "mean_mac_percent": (100 * found.mac).tolist(),
+        "pairs": found.paired.tolist(),
         "insensitive": list(found.insensitive),
         "looked_at": list(what),
         "screened_out": [c.name for c in moved if c.name not in what],

@@ -90,9 +90,11 @@ class Proposal:
     x : (p,) float64
         At the end of the short updating.
     before, after : float
-        Mean |Δf|/f of the used pairs.
+        Mean |Δf|/f of the used pairs inside the gates.
     mac : (2,) float64
-        Mean MAC of the used pairs before and after.
+        Mean MAC of these before and after.
+    paired : (2,) int64
+        How many they are before and after.
     discrepancy : (2,) float64
         Relative frequency and 1 − MAC that the best set leaves: the weights of the search.
     orders : mapping of str to tuple of str
@@ -108,17 +110,18 @@ class Proposal:
     before: float
     after: float
     mac: Float
+    paired: Int
     discrepancy: Float
     orders: Mapping[str, tuple[str, ...]]
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, sizes=np.int64, criteria=f, clusters=np.int64, x=f, mac=f, discrepancy=f)
+        freeze_fields(self, sizes=np.int64, criteria=f, clusters=np.int64, x=f, mac=f, paired=np.int64, discrepancy=f)
 
     def text(self) -> str:
         """The proposal in words, a line each."""
         if not self.members:
-            return "no parameter: the model as it is explains the test as well as any change of it"
+            return f"no parameter: {self.unexplained()}"
         names = ", ".join(m.name for m in self.members)
         head = f"{_number(len(self.members))}: {names}"
         lines = [head, *(f"{i}. {m.said()}: {m.because}" for i, m in enumerate(self.members, start=1))]
@@ -131,9 +134,19 @@ class Proposal:
             lines.append(f"{_number(len(self.insensitive))} change nothing that was measured")
         lines.append(
             f"mean |Δf| {100 * self.before:.2f} -> {100 * self.after:.2f} %, "
-            f"mean MAC {100 * self.mac[0]:.1f} -> {100 * self.mac[1]:.1f} %"
+            f"mean MAC {100 * self.mac[0]:.1f} -> {100 * self.mac[1]:.1f} %, "
+            f"pairs {self.paired[0]} -> {self.paired[1]}"
         )
         return "\n".join(lines)
+
+    def unexplained(self) -> str:
+        """Why nothing is proposed, in words."""
+        stays = f"mean |Δf| {100 * self.before:.2f} %, mean MAC {100 * self.mac[0]:.1f} %"
+        if self.before <= self.discrepancy[0]:
+            return f"the model as it is ({stays}) explains the test as well as any change of it"
+        return (
+            f"no change of a candidate explains what is left ({stays}): look for a part, joint or mesh that is another"
+        )
 
 
 def _number(n: int) -> str:
@@ -202,9 +215,10 @@ def _explained(found: Subsets, errors: Mapping[str, Float], words: Sequence[str]
         tuple(p.names[i] for i in quiet.tolist()),
         search.groups,
         best.x,
-        float(np.abs(zero.frequency_error[zero.used]).mean()),
-        _mean(np.abs(end.frequency_error[end.used])),
-        np.array([zero.mac[zero.used].mean(), _mean(end.mac[end.used])]),
+        _mean(np.abs(zero.frequency_error[zero.used])),
+        _mean(np.abs(found.end.frequency_error[found.end.used])),
+        np.array([_mean(r.mac[r.used]) for r in (zero, found.end)]),
+        np.array([r.used.sum() for r in (zero, found.end)]),
         np.array([found.found.frequency, found.found.mac]),
         _orders(search, zero, alone),
     )

@@ -46,8 +46,8 @@ class Subsets:
     ----------
     search : Search
         With the discrepancy that was found.
-    start : Residual
-        At x = 0, with the weights and gates that were given.
+    start, end : Residual
+        At x = 0 and at the chosen point, with the weights and gates that were given.
     path : list of Choice
         The best set of each size from 0 on; the last is the one chosen.
     criteria : (k,) float64
@@ -58,6 +58,7 @@ class Subsets:
 
     search: Search
     start: Residual
+    end: Residual
     path: list[Choice]
     criteria: Float
     found: Weights
@@ -95,7 +96,7 @@ def subsets(
     if not start.used.any():
         raise InputError("no mode of the model is paired with one of the test: nothing can be localised from them")
     if not plain.pool.size:
-        return Subsets(plain, start, [none, none], _criteria(plain, [none, none]), _found(plain, none))
+        return Subsets(plain, start, start, [none, none], _criteria(plain, [none, none]), _found(plain, none))
     path = _path(plain, most, none, [], part(told, 0.0, 0.4))
     sets, first = path[1:], _best(plain, path)
     told(0.4, "all candidates together")
@@ -115,7 +116,7 @@ def subsets(
             break
         found, sets = better, path[1:]
     path.append(_pruned(search, _parted(search, best, most)))
-    return Subsets(search, start, path, _criteria(search, path), found)
+    return Subsets(search, start, plain.point(path[-1].x), path, _criteria(search, path), found)
 
 
 def _eliminated(search: Search, now: Choice, most: int, told: Progress) -> list[Choice]:

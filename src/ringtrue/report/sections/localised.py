@@ -83,13 +83,12 @@ def _proposal(s: LocaliseStage) -> list[Block]:
     if s.beside:
         origin += f" The proposal rests on {s.beside}, too."
     if not p.members:
-        told = "No change of a candidate explains the test better than the model as it is."
-        return [Text(f"{origin} {told}"), _candidates(s)]
+        return [Text(f"{origin} {sentence(f'no parameter is proposed: {p.unexplained()}')}"), _candidates(s)]
     before, after = (100 * float(x) for x in p.mac[:2])
     gain = (
         f"With {_count(len(p.members))} of them mean |Δf| of the used modes falls from {fixed(100 * p.before, 2)} to "
         f"{fixed(100 * p.after, 2)} %, mean MAC {'rises' if after >= before else 'falls'} from {fixed(before, 1)} to "
-        f"{fixed(after, 1)} %."
+        f"{fixed(after, 1)} %, and {p.paired[1]} modes have a partner ({p.paired[0]} before)."
     )
     if after < before - FALLS:
         gain += " The frequencies are reached with partners that look otherwise: check the pairs before it is used."
