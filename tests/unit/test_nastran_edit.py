@@ -137,6 +137,39 @@ def test_a_uniform_beam_stays_uniform(tmp_path: Path) -> None:
         np.testing.assert_array_equal(again["PBEAM"][name], changed["PBEAM"][name])
 
 
+def test_inertia_and_eccentricity_of_end_b_follow_those_of_end_a(tmp_path: Path) -> None:
+    """A blank NSI(B), M1(B) or N1(B) is that of end A, in the model at other factors as in the deck."""
+    lines = "PBEAM,1,1,4.,1.,2.\n,\n,NO,1.\n,,,,,3.,,,\n,.1,,,,.2\n"
+    (tmp_path / "a.bdf").write_text(f"MAT1,1,1.,,.3\n{lines}")
+    model = read_deck(tmp_path / "a.bdf")
+    fields = ("NSIA", "M1A", "N1A")
+    parameters = ParameterSet(tuple(Parameter(f, (Target("PBEAM", 1, f),)) for f in fields))
+    factors = np.array([1.5, 2.0, 3.0])
+    changed = apply_factors(model, parameters, factors)
+    written = edit_fields(model, field_changes(model, parameters, factors), tmp_path / "new")
+    again = read_deck(written[0])["PBEAM"]
+    for a, value in zip(fields, (4.5, 0.2, 0.6), strict=True):
+        for name in (a, a[:-1] + "B"):
+            assert again[name][0] == pytest.approx(value)
+            assert changed["PBEAM"][name][0] == pytest.approx(value)
+
+
+def test_a_field_that_names_a_frame_or_node_is_no_angle_or_component(tmp_path: Path) -> None:
+    grids = "".join(f"GRID,{i + 1},,{x}.,{y}.,0.\n" for i, (x, y) in enumerate([(0, 0), (1, 0), (1, 1), (0, 1)]))
+    elements = "CQUAD4,1,1,1,2,3,4,5\nCBAR,2,2,1,2,4\nCQUAD4,3,1,1,2,3,4,30.\n"
+    rest = "CORD2R,5,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nPSHELL,1,1,.1\nPBAR,2,1,1.,1.,1.\nMAT1,1,1.,,.3\n"
+    (tmp_path / "a.bdf").write_text(grids + elements + rest)
+    model = read_deck(tmp_path / "a.bdf")
+    for change, told in (
+        (FieldChange("CQUAD4", 1, "THETA", 9.0), "MCID 5"),
+        (FieldChange("CBAR", 2, "X1", 1.0), "G0 4"),
+    ):
+        with pytest.raises(InputError, match=f"has no {change.field}: it stands where the card names {told}"):
+            edit_fields(model, [change], tmp_path / "new")
+    again = read_deck(edit_fields(model, [FieldChange("CQUAD4", 3, "THETA", 9.0)], tmp_path / "new")[0])
+    assert again["CQUAD4"]["THETA"].tolist() == [0.0, 9.0]
+
+
 def test_the_edited_deck_is_the_model_with_the_factors(main: Path) -> None:
     model = read_deck(main)
     stiffness = Parameter("stiffness", (Target("MAT1", 1, "E"), Target("PBUSH", 5, "K1")))

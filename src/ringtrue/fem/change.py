@@ -19,11 +19,11 @@ from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.fem.kinds import ELEMENTS
 from ringtrue.fem.rows import Rows, union
 from ringtrue.model.dimensions import MADE, resectioned
+from ringtrue.model.edit import BOTH_ENDS
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.model.references import REFERENCES
 
-BOTH_ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "I12": "I12B", "J": "JB", "NSM": "NSMB"}
 FOLLOWERS = ("CFAST", "CWELD")  # they stand on the corners of shells that they do not name
 _PLY = re.compile(r"([A-Z](?:[A-Z0-9]*[A-Z])?)(\d+)")
 Factor = float | complex

@@ -54,7 +54,7 @@ def rrod(m: Mesh) -> Equations:
         i = int(np.flatnonzero(~one)[0])
         raise error(m.model, t, i, "CMA or CMB must name one translation, 1 to 3, and the other be blank")
     x = m.xyz[node]
-    short = (x[:, 0] == x[:, 1]).all(axis=1)
+    short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
     if short.any():
         raise error(m.model, t, int(np.flatnonzero(short)[0]), "its two ends are at one place")
     axis = segment(x)[1]

@@ -17,7 +17,9 @@ from ringtrue.model.dimensions import MADE, resectioned
 from ringtrue.model.model import Model, Ragged, Table
 
 # A PBEAM whose end B equals its end A keeps that.
-BOTH_ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "I12": "I12B", "J": "JB", "NSM": "NSMB"}
+BOTH_ENDS = {name: f"{name}B" for name in ("A", "I1", "I2", "I12", "J", "NSM")} | {
+    f"{name}A": f"{name}B" for name in ("NSI", "M1", "M2", "N1", "N2")
+}
 
 
 @dataclass(frozen=True, slots=True)

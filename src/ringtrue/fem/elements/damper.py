@@ -33,7 +33,7 @@ def build_line(m: Mesh, card: str, at: Int) -> Matrices:
     t = m.model[card]
     nodes = m.nodes(t.stack("G1", "G2")[at], t, at)
     x = m.xyz[nodes]
-    short = (x[:, 0] == x[:, 1]).all(axis=1)
+    short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
     if short.any():
         raise error(m.model, t, int(at[short][0]), "its two ends are at one place")
     row = lookup(m.model, "PVISC", t["PID"][at], t, at)

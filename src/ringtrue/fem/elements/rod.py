@@ -74,7 +74,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     t = m.model[card]
     nodes = m.nodes(t.stack("G1", "G2")[at], t, at)
     x = m.xyz[nodes]
-    if (short := (x[:, 0] == x[:, 1]).all(axis=1)).any():
+    if (short := np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0).any():
         raise error(m.model, t, int(at[short][0]), "its two ends are at one place")
     iso, A, J, nsm = _section(m, card, at)
     M = mass(x, iso.rho * A + nsm + m.nsm(card, at), m.model.param("COUPMASS", -1) > 0)

@@ -19,7 +19,7 @@ from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.lexer import LineFields, real, split_line
 from ringtrue.io.nastran.places import bush_flag, field_place, inherited
 from ringtrue.io.nastran.writer import format_field
-from ringtrue.model.cards import columns
+from ringtrue.model.cards import CARDS, columns
 from ringtrue.model.edit import BOTH_ENDS, FieldChange, field_value, ply_field, resolve_target
 from ringtrue.model.model import Model
 
@@ -196,6 +196,8 @@ def _finder(model: Model, found: Cards) -> Callable[[FieldChange], int]:
         table = model[change.card]
         if len(rows) > 1:
             raise InputError(f"{change.card} {change.id} stands {len(rows)} times in the deck: which one is meant?")
+        if other := _taken(model, change, int(rows[0])):
+            raise InputError(f"{change.card} {change.id} has no {change.field}: it stands where the card names {other}")
         at = (int(table.file[rows[0]]), int(table.line[rows[0]]))
         hit = np.flatnonzero((key[:, 0] == at[0]) & (key[:, 1] == at[1]))
         if not hit.size:
@@ -208,6 +210,14 @@ def _finder(model: Model, found: Cards) -> Callable[[FieldChange], int]:
         return card
 
     return find
+
+
+def _taken(model: Model, change: FieldChange, row: int) -> str:
+    """The frame or node that a card names in the field of this change, such as `MCID 4` for THETA; "" for none."""
+    specs = columns(change.card) if change.card in CARDS else ()
+    other = next((s for s in specs if s.other and s.name == change.field), None)
+    number = int(model[change.card][other.other][row]) if other else 0
+    return f"{other.other} {number}" if other and number > other.other_default else ""
 
 
 def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:

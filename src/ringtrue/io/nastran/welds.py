@@ -38,7 +38,7 @@ def cweld(cards: Sequence[Card], files: Files) -> Table:
     for c in cards:
         r = Reader(c, files)
         kind = r.text(3).upper()
-        if kind not in _MORE or (kind == "GRIDID" and any(r.text(i) for i in _MIDSIDES)):
+        if kind not in _MORE or (kind == "GRIDID" and any(r.text(i).strip("0") for i in _MIDSIDES)):
             why = f"type {kind or 'blank'}" if kind not in _MORE else "patches with midside nodes"
             why += f"; allowed are {', '.join(_MORE)} on corners"
             raise UnsupportedCard("CWELD", path=files[c.file], line=c.line, why=why)
