@@ -83,6 +83,7 @@ def test_the_faces_of_a_pyramid_look_outward(tmp_path: Path) -> None:
 def test_what_springs_hold_is_drawn_and_a_joint_without_length_is_a_point(tmp_path: Path) -> None:
     places = grids((0, 0, 0), (1, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0))
     cards = ["CROD,1,1,1,2", "PROD,1,1,.01", "CBUSH,2,2,2,3,,,,0", "PBUSH,2,K,1.+6", "CBUSH,3,2,3,4,,,,0"]
-    s = scene_of(tmp_path, *places, *cards, "CELAS2,4,1.+6,4,1", "CONM2,5,5,,8.")
+    cards += ["CELAS2,4,1.+6,4,1,1,1", "CELAS2,5,1.+6,4,2", "CONM2,6,5,,8.", "RBE2,7,4,123456,5"]
+    s = scene_of(tmp_path, *places, *cards)  # 5 is a mass in the air, which a sensor on 4 sees
     lines = {tuple(x) for x in s.node[s.lines].tolist()}
-    assert lines == {(1, 2), (3, 4), (2, 2), (3, 3), (4, 4), (5, 5)}
+    assert lines == {(1, 2), (3, 4), (4, 1), (2, 2), (3, 3), (4, 4)}

@@ -1,4 +1,4 @@
-"""What is drawn of a model: the skin of its solids, its shells, lines, joints and lumped masses, by region."""
+"""What is drawn of a model: the skin of its solids, its shells, lines and joints, by region."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ _JOINTS = {
     "CELAS1": ("G1", "G2"),
     "CELAS2": ("G1", "G2"),
     "CVISC": ("G1", "G2"),
-    "CONM2": ("G", "G"),
 }
 NOWHERE = 1e-9  # of the size of the model: ends of a joint that are as near are at one place
 
