@@ -289,9 +289,8 @@ def _assemble(
             left_out.append(f"pole at {f:.4g} Hz {AT_EDGE}")
         else:
             at.append((b, i))
-    if not heard.driven:
-        at, forced = without_forced(found, at)
-        left_out += forced
+    at, forced = without_forced(found, at)
+    left_out += forced
     by_hand = chosen(found, at, heard.choice, history.source)
     found, at = by_hand.found, by_hand.rows
     left_out += by_hand.notes
