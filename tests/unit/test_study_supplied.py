@@ -95,6 +95,10 @@ def test_frfs_of_a_file_for_each_reference(tmp_path: Path) -> None:
     assert "9 modes of the FRFs" in lines
     assert "pairs: 9 -> 9 of 9 test modes" in lines
     assert all(f"{n}: times" in lines for n in best.parameters)
+    assert "made frequencies worse" not in lines
+    end = done.results["final"]  # as if the deck had been good and the updating bad
+    turned = replace(found, remodelled=end.table), replace(end, table=found.remodelled)
+    assert "made frequencies worse" in "\n".join(told(dict(zip(("correlate", "final"), turned, strict=True))))
 
 
 def test_modes_of_a_file_and_a_sensor_the_wrong_way_round(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from ringtrue.cli.show import out, rows, tell
 from ringtrue.core.arrays import Float
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.measured import Data
-from ringtrue.study.words import weighed_by
+from ringtrue.study.words import weighed_by, worse
 from ringtrue.update.objective import Target
 from ringtrue.update.plausible import plausibility
 from ringtrue.update.residuals import Point
@@ -100,7 +100,10 @@ def show_summary(study: Path, summary: dict[str, Any]) -> None:
         body = [(m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES)) for m in summary["measured"]]
         rows("beside the modes", ("", "what", "unit", *SIDES), body)
     weighed = weighed_by([(v or 0.0) / 100 for v in summary["discrepancy_percent"].values()])
-    tell((summary["why"], weighed, *summary["flags"], *(f"deck: {p}" for p in summary["deck"])))
+    both = [m for m in summary["modes"] if m["used"] and None not in m.values()]
+    worsened = worse(*(np.array([m[f"deviation{when}_percent"] for m in both]) for when in ("_before", "")))
+    lines = (summary["why"], weighed, worsened, *summary["flags"], *(f"deck: {p}" for p in summary["deck"]))
+    tell(line for line in lines if line)
     if summary["solver"] == EMBEDDED:
         error = summary["basis_error"]
         told = f"{summary['full_solutions']} full solutions; the reduced model is off by {error:.1e} at most"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ringtrue.core.arrays import Float
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.study.results import (
     CompareStage,
@@ -45,6 +46,8 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         names = [n for n, open_ in zip(known.parameters.names, known.unproven, strict=True) if open_]
         why = "may take up an error of the model's form, or are known only together with others"
         out.append(f"not proven by the test, {why}: {', '.join(names)}")
+    if correlate is not None and final is not None and (line := worse(*_in_both(correlate.remodelled, final.table))):
+        out.append(line)
     update, localise = r.get("update"), r.get("localise")
     if update is not None and (line := weighed_by(update.sets[update.chosen].discrepancy.tolist())):
         out.append(line)
@@ -59,6 +62,31 @@ def weighed_by(discrepancy: Sequence[float]) -> str:
     """What an updating took for the deviations, of a frequency (relative) and of 1 − MAC, that its best model keeps."""
     parts = [f"{100 * x:.2g} % of {what}" for x, what in zip(discrepancy, ("frequency", "MAC"), strict=True) if x > 0]
     return f"deviations that the model is taken to keep: {' and '.join(parts)}" if parts else ""
+
+
+def worse(before: Float, after: Float) -> str:
+    """That an updating has made frequencies worse; nothing where it has not.
+
+    Parameters
+    ----------
+    before, after : (n,) float64
+        Deviations in percent of the used modes that have a partner in both.
+    """
+    a, b = (float(np.abs(x).mean()) if x.size else 0.0 for x in (before, after))
+    if b <= a:
+        return ""
+    return (
+        f"the updating made frequencies worse: mean |Δf| of the {before.size} used modes paired before and after "
+        f"{a:.2f} -> {b:.2f} %. Shapes or other data were fitted at their cost; look at the pairs first, then weigh "
+        "the shapes less ([update] shape_weight)"
+    )
+
+
+def _in_both(before: CorrelationTable, after: CorrelationTable) -> tuple[Float, Float]:
+    """Deviations, %, of the used test modes that have a partner in both tables."""
+    a, b = (t.pairing.a[t.used] for t in (before, after))
+    first, last = (t.deviation_percent[t.used] for t in (before, after))
+    return first[np.isin(a, b)], last[np.isin(b, a)]
 
 
 def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str]:
