@@ -50,7 +50,7 @@ def _peaks(rest: Complex, lines: Lines, fit: Refined) -> Int:
     step = np.median(np.diff(lines.s.imag))
     zeta = np.median(-fit.poles.real / np.abs(fit.poles)) if fit.poles.size else 0.01
     half = int(np.ceil(zeta * np.median(lines.s.imag) / step)) + 2
-    floor = median_filter(power, size=min(20 * half + 1, power.size), mode="nearest")
+    floor = median_filter(power, size=min(20 * half + 1, power.size), mode="mirror")
     top = power >= maximum_filter1d(power, 2 * half + 1, mode="nearest")
     share = power / uniform_filter1d(total, 3, mode="nearest")
     seen = top & (power > ABOVE * floor) & (share > _usual(share, lines, fit))

@@ -210,7 +210,7 @@ def band_limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
     high = settings.fmax if settings.fmax is not None else _usable_to(frfs)
     if np.count_nonzero((f >= low) & (f <= high)) < 32:
         raise DataError(f"{frfs.source}: fewer than 32 lines between {low:g} and {high:g} Hz; widen fmin, fmax")
-    return low, min(high, float(f[-1]))
+    return max(low, float(f[0])), min(high, float(f[-1]))
 
 
 def _usable_to(frfs: FrfSet) -> float:

@@ -18,6 +18,7 @@ HELD, PLAIN = 0.8, 3e3  # share of the orders and gain over the error that are n
 HIDDEN, REAL = 1e3, 0.9  # gain over the error and MPC of a mode that may hide under others, near a node of the force
 TOLD, SURE = 1.0, 3.0  # standard deviations of a residue, below and above which its sign tells nothing and all
 COMPLEX = 0.6  # confidence of a mode that is plain to see, but of complex shape
+BESIDE = 1.25  # times the last line, up to where modes count in the fit
 VISIBLE = 0.3  # share of the response at its own frequency that makes a mode plain to see
 
 
@@ -96,12 +97,12 @@ def judge(
         Driving points.
     damping_max : float
     strict : bool
-        False while modes may still be missing: their neighbours then have complex shapes.
+        False while modes may still be missing: their neighbours then have complex shapes and odd phases.
     """
     shapes = fit.shapes
     # fall of the weighted sum of squares (σ = 1) by each mode with all others present
     total = (2 * np.abs(shapes) ** 2 / np.maximum(fit.known.state.shape_var, np.finfo(float).tiny)).sum(axis=0)
-    driven = _driven(fit, shapes, pairs)
+    driven = _driven(fit, shapes, pairs, strict)
     gains, ratio = _gains(lines, fit, total)
     real = _real(shapes, lines.response, strict)
     share = shares(lines, fit, shapes)
@@ -173,9 +174,10 @@ def _damped(fit: Refined, damping_max: float) -> _Aspect:
 
 
 def _placed(lines: Lines, fit: Refined) -> _Aspect:
+    """Modes just beyond the lines are no modes to report, but stand in the FRFs as no residual term does."""
     f = np.abs(fit.poles) / (2 * np.pi)
     low, high = lines.s.imag[[0, -1]] / (2 * np.pi)
-    factor = np.where((f > low) & (f < high), 1.0, 0.0)
+    factor = np.where((f > low / BESIDE) & (f < BESIDE * high), 1.0, 0.0)
     return _texts(factor, [""] * f.size, ["outside the lines"] * f.size)
 
 
@@ -221,7 +223,7 @@ def _real(shapes: Complex, weight: Float, strict: bool) -> _Aspect:
     return _texts(factor, text, [f"{t}, a complex shape" for t in text])
 
 
-def _driven(fit: Refined, shapes: Complex, pairs: Sequence[tuple[int, int, float]]) -> _Aspect:
+def _driven(fit: Refined, shapes: Complex, pairs: Sequence[tuple[int, int, float]], strict: bool) -> _Aspect:
     """Share of the driving-point residues, by size, that have the phase of a positive modal mass.
 
     It counts as far as their sum stands out of its noise: near a node of the force it tells nothing.
@@ -235,7 +237,7 @@ def _driven(fit: Refined, shapes: Complex, pairs: Sequence[tuple[int, int, float
     phase = residue.sum(axis=0) / np.maximum(np.abs(shapes[o] * part).sum(axis=0), 1e-300)
     noise = (np.abs(part) ** 2 * (fit.known.state.shape_var * fit.known.own)[o]).sum(axis=0) / 2
     score = np.abs(residue.sum(axis=0)) / np.sqrt(np.maximum(noise, 1e-300))
-    doubt = np.clip((score - TOLD) / (SURE - TOLD), 0, 1) * (1 - np.clip(0.7 + 0.6 * phase, 0.2, 1))
+    doubt = np.clip((score - TOLD) / (SURE - TOLD), 0, 1) * (1 - np.clip(0.7 + 0.6 * phase, 0.2 if strict else 0.6, 1))
     return _texts(
         1 - doubt,
         [f"driving points in phase{'' if p > 0 else ' within their noise'}" for p in phase],
