@@ -98,7 +98,8 @@ def _stable(method: str, used: FrfSet, settings: HammerModes, tell: Progress) ->
         white = used.data[wide] / (np.median(sigma.line[wide]) * sigma.response[:, None] * sigma.input)
         white = _few(white) if method == "rfp" else principal(white)  # the polynomials take every FRF for as good
         peaks = min(count_peaks(curve[wide]).size, PEAKS)
-        poles = _poles(method, white, used.freqs[wide], peaks, used.window_decay)
+        most = settings.damping_max + used.window_decay / (2 * np.pi * used.freqs[wide][0])
+        poles = _poles(method, white, used.freqs[wide], peaks, most)
         f = poles.frequencies
         poles = poles.take((f >= a) & (f <= b))
         found.append(grouped(poles, white, sigma, used, wide)[1])
@@ -122,14 +123,13 @@ def _few(white: Complex) -> Complex:
     return np.asarray(white[:, np.sort(pivots[:MOST_RESPONSES])])
 
 
-def _poles(method: str, white: Complex, freqs: Float, peaks: int, decay: float) -> PoleSet:
+def _poles(method: str, white: Complex, freqs: Float, peaks: int, damping_max: float) -> PoleSet:
     n_in, lines = white.shape[2], freqs.size
-    most = 0.15 + decay / (2 * np.pi * freqs[0])
     if method == "rfp":
         top = max(min(2 * peaks + SPARE, (lines - 8) // 2), 2)
-        return rfp(white, freqs, Rfp(max(1, peaks), top, damping_max=most))
+        return rfp(white, freqs, Rfp(max(1, peaks), top, damping_max=damping_max))
     step = np.diff(freqs)
     if np.ptp(step) > 1e-3 * step.mean():
         raise ConfigError("LSCE works on impulse responses, which take lines in equal steps; take plscf or rfp")
     top = max(min(int(np.ceil((4 * peaks + 2 * SPARE) / n_in)), lines // 4), 3)
-    return lsce(white, freqs, Lsce(max(1, top // 4), top, most))
+    return lsce(white, freqs, Lsce(max(1, top // 4), top, damping_max))

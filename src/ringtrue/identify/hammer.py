@@ -79,7 +79,7 @@ class HammerModes:
 
     fmin: float | None = None
     fmax: float | None = None
-    damping_max: float = 0.12
+    damping_max: float = 0.5
     bands: tuple[tuple[float, float], ...] = ()
     confidence_min: float = 0.5
     searches: int = 4
