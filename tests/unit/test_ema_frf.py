@@ -17,6 +17,7 @@ from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance
 from ringtrue.signal.hits import HammerSettings, input_id
+from ringtrue.signal.overloads import ceilings
 from ringtrue.signal.setups import join_frfs
 from ringtrue.study.forced import forced_frfs
 
@@ -102,6 +103,17 @@ def test_a_force_clipped_for_a_sample_or_two_is_told_by_its_pulses() -> None:
     again = np.tile(r.data[:, : 4 * n], 6) + 0.0
     _, reports = estimate_frf(replace(r, data=again))
     assert not any("overload" in x for h in reports for x in h.reasons)
+
+
+def test_two_clipped_pulses_are_enough_where_each_is_flat() -> None:
+    """Of five, at 2.5 times their rate; within the range none clips, 16 bits of a recorder included."""
+    t = np.arange(0, 10, 1 / (2.5 * RATE))
+    force = sum(pulse(t - start, size) for start, size in zip(range(1, 10, 2), (80, 95, 90, 130, 140.0), strict=True))
+    noisy = force + 0.01 * np.random.default_rng(0).standard_normal(t.size)
+    bits = np.round(noisy * 2**15 / 150) * 150 / 2**15
+    for top, clips in ((100.0, {"F": 100.0}), (150.0, {})):
+        r = TimeHistory(np.clip(bits, None, top)[None], 2.5 * RATE, (Channel("F", "force", "N"),), "r")
+        assert ceilings(r) == clips
 
 
 def test_frf_is_that_of_the_system_under_the_window() -> None:

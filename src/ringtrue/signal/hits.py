@@ -216,7 +216,7 @@ def check_hits(
     typical = float(np.median(np.abs(force[hits]))) if hits.size else 0.0
     pre = round(settings.pretrigger * record.rate)
     known = {k: v for k, v in (full_scale or {}).items() if np.isfinite(v)}
-    limits = ceilings(record, at, hits) | known
+    limits = ceilings(record) | known
     reports = []
     responses = np.delete(np.arange(len(record.channels)), at)
     unrest = [_unrest(record.data[responses, h - pre : h - pre + length], pre) for h in hits.tolist() if h >= pre]

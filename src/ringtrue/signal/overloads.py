@@ -16,23 +16,13 @@ _AROUND = 8  # samples
 _FLAT = 4  # equal extreme samples in a row that give clipping away where no range is known
 
 
-def ceilings(record: TimeHistory, force: int, hits: Int) -> dict[str, float]:
-    """Ranges by id of channels that clip for a sample or two: unlike peaks of blows or of a response are one value.
-
-    Parameters
-    ----------
-    record : TimeHistory
-    force : int
-        Position of the force.
-    hits : (h,) int64, samples of the peaks of the force
-    """
+def ceilings(record: TimeHistory) -> dict[str, float]:
+    """Ranges by id of channels that clip for a sample or two: unlike peaks of a blow or of a response are one value."""
     out = {}
-    for k, channel in enumerate(record.channels):
-        x = record.data[k]
-        seen = x[hits] if k == force else x
-        for peak in (max(float(seen.max()), 0.0), min(float(seen.min()), 0.0)):
-            at = np.flatnonzero(seen >= (1 - 1e-6) * peak if peak > 0 else seen <= (1 - 1e-6) * peak)
-            if peak and at.size >= _ALIKE and _clipped(x, hits[at] if k == force else at, abs(peak)):
+    for channel, x in zip(record.channels, record.data, strict=True):
+        for peak in (max(float(x.max()), 0.0), min(float(x.min()), 0.0)):
+            at = np.flatnonzero(x >= (1 - 1e-6) * peak if peak > 0 else x <= (1 - 1e-6) * peak)
+            if peak and at.size >= _ALIKE and _clipped(x, at, abs(peak)):
                 out[channel.id] = abs(peak)
     return out
 
