@@ -8,7 +8,7 @@ import pytest
 from ringtrue.errors import InputError
 from ringtrue.plan.candidates import even_distance
 from ringtrue.plan.layout import independence, lower_auto_mac, reached, select_points, select_references
-from ringtrue.plan.resolution import ambient_std, resolution
+from ringtrue.plan.resolution import ambient_std, frf_averages, resolution
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 
 
@@ -132,6 +132,19 @@ def test_resolution_closed_forms() -> None:
     assert np.exp(-0.01 * 2 * np.pi * 2.0 * r.block) <= 0.01 * (1 + 1e-9)
     assert r.std_damping[0] <= 0.1
     assert r.std_damping[1] < r.std_damping[0]
+    assert r.segments == r.record // r.block
+
+
+def test_averages_give_the_wanted_error_of_an_frf() -> None:
+    """Against the scatter of H1 over simulated averages."""
+    rng = np.random.default_rng(0)
+    n = frf_averages(0.1, 0.8)
+    force, noise = (rng.standard_normal((20_000, n, 2)) @ [1, 1j] for _ in range(2))
+    response = force + np.sqrt(1 / 0.8 - 1) * noise  # |H| = 1, coherence 0.8
+    h = np.abs((response * force.conj()).sum(axis=1) / (np.abs(force) ** 2).sum(axis=1))
+    assert h.std() == pytest.approx(0.1, rel=0.1)  # the formula holds for many averages
+    assert frf_averages(0.05, 0.98) == 5
+    assert frf_averages(0.5, 0.99) == 1
 
 
 def test_an_addition_is_the_best_of_all() -> None:

@@ -188,6 +188,7 @@ def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert [m["mode"] for m in told["modes"]] == [1, 2, 3, 5]
     assert all(m["found"] == 1 and -0.01 < m["loaded"] < 0 for m in told["modes"])
     assert told["left_by_loss"] >= 0.1
+    assert (told["lost_points"], told["averages"]) == (1, 5)
     assert len(told["suspension"]["nodes"]) == 3
     assert told["missed"] == []
     sheet = read_sensor_sheet(folder / "sensors.csv", folder / "lines.csv").model

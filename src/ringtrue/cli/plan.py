@@ -64,6 +64,11 @@ def plan(
     hang: Annotated[int, typer.Option(help="Points to hang the structure from.", min=0)] = 0,
     sensor_mass: Annotated[float, typer.Option(metavar="KG", help="Mass of a sensor.", min=0)] = 0.0,
     damping: Annotated[float, typer.Option(help="Expected damping ratio.", min=1e-6, max=0.5)] = 0.01,
+    error: Annotated[float, typer.Option(help="Wanted random error of an FRF.", min=1e-4, max=1)] = 0.05,
+    coherence: Annotated[float, typer.Option(help="Expected coherence.", min=0.01, max=0.9999)] = 0.98,
+    precision: Annotated[
+        float, typer.Option(help="Wanted error of the lowest damping, of an ambient record.", min=1e-3, max=1)
+    ] = 0.1,
     trials: Annotated[int, typer.Option(help="Virtual tests of the plan.", min=0)] = 0,
     background: Annotated[float, typer.Option(metavar="N/√HZ", help="Noise force at each reference.", min=0)] = 0.0,
     seed: Annotated[int, typer.Option(help="Of the virtual tests.", min=0)] = 0,
@@ -105,6 +110,9 @@ def plan(
         "suspension": hang,
         "sensor_mass": sensor_mass,
         "damping": damping,
+        "error": error,
+        "coherence": coherence,
+        "precision": precision,
         "lines": "mesh",
         "trials": trials,
         "background": background,
@@ -219,10 +227,13 @@ def _told(run: StudyRun) -> dict[str, Any]:
         "modes": _modes(stage),
         "missed": [n for n, r in zip(names, stage.reach.tolist(), strict=True) if r < MISSED],
         "worst_auto_mac": stage.worst_off_diagonal,
+        "lost_points": stage.lost,
         "left_by_loss": stage.left_by_loss,
         "frequency_step_hz": stage.frequency_step,
         "block_s": stage.block,
+        "averages": stage.averages,
         "record_length_s": stage.record_length,
+        "ambient_averages": stage.segments,
     }
     if stage.suspension:
         told["suspension"] = {
@@ -258,6 +269,11 @@ def _modes(stage: PlanStage) -> list[dict[str, Any]]:
     ]
 
 
+def without(stage: PlanStage) -> str:
+    """The points that are taken as lost, in words."""
+    return "without the most important point" if stage.lost == 1 else f"without any {stage.lost} points"
+
+
 def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     heads = {
         "mode": ("mode", "{}"),
@@ -277,10 +293,10 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
         f"{len(stage.test.channels)} channels at {stage.test.points.size} points, of {stage.candidates} candidates: "
         f"{' '.join(map(str, told['points']))}",
         f"strike at {' '.join(stage.references)}",
-        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; without the most important point "
+        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {without(stage)} "
         f"{100 * stage.left_by_loss:.0f} % of the information about any mode is left",
-        f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, "
-        f"ambient record {stage.record_length / 60:.3g} min",
+        f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, {stage.averages} averages; "
+        f"ambient record {stage.record_length / 60:.3g} min, {stage.segments} blocks",
     ]
     if stage.suspension:
         lines.append(f"hang at {' '.join(map(str, stage.suspension))}")

@@ -92,6 +92,8 @@ class Conditions:
         White force at each reference all the time.
     sensor : Sensor
         Of the responses; an accelerometer.
+    hits : int
+        Good blows at each reference, unless `hammer` says so.
     hammer : HammerPlan, optional
         By default a hammer that fits the structure: `fitting_hammer`.
     pairing : PairingSettings
@@ -104,14 +106,19 @@ class Conditions:
     frequency_scatter: float = 0.01
     background: float = 0.0
     sensor: Sensor = ICP
+    hits: int = 5
     hammer: HammerPlan | None = None
     pairing: PairingSettings = field(default_factory=lambda: PairingSettings(mac_gate=0.8, frequency_gate=0.03))
 
     def __post_init__(self) -> None:
-        if self.trials < 1 or not 0 < self.damping < 1 or min(self.damping_scatter, self.background) < 0:
+        if (
+            min(self.trials, self.hits) < 1
+            or not 0 < self.damping < 1
+            or min(self.damping_scatter, self.background) < 0
+        ):
             raise InputError(
-                f"virtual test: trials {self.trials} (1 or more), damping {self.damping} (0..1), scatter and "
-                f"background {self.damping_scatter}, {self.background} (0 or more)"
+                f"virtual test: trials {self.trials} and hits {self.hits} (1 or more), damping {self.damping} (0..1), "
+                f"scatter and background {self.damping_scatter}, {self.background} (0 or more)"
             )
 
 
@@ -239,7 +246,7 @@ def rehearse(
     target = plan.targets
     zeta = np.full(plan.frequencies.size, conditions.damping)
     nominal = modal_model(plan, plan.frequencies, zeta)
-    hammer = conditions.hammer or fitting_hammer(nominal, plan.fmax, conditions.sensor)
+    hammer = conditions.hammer or fitting_hammer(nominal, plan.fmax, conditions.sensor, hits=conditions.hits)
     error = np.full((3, conditions.trials, int(target.sum())), np.nan)
     invented = 0
     for k, stream in enumerate(rng.spawn(conditions.trials)):

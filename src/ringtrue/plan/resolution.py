@@ -21,6 +21,10 @@ class Resolution:
         Of one hit; 1/step, or until the slowest mode has decayed to 1 % if that is longer.
     record : float, s
         Of an ambient record for the wanted precision of damping.
+    averages : int
+        Blows, or blocks of a shaker, at each reference for the wanted random error of the FRFs.
+    segments : int
+        Blocks in the ambient record; the random error of a spectral density is 1/√segments.
     std_frequency, std_damping : (m,) float64
         Relative standard deviations to expect of an ambient record of that length.
     """
@@ -28,6 +32,8 @@ class Resolution:
     step: float
     block: float
     record: float
+    averages: int
+    segments: int
     std_frequency: Float
     std_damping: Float
 
@@ -42,7 +48,28 @@ def ambient_std(frequencies: Float, damping: Float | float, duration: float) -> 
     return np.sqrt(z / n), np.sqrt(1 / (z * n))
 
 
-def resolution(frequencies: Float, damping: float, *, precision: float = 0.1, shortest: float = 600.0) -> Resolution:
+def frf_averages(error: float, coherence: float) -> int:
+    """Averages for a relative random error of |H|: (1 − γ²)/(2γ²·error²); Bendat and Piersol (2010), section 9.2.
+
+    Parameters
+    ----------
+    error : float
+        Relative standard deviation of the magnitude of an H1 estimate.
+    coherence : float, 0..1
+        Of force and response, γ².
+    """
+    return max(1, int(np.ceil((1 - coherence) / (2 * coherence * error**2) * (1 - 1e-9))))
+
+
+def resolution(
+    frequencies: Float,
+    damping: float,
+    *,
+    precision: float = 0.1,
+    shortest: float = 600.0,
+    error: float = 0.05,
+    coherence: float = 0.98,
+) -> Resolution:
     """Resolution for modes at `frequencies` (m,) Hz with about the damping ratio `damping`.
 
     Parameters
@@ -51,6 +78,10 @@ def resolution(frequencies: Float, damping: float, *, precision: float = 0.1, sh
         Wanted relative standard deviation of the damping of the lowest mode in an ambient record.
     shortest : float, s
         Least length of an ambient record.
+    error : float
+        Wanted relative random error of an FRF.
+    coherence : float, 0..1
+        Expected of it.
     """
     f = np.asarray(frequencies, dtype=np.float64)
     low = float(f.min())
@@ -59,4 +90,5 @@ def resolution(frequencies: Float, damping: float, *, precision: float = 0.1, sh
     record = max(shortest, 1 / (precision**2 * 2 * np.pi * damping * low))
     record = float(np.ceil(record / 60) * 60)
     std_f, std_z = ambient_std(f, damping, record)
-    return Resolution(float(step), float(block), record, std_f, std_z)
+    averages = frf_averages(error, coherence)
+    return Resolution(float(step), float(block), record, averages, int(record // block), std_f, std_z)

@@ -46,6 +46,8 @@ class PlanSection(_Section):
     cost: dict[str, float] = {}  # region of `candidates` -> cost of a point, 1 if not named; for qr and information
     draws: int = Field(default=0, ge=0)  # of the prior of the candidates of the updating; for information
     precision: float = Field(default=0.1, gt=0)  # relative, wanted of the lowest damping in an ambient record
+    error: float = Field(default=0.05, gt=0)  # relative random, wanted of an FRF, with
+    coherence: float = Field(default=0.98, gt=0, lt=1)  # such a coherence: the number of blows at each reference
     ambient: bool = True  # keep points for ambient tests
     boxes: list[list[float]] = []  # x0 y0 z0 x1 y1 z1 in m; candidates lie in one of them
     keep_out: list[list[float]] = []  # boxes without candidates

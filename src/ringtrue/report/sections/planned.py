@@ -45,9 +45,13 @@ def section(data: Stages) -> Section | None:
         Fact("Block", number(plan.block, 4), "s"),
         Fact("Ambient record", number(plan.record_length / 60, 3), "min"),
     ]
+    if plan.averages:
+        facts.insert(5, Fact("Averages", str(plan.averages)))
+    what = "the most important point" if plan.lost == 1 else f"any {plan.lost} points"
+    kept = f"Without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left."
     blocks: list[Block] = [
         Facts(facts),
-        Text(f"{sentence(plan.rule)} Hammer references: {', '.join(plan.references)}."),
+        Text(f"{sentence(plan.rule)} {kept} Hammer references: {', '.join(plan.references)}."),
     ]
     names = [str(i + 1) for i in plan.target_modes.tolist()]
     if missed := [names[i] for i in np.flatnonzero(plan.reach < MISSED).tolist()]:
@@ -94,9 +98,9 @@ def _hung(plan: PlanStage) -> str:
     nodes = ", ".join(map(str, plan.suspension))
     steady = "between them" if plan.steady else "not between them: the structure needs a guy"
     return (
-        f"Suspension at nodes {nodes}, where no target mode moves with more than "
-        f"{number(100 * math.sqrt(plan.suspension_motion), 2)} % of its largest vertical motion; the centre of gravity "
-        f"hangs {steady}."
+        f"Suspension at nodes {nodes}, whose RMS motion is at most "
+        f"{number(100 * math.sqrt(plan.suspension_motion), 2)} % of the largest vertical motion of any target mode; "
+        f"the centre of gravity hangs {steady}."
     )
 
 
@@ -125,6 +129,9 @@ def _targets(plan: PlanStage) -> Table:
     if plan.loaded.size:
         heads.append("shift by sensors, %")
         columns.append([fixed(100 * x, 2, sign=True) for x in plan.loaded.tolist()])
+    if len(set(plan.reasons)) > 1:
+        heads.insert(1, "|why")
+        columns.insert(1, list(plan.reasons))
     caption = (
         "Target modes. Reach: best driving-point residue of the references over that of all channels; shown: MAC of "
         "the mode with its drawing on the measuring points."

@@ -79,7 +79,10 @@ class PlanStage:
     reasons: tuple[str, ...] = ()  # why each target mode is one
     reach: Float = field(default_factory=lambda: np.zeros(0))  # (target,) share of the best driving-point residue
     shown: Float = field(default_factory=lambda: np.zeros(0))  # (target,) MAC of the mode with its drawing
-    left_by_loss: float = 1.0  # least share of information left when the worst sensor point fails
+    left_by_loss: float = 1.0  # least share of information left when the worst points fail
+    lost: int = 1  # so many points
+    averages: int = 0  # blows at each reference for the wanted error of the FRFs
+    segments: int = 0  # blocks in the ambient record
     loaded: Float = field(default_factory=lambda: np.zeros(0))  # (target,) relative shift by the mass of the sensors
     suspension: tuple[int, ...] = ()  # nodes to hang from
     suspension_motion: float = 0.0  # their largest motion in a target mode, squared, over the largest of the mode

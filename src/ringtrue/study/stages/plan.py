@@ -182,7 +182,8 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     else:
         hits, values, forces = _exciters(desk, plan, able, shapes, chosen, targets)
     mac = auto_mac(rows)
-    need = resolution(f[targets], plan.damping)
+    lost = min(max(1, plan.redundancy), chosen.size - 1)
+    need = resolution(f[targets], plan.damping, error=plan.error, coherence=plan.coherence)
     every = resolution(f[first], plan.damping, precision=plan.precision)
     stage = PlanStage(
         able.at.size,
@@ -205,7 +206,10 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         target_frequencies=f[targets],
         reach=reached(rows, hits),
         reasons=wanted.reasons,
-        left_by_loss=worst_loss(shapes[chosen][:, :, targets], 1).left,
+        left_by_loss=worst_loss(shapes[chosen][:, :, targets], lost).left,
+        lost=lost,
+        averages=need.averages,
+        segments=int(every.record // need.block),
         indicator=values,
         forces=forces,
     )
@@ -367,7 +371,7 @@ def _rehearsed(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float
     low, high = float((stage.target_frequencies - margin).min()), float((stage.target_frequencies + margin).max())
     planned = Planned(f, rows, rows[at], stage.test.channels, stage.references, low, high)
     rng = np.random.default_rng(desk.config.study.seed + SEED)
-    conditions = Conditions(trials=plan.trials, damping=plan.damping, background=plan.background)
+    conditions = Conditions(trials=plan.trials, damping=plan.damping, background=plan.background, hits=stage.averages)
     result = rehearse(planned, conditions, rng, progress=part(progress, 0.7, 1.0))
     return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
 
