@@ -32,6 +32,17 @@ def test_the_later_recorder_is_found_to_a_twentieth_of_a_sample():
     assert not found.odd.any()
 
 
+@pytest.mark.parametrize("unit", [1e-14, 1e8])
+def test_the_unit_of_a_record_does_not_matter(unit):
+    """Counts of a converter, and displacements in m: fourth powers leave the range of single precision."""
+    y = motion().copy()
+    y[5:] = np.roll(y[5:], 20, axis=1)
+    plain, other = (channel_phases(record(s * y), [2] * 7) for s in (1.0, unit))
+    assert plain.delay[5:].all()
+    assert other.delay == pytest.approx(plain.delay, abs=1e-3 / RATE)
+    np.testing.assert_array_equal(other.known, plain.known)
+
+
 @pytest.mark.parametrize("ppm", [20.0, -150.0])
 def test_a_clock_that_runs_apart_is_found_to_a_tenth_of_a_sample_at_the_ends(ppm):
     y = motion().copy()

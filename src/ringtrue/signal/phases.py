@@ -34,6 +34,7 @@ EXPLAINED = 0.25  # of what is missing to 1 without a delay may be missing with 
 APART = 0.15  # that no other delay comes near
 LEAST, FARTHEST = 0.1, 0.25  # samples, and of a segment
 TAPS, BETA = 24, 9.0  # to each side of the interpolation, and of its Kaiser window
+SAMPLED = 65_536  # samples that tell the size of a channel
 NEAR = 0.3  # samples: gains of channels of one recorder
 ODD = 0.5  # J of a channel whose phase is neither
 OFF, TOGETHER = 0.9, 0.97  # J of several such against the others, and among themselves
@@ -112,12 +113,16 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
 
 
 def _lines(data: Any_, length: int, starts: Int) -> Any_:
-    """(freq, segment, ch) transforms of segments of the record, by a Hann window."""
-    win = window("hann", length).astype(np.float32)
+    """(freq, segment, ch) transforms of segments of the record, by a Hann window, each channel over its size.
+
+    What comes of them takes fourth powers in single precision: counts of a converter would overflow, nm vanish.
+    """
+    win, size = window("hann", length), data[:, :: max(data.shape[1] // SAMPLED, 1)].std(axis=1)
+    gain = (win / np.where(size > 0, size, 1.0)[:, None]).astype(np.float32)
     out = np.empty((length // 2 + 1, starts.size, len(data)), dtype=np.complex64)
     for k, start in enumerate(starts.tolist()):  # a segment of all channels is in the cache
         part = data[:, start : start + length]
-        out[:, k] = rfft((part - part.mean(axis=1, keepdims=True)).astype(np.float32) * win, axis=1).T
+        out[:, k] = rfft((part - part.mean(axis=1, keepdims=True)).astype(np.float32) * gain, axis=1).T
     return out
 
 
