@@ -293,3 +293,32 @@ def test_criteria_of_target_modes_in_a_study(deck: Path) -> None:
     study.write_text(head + "telling = 3\n")
     with pytest.raises(ConfigError, match="candidate"):
         run_study(study, until="plan")
+
+
+def test_what_a_plan_asks_for_in_vain_is_said(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        "plan",
+        str(deck),
+        "--band",
+        "1",
+        "12",
+        "--points",
+        "5",
+        "--strike-at",
+        "303,304,7777",
+        "--exclude",
+        "8888",
+    ]
+    run([*words, "--keep-out", "3.9 -1 8.9 4.1 1 9.1", "--json", "-"])
+    told = json.loads(capsys.readouterr().out)
+    assert told["notes"] == [
+        "strike_at names nodes that are no candidates: 303 7777",
+        "exclude names nodes that are not in the deck: 8888",
+    ]
+    assert all(r.startswith("304") for r in told["references"])
+
+
+def test_a_single_point_has_all_to_lose(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(["plan", str(deck), "--modes", "1", "--points", "1", "--references", "1", "--json", "-"])
+    told = json.loads(capsys.readouterr().out)
+    assert (len(told["points"]), told["lost_points"], told["left_by_loss"]) == (1, 1, 0.0)

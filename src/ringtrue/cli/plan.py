@@ -234,6 +234,7 @@ def _told(run: StudyRun) -> dict[str, Any]:
         "averages": stage.averages,
         "record_length_s": stage.record_length,
         "ambient_averages": stage.segments,
+        "notes": list(stage.notes),
     }
     if stage.suspension:
         told["suspension"] = {
@@ -302,6 +303,7 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
         lines.append(f"hang at {' '.join(map(str, stage.suspension))}")
     if told["missed"]:
         lines.append(f"the references miss mode {', '.join(told['missed'])}: strike at more points")
+    lines += stage.notes
     lines += told.get("virtual_test", {}).get("doubtful", [])
     lines.append("test sheet: " + " ".join(told["files"]))
     tell(lines)

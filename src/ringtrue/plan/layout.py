@@ -67,9 +67,10 @@ def select_points(
     if min_distance > 0:
         keep = thinned(independence(shapes), xyz, held, min_distance)
     if keep.size < count:
+        wide = f" are {min_distance:g} m apart" if min_distance > 0 else ""
         raise InputError(
-            f"{keep.size} candidates are {min_distance:g} m apart, {count} points were asked for: "
-            "lower min_distance or name more candidates"
+            f"{keep.size} candidates{wide}, {count} points were asked for: "
+            f"{'lower min_distance' if wide else 'ask for fewer'} or name more candidates"
         )
     while keep.size > count:
         score = independence(shapes[keep])

@@ -53,6 +53,7 @@ def section(data: Stages) -> Section | None:
         Facts(facts),
         Text(f"{sentence(plan.rule)} {kept} Hammer references: {', '.join(plan.references)}."),
     ]
+    blocks += [Text(sentence(n)) for n in plan.notes]
     names = [str(i + 1) for i in plan.target_modes.tolist()]
     if missed := [names[i] for i in np.flatnonzero(plan.reach < MISSED).tolist()]:
         blocks.append(Text(f"The references miss mode {', '.join(missed)}: strike at more points."))

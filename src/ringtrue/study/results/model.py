@@ -83,6 +83,7 @@ class PlanStage:
     lost: int = 1  # so many points
     averages: int = 0  # blows at each reference for the wanted error of the FRFs
     segments: int = 0  # blocks in the ambient record
+    notes: tuple[str, ...] = ()  # what the plan asks for in vain
     loaded: Float = field(default_factory=lambda: np.zeros(0))  # (target,) relative shift by the mass of the sensors
     suspension: tuple[int, ...] = ()  # nodes to hang from
     suspension_motion: float = 0.0  # their largest motion in a target mode, squared, over the largest of the mode

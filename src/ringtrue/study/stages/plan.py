@@ -33,6 +33,7 @@ from ringtrue.study.workbench import Workbench
 
 SEED = 7919  # of the virtual test, added to that of the study
 WORTH = 0.02  # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
+RIGID = 1e-3  # of the highest frequency
 STILL = 1e-9  # of the largest motion: a node that is held is no candidate
 APART = 0.8  # m, most that measuring points must be apart where nothing is said
 RESIDUE: dict[str, Callable[[Float, int], Int]] = {
@@ -75,7 +76,7 @@ def _within(desk: Workbench, plan: PlanSection, nodes: Int, region: tuple[str, .
     if (rows < 0).any():
         raise ConfigError(f"[plan] fixed: node {int(nodes[rows < 0][0])} is not in the deck")
     xyz = positions(desk.initial.model)[rows] * desk.length
-    here = [n for n in plan.exclude if n in set(nodes.tolist())]
+    here = np.intersect1d(plan.exclude, nodes).tolist()
     keep = select_candidates(nodes, xyz, boxes=plan.boxes, exclude=here, keep_out=plan.keep_out)
     keep |= np.isin(nodes, plan.fixed)
     return nodes[keep], tuple(r for r, yes in zip(region, keep.tolist(), strict=True) if yes)
@@ -161,7 +162,9 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(nodes)] * desk.length
     able = arranged(nodes, region, xyz, plan.directions, model.scene)
     shapes = able.seen(motion)
-    first = np.concatenate([np.flatnonzero((f > 1e-3 * f.max()) & (f <= edge)), targets[: plan.ambient_sensors]])
+    elastic = f > RIGID * f.max()
+    timed = targets[elastic[targets]] if elastic[targets].any() else targets  # what decays; rigid bodies do not
+    first = np.concatenate([np.flatnonzero(elastic & (f <= edge)), timed[: plan.ambient_sensors]])
     apart = _apart(plan, able.apart, plan.sensors)
     ambient_at = _ambient(plan, able, shapes[:, :, first], apart) if plan.ambient else np.zeros(0, dtype=np.int64)
     fixed = np.isin(np.arange(able.at.size), ambient_at) | np.isin(able.node, plan.fixed)
@@ -182,8 +185,8 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     else:
         hits, values, forces = _exciters(desk, plan, able, shapes, chosen, targets)
     mac = auto_mac(rows)
-    lost = min(max(1, plan.redundancy), chosen.size - 1)
-    need = resolution(f[targets], plan.damping, error=plan.error, coherence=plan.coherence)
+    lost = min(max(1, plan.redundancy), chosen.size)
+    need = resolution(f[timed], plan.damping, error=plan.error, coherence=plan.coherence)
     every = resolution(f[first], plan.damping, precision=plan.precision)
     stage = PlanStage(
         able.at.size,
@@ -206,15 +209,27 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         target_frequencies=f[targets],
         reach=reached(rows, hits),
         reasons=wanted.reasons,
-        left_by_loss=worst_loss(shapes[chosen][:, :, targets], lost).left,
+        left_by_loss=worst_loss(shapes[chosen][:, :, targets], lost).left if lost < chosen.size else 0.0,
         lost=lost,
         averages=need.averages,
         segments=int(every.record // need.block),
+        notes=_in_vain(desk, plan, able),
         indicator=values,
         forces=forces,
     )
     progress(0.6, "what the plan shows and misses")
     return _judged(desk, plan, stage, able, motion, chosen, apart, progress)
+
+
+def _in_vain(desk: Workbench, plan: PlanSection, able: Arrangement) -> tuple[str, ...]:
+    """Nodes that the plan names in vain, in words."""
+    lost = {
+        "strike_at names nodes that are no candidates": np.setdiff1d(plan.strike_at, able.node),
+        "exclude names nodes that are not in the deck": np.setdiff1d(plan.exclude, desk.initial.model["GRID"].ids),
+    }
+    return tuple(
+        f"{t}: {' '.join(str(int(n)) for n in x[:8])}{' ...' * (x.size > 8)}" for t, x in lost.items() if x.size
+    )
 
 
 def _apart(plan: PlanSection, places: Float, count: int) -> float:
@@ -345,7 +360,7 @@ def _judged(
     si = np.sqrt(desk.length)  # mass-normalised in t and mm: 1/√t = 1/√(1000 kg)
     if plan.sensor_mass:
         added = np.asarray(plan.sensor_mass * np.bincount(back), dtype=np.float64)
-        elastic = f > 1e-3 * f.max()
+        elastic = f > RIGID * f.max()
         order = np.argsort(able.nodes)
         here = motion[order[np.searchsorted(able.nodes, points, sorter=order)]][:, :, elastic]
         loaded = loaded_frequencies(f[elastic], si * here, added)
