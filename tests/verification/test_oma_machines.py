@@ -100,3 +100,15 @@ def test_a_mode_beside_the_line_of_an_unsteady_machine_stays() -> None:
     r = identify_ambient(record(forces() + 3 * PUSH * np.sin(2 * np.pi * turns)))
     check(r)
     assert any(n.startswith("pole at 1.96 Hz left out") for n in r.notes)
+
+
+def test_a_pole_that_the_halves_of_the_record_deny_is_told() -> None:
+    """A machine whose speed wanders on a mode: no mode stands there, and the notes say so."""
+    wander = lfilter([0.02], [1, -0.9998], np.random.default_rng(4).standard_normal(N))
+    speed = F[3] * (1 + 0.003 * wander)
+    r = identify_ambient(record(forces() + PUSH * np.sin(2 * np.pi * np.cumsum(speed) / RATE)))
+    np.testing.assert_allclose(r.modes.frequencies, np.delete(F, 3), rtol=4e-3)
+    told = "the halves of the record do not agree on it"
+    (note,) = (n for n in r.notes if told in n)
+    assert abs(float(note.split()[2]) / F[3] - 1) < 0.005
+    assert not any(told in n for n in identify_ambient(record(forces())).notes)

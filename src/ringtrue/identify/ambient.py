@@ -33,6 +33,7 @@ from ringtrue.identify.ambient_record import (
 )
 from ringtrue.identify.ambient_verdict import (
     Found,
+    denied,
     dense_set,
     fastest_decay,
     machine,
@@ -60,6 +61,7 @@ from ringtrue.signal.threads import abreast
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 BLOCKS_EACH = 4  # of one stretch of a long record
+HIDES = "; it may hide a mode beside it, which a record without the machine shows"
 BESIDE = "; where a mode may stand beside it, take the line out (oma --remove-harmonics)"
 
 
@@ -284,7 +286,7 @@ def _assemble(
         elif z < LEAST_DAMPING:
             left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")
         elif unsteady:
-            left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}{BESIDE}")
+            left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}{HIDES}")
         elif edge:
             left_out.append(f"pole at {f:.4g} Hz {AT_EDGE}")
         else:
@@ -294,7 +296,8 @@ def _assemble(
     by_hand = chosen(found, at, heard.choice, history.source)
     found, at = by_hand.found, by_hand.rows
     left_out += by_hand.notes
-    left_out += unresolved(found, np.array([found[b].table.frequencies[i] for b, i in at] + known))
+    told = np.array([found[b].table.frequencies[i] for b, i in at] + known)
+    left_out += [*unresolved(found, told), *denied(found, np.append(told, f_all))]
     shapes = [found[b].shape[:, i] for b, i in at]
     modes = ModeSet(
         np.array([found[b].table.frequencies[i] for b, i in at]),

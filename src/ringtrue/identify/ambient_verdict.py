@@ -206,6 +206,23 @@ def unresolved(found: list[Found], told: Float) -> tuple[str, ...]:
     )
 
 
+def denied(found: list[Found], told: Float) -> tuple[str, ...]:
+    """A note on what would be a mode beyond doubt if both halves of the record showed it, far from those `told`, Hz."""
+    near: list[tuple[float, int, int]] = []
+    for x in found:
+        c, tried = x.table, np.unique(x.diagram.poles.order).size
+        lone = (np.abs(told[:, None] - c.frequencies) > 2 * c.damping * c.frequencies).all(axis=0)
+        sure = confidence(replace(c, halves=np.ones(c.pole.size)), tried) > SURE
+        for i in np.flatnonzero(lone & sure & (c.halves < DOUBTFUL)).tolist():
+            near.append((float(c.frequencies[i]), *c.orders[i].tolist()))
+    kept = [n for k, n in enumerate(near) if all(abs(n[0] / b[0] - 1) > 0.03 for b in near[:k])]
+    return tuple(
+        f"pole at {f:.4g} Hz at {n} of {tried} orders left out: the halves of the record do not agree on it: a machine "
+        "whose speed wanders, which may hide a mode, or a structure that changed"
+        for f, n, tried in kept
+    )
+
+
 def reason(found: Found, i: int) -> str:
     c = found.table
     sf, sz = c.stds()
