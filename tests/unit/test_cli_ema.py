@@ -142,6 +142,24 @@ def test_files_name_their_hammers_differently(tmp_path: Path) -> None:
         read_blows(files, BlowFiles(("a", "b", "c")))
 
 
+def test_channels_of_files_without_names_are_named(tmp_path: Path, capsys: Capture) -> None:
+    """NumPy arrays of two hammers; a tachometer in between is not used."""
+    files = [tmp_path / "0.npy", tmp_path / "1.npy"]
+    for path, point in zip(files, (1, 7), strict=True):
+        b = record(point, RESPONSES)
+        np.save(path, np.vstack([b.data[:2], np.sin(np.arange(b.data.shape[1])), b.data[2:]]))
+    motions = [f"{k + 1}+Z" for k in RESPONSES]
+    names = [",".join([f"F:{p}", motions[0], "", *motions[1:]]) for p in ("2+Z", "8+Z")]
+    found = ema(capsys, *files, "--rate", "512", "--channels", names[0], "--channels", names[1])
+    assert found["channels"] == motions
+    assert {b["struck"] for b in found["blows"]} == {"2+Z", "8+Z"}
+    assert found["scaling"] == "mass"
+    assert run(["ema", str(files[0]), "--rate", "512", "--channels", names[0].replace(",,", ",")]) == 2
+    assert "must name all 7 in their order" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="--channels: given 3 times for 2 files"):
+        read_blows(files, BlowFiles(channels=(("a",), ("b",), ("c",))))
+
+
 def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_point(tmp_path: Path) -> None:
     b = record(2, RESPONSES)
     with (tmp_path / "b.uff").open("wb") as file:

@@ -108,6 +108,14 @@ def ema(
         list[str] | None,
         typer.Option(metavar="POINT", help="Point and direction struck (3+Z), once or for each file in order."),
     ] = None,
+    channels: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Names of the channels of records without (.wav, .npy), in order (F:3+Z,1+Z,2+Z), once or for each file; "
+            "an empty one is not used.",
+        ),
+    ] = None,
     quantity: Annotated[
         Motion | None, typer.Option(help="What responses measure, where the file does not tell.")
     ] = None,
@@ -175,7 +183,8 @@ def ema(
     by_hand = choice_of(choice, files[0])
     named, points, lost = (tuple(x or ()) for x in (force, struck, leave_out))
     sheet = read_sensor_sheet(sensors) if sensors else None
-    how = BlowFiles(named, points, lost, quantity.value if quantity else "", rate, group, sheet=sheet)
+    names = tuple(tuple(n.strip() for n in text.split(",")) for text in channels or ())
+    how = BlowFiles(named, points, lost, quantity.value if quantity else "", rate, group, names, sheet)
     want = HammerSettings(force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end)
     want = replace(want, estimator=estimator.value, keep_to=fmax)
     band = HammerModes(fmin=fmin, fmax=fmax)
@@ -255,6 +264,8 @@ def _measured(
             f"{files[given.index(False)]} is a time record, {files[given.index(True)]} holds FRFs: one of the two"
         )
     if all(given):
+        if how.channels:
+            raise ConfigError(f"--channels names the channels of time records; {files[0]} holds FRFs, which have names")
         if how.leave_out:
             known = dict.fromkeys(c for f in files for c in frf_ids(f))
             kept_channels(files[0], [Channel(c, "unknown", "") for c in known], how.leave_out)

@@ -39,8 +39,8 @@ class BlowFiles:
         Where the files have none.
     group : str
         The group of a `.tdms` or HDF5 file that is meant.
-    channels : sequence of str
-        Names in place of those of the file (`renamed`).
+    channels : tuple of tuple of str
+        Names in place of those of the file (`renamed`), one set for all files or one a file.
     sheet : SensorSheet, optional
         Tells units and sensitivities where the files do not.
     """
@@ -51,13 +51,13 @@ class BlowFiles:
     quantity: str = ""
     rate: float | None = None
     group: str = ""
-    channels: Sequence[str] = ()
+    channels: tuple[tuple[str, ...], ...] = ()
     sheet: SensorSheet | None = None
 
     def of(self, k: int) -> BlowFiles:
         """How file k is to be read."""
         force, struck = (x[k : k + 1] or x[:1] for x in (self.force, self.struck))
-        return replace(self, force=force, struck=struck)
+        return replace(self, force=force, struck=struck, channels=self.channels[k : k + 1] or self.channels[:1])
 
 
 def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHistory:
@@ -126,11 +126,12 @@ def read_blows(
     DataError
         If a file has no force channel, no motion, or samples that are constant or not finite.
     ConfigError
-        If there are neither one nor as many points struck, or names of the force, as files, or no file has a channel to
-        be left out.
+        If there are neither one nor as many points struck, names of the force, or of the channels, as files, or no file
+        has a channel to be left out.
     """
     how = how or BlowFiles()
-    for option, given in (("--struck", how.struck), ("--force", how.force)):
+    options = {"--struck": how.struck, "--force": how.force, "--channels": how.channels}
+    for option, given in options.items():
         if len(given) not in (0, 1, len(paths)):
             raise ConfigError(f"{option}: given {len(given)} times for {len(paths)} files; once for all, or once each")
     runs = [(i, p, *found) for i, p in enumerate(paths) for found in _runs(p, how.of(i))]
@@ -175,8 +176,9 @@ def _ready(path: Path, run: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, S
 def _runs(path: Path, how: BlowFiles) -> Iterator[tuple[TimeHistory, tuple[str, ...]]]:
     """The acquisitions by the names and the sheet that are given, and what the sheet told."""
     runs = read_runs(path, how.rate, group=how.group)
+    names = how.channels[0] if how.channels else ()
     for k, run in enumerate(runs):
-        named = renamed(replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}"), how.channels, path)
+        named = renamed(replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}"), names, path)
         yield how.sheet.scaled(named) if how.sheet else (named, ())
 
 

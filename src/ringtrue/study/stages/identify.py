@@ -101,7 +101,7 @@ def _blows(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[tup
         struck=(record.reference,) if record.reference else (),
         leave_out=tuple(lost),
         rate=record.rate_hz,
-        channels=record.channels,
+        channels=(tuple(record.channels),) if record.channels else (),
         sheet=sheet,
     )
     runs, notes = read_file(record.path, how)
