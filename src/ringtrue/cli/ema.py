@@ -112,8 +112,8 @@ def ema(
         list[str] | None,
         typer.Option(
             metavar="NAMES",
-            help="Names of the channels of records without (.wav, .npy), in order (F:3+Z,1+Z,2+Z), once or for each file; "
-            "an empty one is not used.",
+            help="Names of the channels of records without (.wav, .npy), in order (F:3+Z,1+Z,2+Z), once or for each "
+            "file; an empty one is not used.",
         ),
     ] = None,
     quantity: Annotated[
