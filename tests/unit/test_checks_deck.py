@@ -51,6 +51,9 @@ def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
         ("GRID,9,,.2,.2,0.\nCQUAD4,2,1,1,2,9,4\n", "error", 9, "CQUAD4 2: has a corner of 180"),
         ("GRID,9,,.5,.001,0.\nCTRIA3,2,1,1,2,9\nGRID,8,,.5,-9.,0.\nCTRIA3,3,1,1,8,9\nGRID,7,,.501,-9.,0.\nCTRIA3,4,1,1,8,7\n",
          "warning", 13, "CTRIA3 4: has an aspect ratio over 20"),
+        ("CQUAD4,2,1,3,4,1,2\n", "warning", 8, "CQUAD4 2: it has the nodes, the property and the offsets of another"),
+        ("CONM2,2,4,,2.\n,1.,,30.\n", "warning", 8, "CONM2 2: its radius of gyration is 3.87, the model 1.41 in size"),
+        ("CBAR,2,7,1,2,0.,0.,1.\nPBAR,7,1,.1\n", "info", 9, "PBAR 7: I1 and I2 are 0: no stiffness in bending"),
         ("GRID,9,,1.,1.,0.\nCELAS2,2,1.,9,1\n", "warning", 3, "GRID 3: at one place with another node"),
         ("PROD,7,1,1.\nGRID,9,,1.,1.,0.\nCROD,2,7,3,9\n", "error", 10, "CROD 2: has no length"),
         ("CELAS2,2,1.,1,1\nMAT1,2,1.,,.6\n", "error", 9, "MAT1 2: Poisson's ratio 0.6"),
@@ -109,6 +112,7 @@ def test_solids_inside_out(tmp_path: Path, card: str, nodes: list[int], turned: 
         ("2.1+11", "7.85-9", "SI", "they are so in no unit system"),
         ("2.1+11", "7850.", "mm-t-s", "they would be in SI"),
         ("2.1+5", "7.85-9", "SI", "they would be in mm-t-s"),
+        ("2.1+8", "7.85-6", "mm-t-s", "they would be in mm-kg-s"),
     ],
 )
 def test_units_that_cannot_be(tmp_path: Path, modulus: str, density: str, units: str, hint: str) -> None:
@@ -121,6 +125,7 @@ def test_wtmass_counts_and_sizes_are_judged(tmp_path: Path) -> None:
     assert not report(tmp_path, inches, "in-lbf-s").findings
     millimetres = SOUND.replace("2.1+11", "2.1+5").replace("7850.", "7.85-9").replace("1.,", "9999.,")
     assert not report(tmp_path, millimetres, "mm-t-s").findings
+    assert not report(tmp_path, millimetres.replace("2.1+5", "2.1+8").replace("7.85-9", "7.85-6"), "mm-kg-s").findings
     assert any("long in SI" in f.text for f in report(tmp_path, SOUND.replace("1.,", "9999.,"), "SI").findings)
     with pytest.raises(InputError, match="did you mean 'mm-t-s'"):
         report(tmp_path, SOUND, "mm-t")

@@ -212,6 +212,13 @@ def test_a_mass_in_one_place_has_no_inertia(tmp_path: Path, capsys: Capture) -> 
     assert [float(x) for line in shown for x in line.split()[1:]] == [0.0] * 9
 
 
+def test_check_judges_by_the_units_that_are_said(deck: Path, capsys: Capture) -> None:
+    assert run(["check", str(deck), "--units", "mm-t-s"]) == 0
+    assert "not plausible in mm-t-s; they would be in SI" in capsys.readouterr().out
+    assert run(["check", str(deck), "--units", "mm-t"]) == 2
+    assert "did you mean 'mm-t-s'" in capsys.readouterr().err
+
+
 def test_check_lists_unsupported_cards_with_their_place(deck: Path, capsys: Capture) -> None:
     deck.write_text(deck.read_text().replace("ENDDATA", "CRAC2D,900,9,101,102\nENDDATA"))
     line = deck.read_text().splitlines().index("CRAC2D,900,9,101,102") + 1

@@ -19,6 +19,7 @@ from ringtrue.io.statics import read_statics
 
 Capture = pytest.CaptureFixture[str]
 MM_T_S = {"m": 1e-3, "k": 1e-3}  # tonnes and N/mm
+IN_UNITS = [("SI", {}), ("mm-t-s", MM_T_S), ("mm-kg-s", {})]  # kg and mN/mm
 
 
 def written(path: Path, *, m: float = 1.0, k: float = 1.0, damped: bool = True) -> Path:
@@ -40,7 +41,7 @@ def accelerance(f: Any) -> Any:
 
 
 @pytest.mark.parametrize("more", [(), ("--direct",)])
-@pytest.mark.parametrize(("units", "scale"), [("SI", {}), ("mm-t-s", MM_T_S)])
+@pytest.mark.parametrize(("units", "scale"), IN_UNITS)
 def test_frfs_are_the_closed_form_in_si(
     tmp_path: Path, units: str, scale: dict[str, float], more: tuple[str, ...]
 ) -> None:
@@ -97,7 +98,7 @@ def test_tables_keep_coherence_and_transmissibilities(tmp_path: Path) -> None:
     assert again.inputs == read.inputs
 
 
-@pytest.mark.parametrize(("units", "scale"), [("SI", {}), ("mm-t-s", MM_T_S)])
+@pytest.mark.parametrize(("units", "scale"), IN_UNITS)
 def test_static_deflections_are_force_over_stiffness(tmp_path: Path, units: str, scale: dict[str, float]) -> None:
     deck, table = written(tmp_path / "d.bdf", **scale), tmp_path / "s.csv"
     deck.write_text(deck.read_text() + "CELAS2,9,1.0,8,1\n")

@@ -10,7 +10,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from ringtrue.checks.bodies import body_findings
+from ringtrue.checks.bodies import body_findings, wide_findings
+from ringtrue.checks.doubles import double_findings
 from ringtrue.checks.edges import edge_findings
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.checks.geometry import check_geometry
@@ -71,8 +72,9 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
     checks = [*lost, *_unconnected(model), *_shared_numbers(model)]
     if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
         checks += [*check_geometry(model), *_coincident(model), *check_units(model, units), *hinge_findings(model)]
+        checks += wide_findings(model)
     checks += [*_unused(model), *_unchosen(model), *_lost_sets(model), *unapplied(model)]
-    checks += [*check_materials(model), *body_findings(model), *edge_findings(model)]
+    checks += [*check_materials(model), *body_findings(model), *edge_findings(model), *double_findings(model)]
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
     return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), found)

@@ -15,13 +15,20 @@ _ZERO = 1e-12  # of the largest eigenvalue: round-off
 def check_materials(model: Model) -> list[Finding]:
     """Poisson's ratio of MAT1, E1, E2 and NU12 of MAT8, the matrices of MAT2 and MAT9, and shells that do not bend."""
     matrices = [*_indefinite(model, "MAT2", 3), *_indefinite(model, "MAT9", 6)]
-    return [*_poisson(model), *_orthotropic(model), *matrices, *_membranes(model)]
+    return [*_poisson(model), *_orthotropic(model), *matrices, *_membranes(model), *_straight(model)]
 
 
 def _membranes(model: Model) -> list[Finding]:
     rows = np.flatnonzero(model["PSHELL"]["MID2"] == 0) if "PSHELL" in model else np.empty(0, dtype=np.int64)
     what = "MID2 is blank: a membrane, without stiffness in bending"
     return [at_rows(model, "PSHELL", rows, "info", what)] if rows.size else []
+
+
+def _straight(model: Model) -> list[Finding]:
+    if "PBAR" not in model:
+        return []
+    rows = np.flatnonzero(~model["PBAR"].stack("I1", "I2").any(axis=1))
+    return [at_rows(model, "PBAR", rows, "info", "I1 and I2 are 0: no stiffness in bending")] if rows.size else []
 
 
 def _poisson(model: Model) -> list[Finding]:

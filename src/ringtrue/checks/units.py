@@ -11,7 +11,7 @@ import numpy as np
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.errors import InputError, did_you_mean
-from ringtrue.model.frames import positions
+from ringtrue.model.frames import extent
 from ringtrue.model.model import Model
 
 
@@ -28,6 +28,7 @@ UNIT_SYSTEMS: Mapping[str, UnitSystem] = MappingProxyType(
     {
         "SI": UnitSystem(1.0, 1.0, 1.0),
         "mm-t-s": UnitSystem(1e6, 1e12, 1e-3),
+        "mm-kg-s": UnitSystem(1e3, 1e9, 1e-3),  # mN and kPa, as Siemens NX writes decks
         "mm-kg-ms": UnitSystem(1e9, 1e9, 1e-3),
         "in-lbf-s": UnitSystem(6894.757, 1.0686896e7, 0.0254),
         "ft-lbf-s": UnitSystem(47.880259, 515.37882, 0.3048),
@@ -91,7 +92,7 @@ def _fits(modulus: Float, density: Float, system: UnitSystem) -> Bool:
 def _size(model: Model, units: str) -> list[Finding]:
     if "GRID" not in model or len(model["GRID"]) < 2:
         return []
-    size = float(np.linalg.norm(np.ptp(positions(model), axis=0)))
+    size = extent(model)
     metres = size * UNIT_SYSTEMS[units].length
     if SIZES[0] <= metres <= SIZES[1]:
         return []

@@ -17,11 +17,12 @@ from ringtrue.checks.edges import free_edges_in_words, shell_edges
 from ringtrue.checks.findings import Finding
 from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
 from ringtrue.checks.mass import mass_properties, unconstrained
+from ringtrue.checks.units import UNIT_SYSTEMS
 from ringtrue.cli.convert import writable
 from ringtrue.cli.show import json_file, json_target, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import part
-from ringtrue.errors import ConfigError, DeckError, RingtrueError
+from ringtrue.errors import ConfigError, DeckError, RingtrueError, did_you_mean
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes_json import dump_modes, write_modes
 from ringtrue.io.nastran.reader import Survey, read_deck, survey
@@ -107,13 +108,21 @@ def _print_modes(deck: Path, result: ModesResult, damped: bool) -> None:
         out.print("motions that do not oscillate, rigid-body ones among them, are not listed")
 
 
-def check(deck: Deck, json: Json = None) -> int:
+def check(
+    deck: Deck,
+    units: Annotated[
+        str, typer.Option(help=f"Of the deck, to judge moduli, densities and size by: {', '.join(UNIT_SYSTEMS)}.")
+    ] = "",
+    json: Json = None,
+) -> int:
     """What a deck holds: cards, mass, centre of gravity, inertia, ground check, free edges and findings.
 
-    Example: ringtrue check wing.bdf
+    Example: ringtrue check wing.bdf --units mm-t-s
     """
+    if units and units not in UNIT_SYSTEMS:
+        raise ConfigError(f"--units {units}{did_you_mean(units, UNIT_SYSTEMS)}")
     found = survey(deck)
-    findings = _findings(found)
+    findings = _findings(found, units)
     sound = not found.unsupported and not any(f.severity == "error" for f in findings)
     summary: dict[str, Any] = {"deck": str(deck), "cards": dict(found.cards), "kept": dict(found.model.kept)}
     summary["unsupported"] = dict(found.unsupported)
@@ -129,11 +138,11 @@ def check(deck: Deck, json: Json = None) -> int:
     return 0 if sound and not any(f.severity == "error" for f in findings) else 1
 
 
-def _findings(found: Survey) -> list[Finding]:
+def _findings(found: Survey, units: str) -> list[Finding]:
     """What is wrong with the deck; where cards are not read, only what it refers to can be judged."""
     if found.unsupported:
         return [_lost(f) for f in found.faults]
-    findings = list(check_deck(found.model).findings)
+    findings = list(check_deck(found.model, units).findings)
     told = {(f.file, f.line) for f in findings}
     return [_lost(f) for f in found.faults if (str(f.path), f.line) not in told] + findings
 

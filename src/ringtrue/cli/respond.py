@@ -29,7 +29,7 @@ from ringtrue.study.loads import load_vectors
 
 ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
 
-Units = Annotated[str, typer.Option(help="Of the deck: SI, mm-t-s, in-lbf-s, ft-lbf-s; what is written is in SI.")]
+Units = Annotated[str, typer.Option(help="Of the deck: SI, mm-t-s, mm-kg-s, in-lbf-s, ft-lbf-s; results are in SI.")]
 
 
 def frf(

@@ -175,6 +175,11 @@ def positions(model: Model) -> Float:
     return out
 
 
+def extent(model: Model) -> float:
+    """The diagonal of the box about all nodes, 0 without two places."""
+    return float(np.linalg.norm(np.ptp(positions(model), axis=0))) if len(model["GRID"]) else 0.0
+
+
 def axes(model: Model, cid: Int, basic: Float) -> Float:
     """Unit vectors (rows) of frame `cid` (n,) at points `basic` (n, 3): (n, 3, 3) float64.
 

@@ -10,12 +10,15 @@ UNITS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "SI": ("m", "Pa", "kg/m3", "N/m", "N m/rad", "kg"),
         "mm-t-s": ("mm", "MPa", "t/mm3", "N/mm", "N mm/rad", "t"),
+        "mm-kg-s": ("mm", "kPa", "kg/mm3", "mN/mm", "mN mm/rad", "kg"),
         "mm-kg-ms": ("mm", "GPa", "kg/mm3", "kN/mm", "kN mm/rad", "kg"),
         "in-lbf-s": ("in", "psi", "lbf s2/in4", "lbf/in", "lbf in/rad", "lbf s2/in"),
         "ft-lbf-s": ("ft", "lbf/ft2", "slug/ft3", "lbf/ft", "lbf ft/rad", "slug"),
     }
 )
-LENGTH = MappingProxyType({"SI": 1.0, "mm-t-s": 1e-3, "mm-kg-ms": 1e-3, "in-lbf-s": 0.0254, "ft-lbf-s": 0.3048})  # m
+LENGTH = MappingProxyType(  # m
+    {"SI": 1.0, "mm-t-s": 1e-3, "mm-kg-s": 1e-3, "mm-kg-ms": 1e-3, "in-lbf-s": 0.0254, "ft-lbf-s": 0.3048}
+)
 # quantity -> prior standard deviation of ln(factor), largest factor
 SPREAD: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
