@@ -74,7 +74,7 @@ def face_forces(x: Float, p: Float, towards: Callable[[Float], Float] | None = N
         The c corners, 3 or 4, then the mid-side nodes, nan where there is none: the side is linear there.
     p : (e, c) float64
     towards : callable, optional
-        Directions (n, 3) at points (n, 3); without it pressures act along the normal by the right-hand rule.
+        Directions (e, p, 3) at points (e, p, 3); without it pressures act along the normal by the right-hand rule.
     """
     c = x.shape[1] // 2
     rule = TRIA6 if c == 3 else QUAD8
@@ -84,8 +84,7 @@ def face_forces(x: Float, p: Float, towards: Callable[[Float], Float] | None = N
     N, slopes = rule.shapes(points)
     area = np.cross(*np.einsum("pkr,eka->repa", slopes, x))
     if towards is not None:
-        at = np.einsum("pk,eka->epa", N, x)
-        area = length(area)[..., None] * unit(towards(at.reshape(-1, 3))).reshape(at.shape)
+        area = length(area)[..., None] * unit(towards(np.einsum("pk,eka->epa", N, x)))
     force = np.einsum("p,ep,epa,pk->eka", weights, p @ rule.corner_shapes(points).T, area, N)
     of_absent = np.where(absent, force[:, c:], 0.0)
     force[:, c:] -= of_absent

@@ -20,6 +20,8 @@ from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
 from ringtrue.model.places import error
 
+_Face = tuple[list[int], Pressure, float]  # its nodes, the pressure, and its sign along the normal
+
 
 def load_vectors(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
     """Loads (dof, case) float64 in the basic frame, deck units.
@@ -73,28 +75,32 @@ def _vector(model: Model, xyz: Float, case: LoadCase, ld: Load) -> Float:
 
 def _press(out: Float, model: Model, xyz: Float, pressures: Sequence[Pressure]) -> None:
     """Add the forces of pressures to those of all nodes, (dof,), six a row of GRID."""
-    faces = list(_faces(model, pressures))
-    kinds = [(len(nodes), ld.cid, ld.vector) for nodes, ld, _ in faces]
-    for kind in dict.fromkeys(kinds):
-        mine = [f for f, k in zip(faces, kinds, strict=True) if k == kind]
-        ids = np.array([nodes for nodes, _, _ in mine])
+    alike: dict[tuple[int, int, bool], list[_Face]] = {}
+    for nodes, ld, sign in _faces(model, pressures):
+        alike.setdefault((len(nodes), ld.cid, ld.vector is None), []).append((nodes, ld, sign))
+    for (count, cid, normal), faces in alike.items():
+        ids = np.array([nodes for nodes, _, _ in faces])
         rows = model["GRID"].find(ids)
-        if (rows[ids > 0] < 0).any():
-            raise mine[int(np.argwhere((rows < 0) & (ids > 0))[0, 0])][1].error("a node of the face is not in the deck")
+        if (lost := (rows < 0) & (ids > 0)).any():
+            raise faces[int(np.argwhere(lost)[0, 0])][1].error("a node of the face is not in the deck")
         x = np.where((ids > 0)[..., None], xyz[rows], np.nan)
-        p = np.array([[sign * size for size in ld.sizes[: kind[0] // 2]] for _, ld, sign in mine])
-        force = face_forces(x, p, _towards(model, *kind[1:]))
+        p = np.array([[sign * size for size in ld.sizes[: count // 2]] for _, ld, sign in faces])
+        along = None if normal else _towards(model, cid, np.array([ld.vector for _, ld, _ in faces]))
+        force = face_forces(x, p, along)
         np.add.at(out[: 6 * len(xyz)].reshape(-1, 6)[:, :3], rows[ids > 0], force[ids > 0])
 
 
-def _towards(model: Model, cid: int, vector: tuple[float, ...] | None) -> Callable[[Float], Float] | None:
-    """Directions in basic at points (n, 3) of a vector in a frame, which may be curved."""
-    if vector is None:
-        return None
-    return lambda at: np.asarray(np.asarray(vector) @ axes(model, np.full(len(at), cid), at))
+def _towards(model: Model, cid: int, vectors: Float) -> Callable[[Float], Float]:
+    """Directions in basic at points (e, p, 3) of vectors (e, 3) in a frame, which may be curved."""
+
+    def at(points: Float) -> Float:
+        local = axes(model, np.full(points[..., 0].size, cid), points.reshape(-1, 3))
+        return np.asarray(np.einsum("ei,epij->epj", vectors, local.reshape(*points.shape, 3)))
+
+    return at
 
 
-def _faces(model: Model, pressures: Sequence[Pressure]) -> Iterator[tuple[list[int], Pressure, float]]:
+def _faces(model: Model, pressures: Sequence[Pressure]) -> Iterator[_Face]:
     """Nodes of each loaded face, its pressure, and its sign along the normal; a pressure acts into a solid."""
     known = [card for card in (*SURFACES, *SOLIDS) if card in model]
     ids = np.concatenate([np.empty(0, dtype=np.int64), *(model[card].ids for card in known)])

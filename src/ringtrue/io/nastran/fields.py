@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.errors import DeckError
-from ringtrue.io.nastran.lexer import integers, real
+from ringtrue.io.nastran.lexer import real
 from ringtrue.model.model import Ragged
 
 Files = Sequence[str]
+_WHOLE = re.compile(r"[+-]?\d{1,18}", re.A)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +30,9 @@ class Card:
 
 def whole(text: str) -> int:
     """One integer; `ValueError` if malformed."""
-    value, good = integers(np.array([text.encode("latin-1")]))
-    if not good[0]:
+    if not _WHOLE.fullmatch(text):
         raise ValueError(text)
-    return int(value[0])
+    return int(text)
 
 
 class Reader:

@@ -14,6 +14,7 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 
 _POWERS = 10.0 ** np.arange(23)
 _BLOCK = 65_536
+_REAL = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[ED]?([+-]\d+)|[ED](\d+))?", re.I | re.A)
 _TOKEN = re.compile(rb"[^ \t]+")
 _PLUS, _MINUS, _DOT, _E, _D = b"+-.ED"
 
@@ -108,10 +109,11 @@ def _plain(cell: bytes, c: NDArray[np.uint8], mark: Bool) -> bytes:
 
 def real(text: str) -> float:
     """One Nastran real; `ValueError` if malformed."""
-    value, good = reals(np.array([text.strip().upper().encode("latin-1")]))
-    if not good[0]:
+    found = _REAL.fullmatch(text.strip())
+    value = float(f"{found[1]}E{found[2] or found[3] or 0}") if found else np.inf
+    if not np.isfinite(value):
         raise ValueError(f"not a number: {text!r}")
-    return float(value[0])
+    return value
 
 
 def is_real(cells: NDArray[np.bytes_]) -> Bool:
