@@ -33,6 +33,8 @@ class Projection:
     observe : (channel, r) float64
     of : dict
         Positions of the terms that depend on each parameter.
+    acting : tuple of two dicts
+        The stiffnesses, and the masses, that are not 0, by the positions of their terms.
     """
 
     vectors: Float
@@ -41,6 +43,7 @@ class Projection:
     terms: tuple[tuple[Function, Float, Float], ...]
     observe: Float
     of: dict[int, list[int]] = field(init=False)
+    acting: tuple[dict[int, Float], dict[int, Float]] = field(init=False)
 
     def __post_init__(self) -> None:
         of: dict[int, list[int]] = {}
@@ -48,6 +51,8 @@ class Projection:
             for which in function.which:
                 of.setdefault(which, []).append(i)
         object.__setattr__(self, "of", of)
+        matrices = [k for _, k, _ in self.terms], [m for _, _, m in self.terms]
+        object.__setattr__(self, "acting", tuple({t: a for t, a in enumerate(each) if a.any()} for each in matrices))
 
     @property
     def size(self) -> int:

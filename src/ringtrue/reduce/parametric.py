@@ -123,31 +123,18 @@ class ReducedModel:
         lam, y = self._solve(everything, all_modes=True)
         a, slope = self.system.parameters.factors(everything), self.system.parameters.slope(everything)
         m = self.count
-        d_lambda = np.empty((m, len(self.active)))
-        c = np.empty((len(self.active), lam.size, m))
-        forces = self._forces(y[:, :m])
+        weights = np.zeros((len(self.active), len(self.basis.terms)))
         for i, which in enumerate(self.active):  # over parameters
-            own = self.basis.of.get(which, [])
-            weights = slope[which] * np.array([self.basis.terms[t][0].slope(a, which) for t in own])
-            # most parameters change one of the two matrices only
-            dk, dm = (
-                y.T @ f if f.any() else np.zeros((lam.size, m))
-                for f in (np.tensordot(weights, each[own], axes=1) for each in forces)
-            )
-            d_lambda[:, i] = np.diag(dk) - np.diag(dm) * lam[:m]
-            c[i] = modal_coefficients(dk, dm, lam, low=self.scale)
+            for t in self.basis.of.get(which, []):
+                weights[i, t] = self.basis.terms[t][0].slope(a, which) * slope[which]
+        dk, dm = (_products(acting, weights, y, m) for acting in self.basis.acting)
+        d_lambda = np.einsum("pii->ip", dk[:, :m]) - np.einsum("pii->ip", dm[:, :m]) * lam[:m, None]
+        c = np.empty((len(self.active), lam.size, m))
+        for i in range(len(self.active)):
+            c[i] = modal_coefficients(dk[i], dm[i], lam, low=self.scale)
         seen = self.basis.observe @ y
         d_shapes = np.moveaxis(seen @ c, 0, -1)
         return Linearisation(np.array(x, dtype=float), frequencies(lam[:m]), seen[:, :m], d_lambda, d_shapes)
-
-    def _forces(self, y: Float) -> tuple[Float, Float]:
-        """Products of the stiffness and of the mass of each term with y (r, m), (t, r, m); 0 where none is active."""
-        k, m = np.zeros((2, len(self.basis.terms), *y.shape))
-        for t in {t for which in self.active for t in self.basis.of.get(which, [])}:
-            for forces, matrix in zip((k, m), self.basis.terms[t][1:], strict=True):
-                if matrix.any():
-                    forces[t] = matrix @ y
-        return k, m
 
     def modes(self, x: Float) -> Linearisation:
         """Modes only (sensitivities with no columns)."""
@@ -167,12 +154,13 @@ class ReducedModel:
 
     def projected(self, a: Float) -> tuple[Float, Float]:
         """K and M (r, r) in the basis at the factors a of all parameters."""
-        k, m = self.basis.stiffness.copy(), self.basis.mass.copy()
-        for f, kt, mt in self.basis.terms:
-            if value := f.value(a):
-                k += value * kt
-                m += value * mt
-        return k, m
+        values = [f.value(a) for f, _, _ in self.basis.terms]
+        both = self.basis.stiffness.copy(), self.basis.mass.copy()
+        for total, acting in zip(both, self.basis.acting, strict=True):
+            for t, matrix in acting.items():
+                if values[t]:
+                    total += values[t] * matrix
+        return both
 
     def derivative(self, a: Float, which: int, slope: float = 1.0) -> tuple[Float, Float]:
         """∂K/∂a and ∂M/∂a (r, r) of one parameter, by position, times da/dx, at the factors a of all."""
@@ -281,6 +269,18 @@ class ReducedModel:
             np.array(x, dtype=float), modes.frequencies, seen, np.zeros((n, 0)), np.zeros((seen.shape[0], n, 0))
         )
         return replace(self, basis=basis), truth
+
+
+def _products(acting: dict[int, Float], weights: Float, y: Float, m: int) -> Float:
+    """yᵀ (Σ w A) y (p, r, m) of matrices A (r, r) by their terms, weights w (p, t) of these, and modes y (r, r)."""
+    used = [t for t in acting if weights[:, t].any()]
+    own = weights[:, used]
+    some = own.any(axis=1)  # most parameters change one of the two matrices only
+    out = np.zeros((len(weights), y.shape[1], m))
+    if used:
+        forces = np.array([acting[t] @ y[:, :m] for t in used])
+        out[some] = y.T @ np.tensordot(own[some], forces, axes=1)
+    return out
 
 
 def _static(
