@@ -352,12 +352,13 @@ def matrices_of(
     bare, found = undamped(model), []
     base = total
     for r in regions:
-        d, h = seen(_set(bare, r.changes(1.0)), r.targets, shapes)
-        found.append(d if r.kind == "viscous" else h)
+        unit = seen(_set(bare, r.changes(1.0)), r.targets, shapes)
+        found.append(unit[0] if r.kind == "viscous" else unit[1])
         now = _held(model, r)
-        if any(c.value for c in now):
-            own = seen(_set(bare, now), r.targets, shapes)
-            base = (base[0] - own[0], base[1] - own[1])
+        own, scale = unit, float(now[0].value)  # damping is proportional to its fields
+        if any(c.value != scale for c in now):
+            own, scale = seen(_set(bare, now), r.targets, shapes), 1.0
+        base = (base[0] - scale * own[0], base[1] - scale * own[1])
     return found, base
 
 
