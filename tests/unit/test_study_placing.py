@@ -149,3 +149,25 @@ def test_correlate_lays_a_sheet_onto_a_deck_and_judges_over_its_mass(
     for wrong in (["--tam", "iris"], ["--match", "far"], ["--align", "point"]):
         assert run([*words, *wrong]) == 2
         assert f"{wrong[0]} '{wrong[1]}'" in capsys.readouterr().err
+
+
+def test_a_deck_is_held_against_one_of_another_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A free plate in two meshes whose nodes have nothing in common but the places of some."""
+    decks = []
+    for n, first in ((6, 1), (9, 5001)):
+        at = {(i, j): first + i + (n + 1) * j for j in range(n + 1) for i in range(n + 1)}
+        lines = [f"GRID,{k},,{1.2 * i / n:.6f},{0.8 * j / n:.6f},0.0" for (i, j), k in at.items()]
+        corners = (((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)) for j in range(n) for i in range(n))
+        lines += [f"CQUAD4,{e},1," + ",".join(str(at[c]) for c in q) for e, q in enumerate(corners, 1)]
+        decks.append(tmp_path / f"plate{n}.bdf")
+        decks[-1].write_text(
+            "\n".join(["BEGIN BULK", *lines, "PSHELL,1,1,.004,1", "MAT1,1,2.1+11,,.3,7850.", "ENDDATA"])
+        )
+    status = run(["correlate", str(decks[0]), str(decks[1]), "--json", "-"])
+    out, err = capsys.readouterr()
+    assert status == 0, err
+    pairs = json.loads(out)["pairs"]
+    assert [(p["test_mode"], p["fe_mode"]) for p in pairs[:6]] == [(k, k + 6) for k in range(1, 7)]
+    assert all(p["mac_percent"] > 97 for p in pairs[:6])  # the coarse mesh has six elements
+    assert run(["correlate", str(decks[0]), str(tmp_path / "modes.json")]) == 2
+    assert "another deck only" in capsys.readouterr().err

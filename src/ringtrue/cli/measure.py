@@ -7,28 +7,32 @@ from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
+import numpy as np
 import typer
 
 from ringtrue.cli.show import json_target, listed, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import part
+from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
 from ringtrue.correlate.gates import Gate
-from ringtrue.correlate.observe import Method
+from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.model.ports import ModesRequest
 from ringtrue.study.config import CorrelateSection, Tam
 from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import alignment, placed, shared_places, words
+from ringtrue.study.placing import alignment, mesh_points, near_mesh, placed, shared_places, words
 from ringtrue.study.summary import correlation_json
 
 MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
+LOWEST, RIGID = 26, 1e-3  # modes of a deck in the place of a test; of their highest frequency
 ABOVE = 1.5  # modes of a deck up to here over the highest test mode
 CHOICES = {"match": get_args(Method), "align": ("", "points", "nearest"), "tam": get_args(Tam)}
 
@@ -46,24 +50,52 @@ def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, Mode
     return one.rows(common), two.rows(common)
 
 
+def _as_test(deck: Path, units: str) -> tuple[ModeSet, TestModel, str]:
+    """The lowest elastic modes of a deck at its nodes, as of a test, and how they are numbered."""
+    with progress("correlate") as show:
+        show(0.0, f"reading {deck}")
+        opened = Opened(read_deck(deck), unit_length(units))
+        found = opened.analysis.modes(ModesRequest(LOWEST)).modes
+    elastic = np.flatnonzero(found.frequencies > RIGID * found.frequencies.max())
+    if not elastic.size:
+        raise DataError(f"{deck}: none of its {len(found)} lowest modes is elastic")
+    modes, points = found.take(elastic), mesh_points(opened)
+    shapes = at_dofs(points.channels, opened.analysis.dofs)(modes.shapes)
+    there = ModeSet(modes.frequencies, modes.damping, shapes, points.channels, modes.norm, str(deck))
+    return there, points, f"mode 1 of A is mode {elastic[0] + 1} of {deck}" if elastic[0] else ""
+
+
 def _of_deck(
-    deck: Path, test: ModeSet, sensors: Path | None, units: str, tolerance: float, asked: CorrelateSection
+    deck: Path,
+    test: ModeSet,
+    sensors: Path | TestModel | None,
+    units: str,
+    tolerance: float,
+    asked: CorrelateSection,
 ) -> tuple[ModeSet, tuple[str, ...], Callable[[], ChannelMass]]:
     """The modes of a deck at the channels of a test, as far up as a partner may lie, notes, and the deck's mass."""
     unit, top = unit_length(units), float(test.frequencies.max(initial=0.0))
     reach = max(ABOVE, 1 + asked.frequency_gate) * top
+    notes: list[str] = []
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
         opened = Opened(read_deck(deck), unit)
-        look = placed(opened, test.channels, sensors, tolerance=tolerance, method=asked.match, align=asked.align)
+        here, channels = sensors, test.channels
+        if isinstance(sensors, TestModel):
+            here, tolerance = near_mesh(sensors, opened, tolerance)
+            channels = here.channels
+            count = np.unique(here.at).size
+            notes.append(f"{count} of {sensors.points.size} nodes of A are within {tolerance:.3g} m of one of B")
+        look = placed(opened, channels, here, tolerance=tolerance, method=asked.match, align=asked.align)
         modes = opened.modes(reach, part(show, 0.3, 1.0)).modes
     there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
-    notes: tuple[str, ...] = ()
-    if sensors is not None and asked.align:
-        notes = (words(alignment(read_sensor_sheet(sensors).model, opened, asked.align)),)
-    elif sensors is not None:
-        notes = shared_places(opened, read_sensor_sheet(sensors).model.pick(test.channels), modes)
-    return there, notes, lambda: channel_mass(opened, look, test.channels, asked, reach)
+    if isinstance(sensors, Path):
+        sheet = read_sensor_sheet(sensors).model
+        if asked.align:
+            notes.append(words(alignment(sheet, opened, asked.align)))
+        else:
+            notes += shared_places(opened, sheet.pick(channels), modes)
+    return there, tuple(notes), lambda: channel_mass(opened, look, channels, asked, reach)
 
 
 def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], ...]:
@@ -119,7 +151,7 @@ def _show_complete(c: CompleteCorrelation) -> None:
 
 
 def correlate(
-    a: Annotated[Path, typer.Argument(help="Reference modes (test): .json, .h5 or .uff")],
+    a: Annotated[Path, typer.Argument(help="Reference modes (test): .json, .h5 or .uff; or a deck")],
     b: Annotated[Path, typer.Argument(help="Modes to judge: .json, .h5 or .uff; or a Nastran deck, which is solved")],
     sensors: Annotated[
         Path | None, typer.Option(help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z.")
@@ -167,16 +199,19 @@ def correlate(
     gate = Gate(diagonal / 100, off_diagonal / 100, f"{diagonal:g} % / {off_diagonal:g} %")
     settings = PairingSettings(mac_gate=mac_gate / 100, frequency_gate=frequency_gate / 100)
     locks = Locks(_pair_list("--lock", lock), _pair_list("--forbid", forbid))
-    test, deck = read_modes(a), b.suffix.lower() not in MODES
+    deck, both = b.suffix.lower() not in MODES, a.suffix.lower() not in MODES
     if sensors is not None and not deck:
         raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
+    if both and (sensors is not None or align or not deck):
+        raise ConfigError(f"{a}: modes of a deck are held against another deck only, at its nodes, in one frame")
     if align and sensors is None:
         raise ConfigError(f"--align {align}: lays the places of a sheet onto a deck; give --sensors")
     asked = CorrelateSection.model_validate(
-        {"match": match, "align": align, "tam": tam, "frequency_gate": settings.frequency_gate}
+        {"match": "rigid" if both else match, "align": align, "tam": tam, "frequency_gate": settings.frequency_gate}
     )
+    test, points, first = _as_test(a, units) if both else (read_modes(a), sensors, "")
     there, notes, held = (
-        _of_deck(b, test, sensors, units, tolerance, asked) if deck else (read_modes(b), (), ChannelMass)
+        _of_deck(b, test, points, units, tolerance, asked) if deck else (read_modes(b), (), ChannelMass)
     )
     one, two = _common(test, there, a, b)
     names = ("A", "B")
@@ -193,7 +228,7 @@ def correlate(
             mass_name="given" if mass is not None else NAMES.get(tam, tam),
             lift=weight.lift,
             gate=gate,
-            std_a=read_std(a)[0],
+            std_a=0.0 if both else read_std(a)[0],
             std_b=0.0 if deck else read_std(b)[0],
             settings=settings,
         )
@@ -214,7 +249,7 @@ def correlate(
             for r in value["pairs"]
         ]
         rows(f"{a} against {b}", ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
-        tell([*_reasons(value["unpaired"]), *notes])
+        tell([*_reasons(value["unpaired"]), *filter(None, [first]), *notes])
         if full is not None:
             _show_complete(full)
     return 0 if value["pairs"] else 1

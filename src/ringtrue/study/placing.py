@@ -19,9 +19,11 @@ from ringtrue.errors import DataError, InputError, did_you_mean
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.frames import positions
 from ringtrue.study.opened import ROUNDING, Opened
+from ringtrue.study.scene import make_scene
 
 ALIKE = 0.05  # of the largest motion: nodes at one place that differ by less tell a sensor the same
 MANY = 12  # points that are named
+MESHED = 400  # points of a deck that is held against another
 BAD, BETTER = 0.01, 0.2  # of the size of the deck: a fit that is looked into; of its error: what explains it
 LARGER = 1.5  # times the deck: a test that cannot lie on it
 
@@ -146,7 +148,7 @@ def _apart(dofs: DofSet, nodes: Sequence[int], shapes: Float) -> bool:
 def placed(
     opened: Opened,
     channels: Sequence[str],
-    sheet: Path | None,
+    sheet: Path | TestModel | None,
     *,
     tolerance: float,
     method: Method = "nearest",
@@ -159,7 +161,7 @@ def placed(
     ----------
     opened : Opened
     channels : sequence of str
-    sheet : Path, optional
+    sheet : Path or TestModel, optional
     tolerance : float
         Largest distance of a sensor from its node, m.
     method : str
@@ -181,11 +183,34 @@ def placed(
             raise DataError(
                 f"{e}; where points have numbers of their own give --sensors, or [test] sheet of a study"
             ) from e
-    test = read_sensor_sheet(sheet).model
+    test = sheet if isinstance(sheet, TestModel) else read_sensor_sheet(sheet).model
     known = set(test.channels)
     if lost := [c for c in channels if c not in known]:
         near = did_you_mean(lost[0], test.channels)
-        raise DataError(f"{sheet}: channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}")
+        name = "points" if isinstance(sheet, TestModel) else sheet
+        raise DataError(f"{name}: channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}")
     if align:
         test = alignment(test, opened, align).move(test)
     return opened.observation(test.pick(tuple(channels)), tolerance, method, dofs=dofs)
+
+
+def mesh_points(opened: Opened, most: int = MESHED) -> TestModel:
+    """Nodes that are drawn of a deck, at most so many all over it, as points of a test with three directions each."""
+    scene = make_scene(opened.model, {}, opened.length)
+    at = np.unique(np.linspace(0, scene.node.size - 1, min(most, scene.node.size)).astype(np.int64))
+    node, axes = scene.node[at], np.tile(np.eye(3), (at.size, 1))
+    channels = tuple(f"{n}+{a}" for n in node.tolist() for a in "XYZ")
+    return TestModel(node, scene.xyz[at], channels, np.repeat(node, 3), axes, np.zeros((0, 2), dtype=np.int64))
+
+
+def near_mesh(test: TestModel, opened: Opened, tolerance: float) -> tuple[TestModel, float]:
+    """The channels of a test that are near a node of a deck: within `tolerance` or the spacing of the nodes, m."""
+    xyz = opened.seats[1] * opened.length
+    tree = KDTree(xyz)
+    reach = max(tolerance, float(np.median(tree.query(xyz, k=[2])[0])))
+    near = np.asarray(tree.query(test.channel_xyz())[0] <= reach)
+    if not near.any():
+        raise DataError(
+            f"no node of the one deck is within {reach:.3g} m of a node of the other: check --units and the origins"
+        )
+    return test.pick(tuple(c for c, yes in zip(test.channels, near.tolist(), strict=True) if yes)), reach
