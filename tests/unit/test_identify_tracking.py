@@ -13,6 +13,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.identify.environment import fit_environment
+from ringtrue.identify.inertia import Followed, behind, thermal_lag
 from ringtrue.identify.tracking import Stretch, TrackSettings, track_modes
 
 CHANNELS = tuple(f"{i}+Z" for i in range(1, 7))
@@ -211,7 +212,7 @@ def test_track(record: Path, tmp_path: Path, capsys: Capture) -> None:
     assert slope["std"] < 0.001
     assert abs(second["environment"]["slopes"][0]["hz_per_unit"]) < 4 * second["environment"]["slopes"][0]["std"]
     assert len(found["stretches"]) == HOURS - 1
-    assert any("no usable channel" in n for n in found["notes"])
+    assert any("left out: all samples are missing" in n for n in found["notes"])
     lines = (tmp_path / "t.csv").read_text().splitlines()
     assert lines[0].startswith("time_h,mode,frequency_hz,")
     assert lines[0].endswith(",ch5")
@@ -255,3 +256,53 @@ def test_a_regressor_that_is_hardly_known_is_left_out(known: int) -> None:
     assert np.isnan(fit.slope).all()
     assert fit.reference == pytest.approx(5, abs=4 * 0.005 / np.sqrt(24))
     assert np.isfinite(fit.residual).all()
+
+
+# --- inertia
+
+
+def slow(
+    hours: int, lag: float, memory: float, rng: np.random.Generator
+) -> tuple[list[Followed], np.ndarray, np.ndarray]:
+    """Three modes under a body that takes the temperature of the air in `lag` hours; times and temperatures."""
+    t, clock = days(hours, rng) + 3 * np.sin(np.arange(hours) / 9), np.arange(hours) + 0.5
+    body = behind(clock, t, lag) if lag else t
+    modes = []
+    for f, slope in ((1.0, -0.001), (2.0, -0.001), (5.0, -0.004)):
+        e = lfilter([np.sqrt(1 - memory**2)], [1, -memory], rng.standard_normal(hours)) * 0.002
+        modes.append(Followed(f + slope * body + e, np.full(hours, 0.001), np.arange(hours)))
+    return modes, clock, t
+
+
+def test_a_body_behind_a_ramp_and_a_step() -> None:
+    t = np.linspace(0, 60, 241)
+    np.testing.assert_allclose(behind(t, 2 * t, 3.0)[-1], 2 * (60 - 3.0), rtol=1e-8)
+    step = np.where(t > 0, 1.0, 0.0)
+    at = np.flatnonzero(t >= 3.0)[0]  # half of the first quarter of an hour is a ramp
+    assert behind(t, step, 3.0)[at] == pytest.approx(1 - np.exp(-(3.0 - 0.125) / 3.0), abs=1e-3)
+    step[5] = np.nan
+    assert np.flatnonzero(np.isnan(behind(t, step, 3.0))).tolist() == [5]
+
+
+@pytest.mark.parametrize("lag", [2.0, 4.0])
+def test_the_inertia_of_a_structure_is_found_and_makes_no_changes(lag: float) -> None:
+    rng = np.random.default_rng(7)
+    found = []
+    for _ in range(10):
+        modes, clock, t = slow(72, lag, 0.0, rng)
+        found.append(thermal_lag(modes, clock, t))
+        fit = fit_environment(modes[2].frequency, modes[2].std, {"T": behind(clock, t, found[-1])})
+        assert not fit.changes
+        assert fit.slope[0] == pytest.approx(-0.004, rel=0.15)
+    assert np.median(found) == lag
+    assert np.ptp(found) <= lag
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.6])
+def test_modes_that_follow_at_once_have_no_inertia(memory: float) -> None:
+    rng = np.random.default_rng(8)
+    found = [thermal_lag(*slow(72, 0.0, memory, rng)) for _ in range(30)]
+    assert np.count_nonzero(found) <= 1, found
+    none, clock, t = slow(72, 0.0, memory, rng)
+    flat = [Followed(m.frequency[::-1], m.std, m.at) for m in none]
+    assert thermal_lag([Followed(m.frequency[:8], m.std[:8], m.at[:8]) for m in flat], clock, t) == 0.0  # too few

@@ -21,6 +21,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.environment import EnvironmentFit, fit_environment
+from ringtrue.identify.inertia import Followed, behind, thermal_lag
 from ringtrue.identify.tracking import ModeTrack, Stretch, Tracked, ticks, track_modes
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.records import read_record, record_blocks, record_info
@@ -143,6 +144,8 @@ def track(
         )
     columns = (*env.names, *(given.names if given else ()))
     regressors = {name: np.array([v[j] for v in values]) for j, name in enumerate(columns)}
+    regressors, late = _late(tracked, regressors, env.mean)
+    notes += late
     if drift:
         regressors["time"] = tracked.times
     fits = {t.name: _fit(t, tracked, regressors) for t in tracked.tracks if t.at.size >= LEAST_FITTED}
@@ -205,9 +208,11 @@ def _identified(
     part: TimeHistory, env: _Environment, lost: Sequence[str], settings: AmbientSettings, middle: float
 ) -> tuple[Stretch | None, list[str]]:
     """The modes of one stretch, and what is to be said of it; None if it cannot be identified: a gap."""
-    responses = [c.id for c in part.channels if c.id not in {*env.mean, *lost}]
+    motion = part.pick([c.id for c in part.channels if c.id not in {*env.mean, *lost}])
+    if not np.isfinite(motion.data).any():
+        return None, ["left out: all samples are missing"]
     try:
-        result = identify_ambient(part.pick(responses), settings)
+        result = identify_ambient(motion, settings)
     except DataError as e:
         return None, [f"left out: {e}"]
     said = [n for n in result.notes if n.startswith("channel")]
@@ -245,6 +250,21 @@ def _given(path: Path) -> _Given:
 def _fit(t: ModeTrack, tracked: Tracked, regressors: Mapping[str, Float]) -> EnvironmentFit:
     clock = np.round(ticks(tracked.times)).astype(np.int64)[t.at]
     return fit_environment(t.frequency, t.std_frequency, {k: v[t.at] for k, v in regressors.items()}, clock)
+
+
+def _late(
+    tracked: Tracked, regressors: Mapping[str, Float], temperatures: Sequence[str]
+) -> tuple[dict[str, Float], list[str]]:
+    """The regressors with each temperature as late as all modes follow it, and what is to be said of that."""
+    modes = [Followed(t.frequency, t.std_frequency, t.at) for t in tracked.tracks]
+    out: dict[str, Float] = {}
+    notes = []
+    for name, values in regressors.items():
+        lag = thermal_lag(modes, tracked.times, values) if name in temperatures else 0.0
+        out[f"{name} {lag:g} h behind" if lag else name] = behind(tracked.times, values, lag) if lag else values
+        if lag:
+            notes.append(f"{name}: the modes follow it with an inertia of {lag:g} h, as which they are regressed on it")
+    return out, notes
 
 
 def _rare(tracked: Tracked) -> list[str]:

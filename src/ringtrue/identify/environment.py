@@ -148,9 +148,9 @@ def fit_environment(
     design = np.concatenate([base, *(_step(n, k)[:, None] for k, _ in steps)], axis=1)
     outlier = _outliers(y, sd, design, use)
     good = use & ~outlier
-    fit = _weighted(y[good], sd[good], design[good])
-    memory = _memory(fit.residual, order[good], design.shape[1])
-    infl = np.array([_inflation(memory, _persistence(c, order[good])) for c in design[good].T])
+    fit = weighted(y[good], sd[good], design[good])
+    memory = memory_of(fit.residual, order[good], design.shape[1])
+    infl = np.array([inflation(memory, _persistence(c, order[good])) for c in design[good].T])
     se = np.sqrt(np.maximum(np.diag(fit.covariance), 0) * infl)
     return _report(names, y, sd, design, ok, centre, steps, good, outlier & use, fit, se, memory[0])
 
@@ -174,7 +174,7 @@ def _step(n: int, at: int) -> Float:
     return (np.arange(n) >= at).astype(np.float64)
 
 
-def _weighted(y: Float, sd: Float, x: Float) -> _Fit:
+def weighted(y: Float, sd: Float, x: Float) -> _Fit:
     """Least squares with weights 1/(σ² + τ²), τ such that the weighted squares sum to the degrees of freedom."""
     dof = y.size - x.shape[1]
 
@@ -197,7 +197,7 @@ def _weighted(y: Float, sd: Float, x: Float) -> _Fit:
     return _Fit(beta, inverse @ inverse.T, float(np.sqrt(tau2)), residual, (q**2).sum(axis=1))
 
 
-def _memory(residual: Float, order: Int, fitted: int) -> tuple[float, float]:
+def memory_of(residual: Float, order: Int, fitted: int) -> tuple[float, float]:
     """Correlation of residuals of neighbouring stretches, and the factor that it falls by with each stretch more.
 
     `fitted` coefficients pull the correlation down by about (1 + 3r)·fitted/n (Kendall 1954), which is put back. A
@@ -215,7 +215,7 @@ def _memory(residual: Float, order: Int, fitted: int) -> tuple[float, float]:
     return one, float(np.clip(two / one, one, _MOST_MEMORY))
 
 
-def _inflation(memory: tuple[float, float], q: float) -> float:
+def inflation(memory: tuple[float, float], q: float) -> float:
     """Factor 1 + 2 Σ r_k q^k on a variance, for residual correlations r_k and q^k of a regressor."""
     return 1 + 2 * memory[0] * q / (1 - memory[1] * q)
 
@@ -252,11 +252,11 @@ def _excursion(y: Float, sd: Float, x: Float, order: Int, part: slice) -> tuple[
         return 0, 1.0
     k = np.arange(1, n)
     inside = (k >= LEAST) & (k <= n - LEAST)
-    e = _calm(_weighted(y, sd, x).residual)[part]
+    e = _calm(weighted(y, sd, x).residual)[part]
     sums = np.cumsum(e - e.mean())[:-1]
     at = part.start + int(k[np.argmax(np.where(inside, np.abs(sums) / np.sqrt(k * (n - k)), 0.0))])
     # the variance is that about the step, or a large one would hide itself
-    other = _weighted(y, sd, np.concatenate([x, _step(y.size, at)[:, None]], axis=1))
+    other = weighted(y, sd, np.concatenate([x, _step(y.size, at)[:, None]], axis=1))
     left = _calm(other.residual)
     left = left[part] - left[part].mean()
     root = 1 / np.sqrt(sd**2 + other.scatter**2)
@@ -264,7 +264,7 @@ def _excursion(y: Float, sd: Float, x: Float, order: Int, part: slice) -> tuple[
     e = _calm((y - x @ level) * root)[part]
     sums = np.cumsum(e - e.mean())[:-1]
     fitted = x.shape[1] + 1
-    spread = (left**2).sum() / max(n - fitted, 1) * _inflation(_memory(left, order[part], fitted), 1.0)
+    spread = (left**2).sum() / max(n - fitted, 1) * inflation(memory_of(left, order[part], fitted), 1.0)
     return at, float(kolmogorov(np.abs(sums).max() / np.sqrt(spread * n)))
 
 
@@ -283,7 +283,7 @@ def _outliers(y: Float, sd: Float, x: Float, use: Bool) -> Bool:
         dof = at.size - x.shape[1] - 1
         if dof < 4 or np.linalg.matrix_rank(x[at]) < x.shape[1]:
             break
-        fit = _weighted(y[at], sd[at], x[at])
+        fit = weighted(y[at], sd[at], x[at])
         inner = fit.residual / np.sqrt(np.maximum(1 - fit.leverage, 1e-9))
         spread = float((fit.residual**2).sum())
         outer = inner * np.sqrt(dof / np.maximum(spread - inner**2, 1e-300))
