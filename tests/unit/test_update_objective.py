@@ -16,7 +16,10 @@ from ringtrue.shapes.mac import mac
 from ringtrue.study.stages.together import spared
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import LOST, Target, Weights, match, objective, residual, shared_cost
+from ringtrue.update.objective import DOUBT, LOST, Target, Weights, match, objective, residual, shared_cost
+from ringtrue.update.settle import Course, lost, settled, whole_cost
+from ringtrue.update.several import Configuration, Problem
+from ringtrue.update.trust import solve
 
 
 def chain(n: int, groups: int, *, kind: str = "log") -> DenseModel:
@@ -159,6 +162,22 @@ def test_a_mode_that_the_model_does_not_have_lets_go() -> None:
     assert done.outcome is Outcome.CONVERGED
     assert np.abs(pulled.x - x).max() > 0.02
     np.testing.assert_allclose(done.x, x, atol=5e-3)  # the prior pulls a little
+
+
+@pytest.mark.parametrize("deviation", [0.002, 0.07])
+def test_where_all_modes_deviate_none_is_let_go(deviation: float) -> None:
+    """Errors of form of 7 %, seven standard deviations, leave the pairs; beside small ones a mode 8 % off goes."""
+    model = chain(9, 3)
+    aim = target(model, np.array([0.1, -0.1, 0.1]), 6)
+    error = deviation * np.array([1, -1, 1, -1, 1, -1])
+    error[5] = 0.08
+    problem = Problem((Configuration(model, replace(aim, frequencies=aim.frequencies * (1 + error))),))
+    end = settled(problem, Course(discrepancy="found"), start=solve(problem).y)
+    assert lost(problem, end.solution.end) == (1 if deviation < 0.01 else 0)
+    np.testing.assert_allclose(end.solution.x, [0.1, -0.1, 0.1], atol=0.05)
+    if deviation > 0.01:  # all kept, some at seven standard deviations: none costs more than a lost mode
+        at = end.solution.end
+        assert whole_cost(problem, at) <= 6 * DOUBT + at.prior + 1e-9 < at.data
 
 
 def test_a_point_with_no_mode_near_keeps_the_pairs_of_the_gates() -> None:

@@ -117,21 +117,22 @@ class Target:
         if self.rule not in ("gates", "capped", "cost") or not self.lost > 0:
             raise InputError(f"pairing rule {self.rule!r} (gates, capped, cost), cost of a lost mode {self.lost} (> 0)")
 
-    def doubting(self) -> Target:
+    def doubting(self, spread: float = 1.0) -> Target:
         """The same for a point near the end: a mode that costs more than `DOUBT` has no partner.
 
         A test mode that the model does not have then pulls no more than one without a partner. Shapes say which modes
-        belong together: in a dense band some mode always has the right frequency.
+        belong together: in a dense band some mode always has the right frequency. `spread` is what the pairs deviate
+        by, in units of what the best model is expected to keep.
         """
-        return replace(self, rule="capped", lost=DOUBT * max(self.weights.data / 2, 1.0))
+        return replace(self, rule="capped", lost=DOUBT * spread**2 * max(self.weights.data / 2, 1.0))
 
-    def settled(self, now: Linearisation) -> Target:
+    def settled(self, now: Linearisation, spread: float = 1.0) -> Target:
         """The same with the pairs that `doubting` makes at a point, for good; modes without a partner are not used.
 
         J is then smooth: pairs and groups of close modes no longer change from step to step. Where no used mode has a
         partner near enough, the point is no end, and the pairs are those of the own rule.
         """
-        for aim in (self.doubting(), self):
+        for aim in (self.doubting(spread), self):
             pairs, _, groups = match(aim, now)
             used = self.used & np.isin(np.arange(self.used.size), pairs[:, 0])
             if used.any():

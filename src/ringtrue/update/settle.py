@@ -13,10 +13,13 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.update import joint
 from ringtrue.update.objective import DOUBT, Target, Weights
-from ringtrue.update.residuals import OF_FREQUENCY, Mac, Shapes, widened
+from ringtrue.update.residuals import NO_MODE, OF_FREQUENCY, Mac, Shapes, widened
+from ringtrue.update.robust import squares
 from ringtrue.update.several import Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve
-from ringtrue.update.weights import Rule, discrepancy_by_evidence, in_turns, regularised
+from ringtrue.update.weights import LOOSE, Rule, discrepancy_by_evidence, in_turns, regularised
+
+REFUTED = 2.0  # deviation of the better half of the modes, in standard deviations, that these are not as assumed
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +69,16 @@ def settled(
     """Updated with no pair dearer than a lost mode, then with the pairs made there for good, weighed as asked for."""
     course = course or Course()
     aims = [c.target for c in problem.configurations]
-    doubting = _aimed(problem, [a.doubting() for a in aims])
-    near = solve(doubting, course.method, start=start, iterations=course.iterations, progress=progress)
-    firm = _aimed(problem, [a.settled(p.now) for a, p in zip(aims, near.end.points, strict=True)])
+
+    def doubted(spread: float) -> Solution:
+        doubting = _aimed(problem, [a.doubting(spread) for a in aims])
+        return solve(doubting, course.method, start=start, iterations=course.iterations, progress=progress)
+
+    near, spread = doubted(1.0), 1.0
+    if (left := _majority(problem, near.y)) > REFUTED:
+        wide = doubted(LOOSE)
+        near, spread = (wide, LOOSE) if _majority(problem, wide.y) < left else (near, spread)
+    firm = _aimed(problem, [a.settled(p.now, spread) for a, p in zip(aims, near.end.points, strict=True)])
     if course.discrepancy == "found":
         done, weighed = _sharpened(firm, near.y, lambda p, y: _solved(p, course, y, progress))
     else:
@@ -77,6 +87,22 @@ def settled(
     if weighed is not firm:
         done = replace(done, history=(*done.history[:-1], firm.evaluate(done.y, done.end)))
     return Settled(done, weighed, (*near.history, *done.history[1:]))
+
+
+def _majority(problem: Problem, y: Float) -> float:
+    """What the better half of the frequencies deviate by at most, in units of what is assumed; infinite without a pair.
+
+    Of n modes h = (n + q + 1)/2: q unknowns fit as many whatever the others do. Rousseeuw and Leroy (1987), sec. 3.4.
+    """
+    sizes = []
+    for p in problem.evaluate(y).points:
+        test, fe = p.pairs.T
+        size = np.full(p.target.used.size, np.inf)
+        error = np.abs(p.now.frequencies[fe] / p.target.frequencies[test] - 1)
+        size[test] = error / np.hypot(p.target.weights.frequency, p.target.std[test])
+        sizes.append(size[p.target.used])
+    every = np.sort(np.concatenate(sizes))
+    return float(every[min(every.size, (every.size + problem.size + 1) // 2) - 1])
 
 
 def kept(problem: Problem) -> Float:
@@ -97,8 +123,17 @@ def lost(problem: Problem, at: Evaluated) -> int:
 
 
 def whole_cost(problem: Problem, at: Evaluated) -> float:
-    """J at an end, by the prior that was given, over all used test modes: each without partner costs `DOUBT`."""
-    return at.data + at.lost + float(at.x @ problem.precision @ at.x) + DOUBT * lost(problem, at)
+    """J at an end, by the prior that was given, over all used test modes: none costs more than one without partner.
+
+    That is `DOUBT`.
+    """
+    cost = problem.loss.cost(squares(at.value, at.datum))
+    mode = at.mode[np.unique(at.datum, return_index=True)[1]]
+    _, of = np.unique(mode, return_inverse=True)
+    each = np.bincount(of, cost)
+    beside = np.bincount(of, mode == NO_MODE) > 0
+    data = float(np.where(beside, each, np.minimum(each, DOUBT)).sum())
+    return data + at.lost + float(at.x @ problem.precision @ at.x) + DOUBT * lost(problem, at)
 
 
 def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
