@@ -17,7 +17,7 @@ from ringtrue.study.stages.together import spared
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.gauss_newton import update
 from ringtrue.update.objective import DOUBT, LOST, Target, Weights, match, objective, residual, shared_cost
-from ringtrue.update.settle import Course, lost, settled, whole_cost
+from ringtrue.update.settle import Course, displaced, lost, settled, whole_cost
 from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.trust import solve
 
@@ -178,6 +178,20 @@ def test_where_all_modes_deviate_none_is_let_go(deviation: float) -> None:
     if deviation > 0.01:  # all kept, some at seven standard deviations: none costs more than a lost mode
         at = end.solution.end
         assert whole_cost(problem, at) <= 6 * DOUBT + at.prior + 1e-9 < at.data
+
+
+def test_other_starts_are_for_modes_that_the_model_has() -> None:
+    """A mode at half its frequency is one of these, a local mode that moves a single sensor is not."""
+    model = chain(9, 3)
+    aim = target(model, np.array([0.1, -0.1, 0.1]), 5)
+    shapes = aim.shapes.copy()
+    shapes[:, 4] = np.eye(9)[4]
+    for given, own in ((shapes, 0), (aim.shapes, 1)):
+        f = aim.frequencies * np.array([1, 1, 1, 1, 0.5])
+        problem = Problem((Configuration(model, replace(aim, frequencies=f, shapes=given)),))
+        end = settled(problem).solution.end
+        assert lost(problem, end) == 1
+        assert displaced(problem, end) == own
 
 
 def test_a_point_with_no_mode_near_keeps_the_pairs_of_the_gates() -> None:

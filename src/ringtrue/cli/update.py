@@ -58,7 +58,7 @@ from ringtrue.study.placing import placed
 from ringtrue.study.reference import measured_part
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.residuals import Weighted
-from ringtrue.update.settle import lost, whole_cost
+from ringtrue.update.settle import displaced, whole_cost
 from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.trust import KINDS, Solution
 from ringtrue.update.verified import Verified, solve_verified
@@ -297,12 +297,12 @@ def _by_runs(
 def _solved(problem: Problem, u: UpdateSection, asked: Asked, show: Progress) -> Verified:
     """As a study updates a set of parameters, on a basis verified by full solutions.
 
-    From further starts, too, where used modes are left without partner; the end of lower J.
+    From further starts, too, where used modes that the model has are left without partner; the end of lower J.
     """
     if isinstance(problem.configurations[0].model, FullModel):
         return _on_full(problem, u, asked, show)
     done, more = _on_basis(problem, u, asked, show), further(u)
-    if more is None or asked.checkpoint is not None or not lost(problem, done.solution.end):
+    if more is None or asked.checkpoint is not None or not displaced(problem, done.solution.end):
         return done
     show(0.5, "modes without partner: further starts")
     try:

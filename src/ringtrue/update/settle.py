@@ -11,6 +11,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
+from ringtrue.correlate.assign import HOLD, scores
 from ringtrue.update import joint
 from ringtrue.update.objective import DOUBT, Target, Weights
 from ringtrue.update.residuals import NO_MODE, OF_FREQUENCY, Mac, Shapes, widened
@@ -120,6 +121,23 @@ def lost(problem: Problem, at: Evaluated) -> int:
     """How many used test modes of all configurations have no partner at a point."""
     used = sum(int(c.target.used.sum()) for c in problem.configurations)
     return used - sum(len(p.pairs) for p in at.points)
+
+
+def displaced(problem: Problem, at: Evaluated) -> int:
+    """How many of these have a shape that the model has, at the point or as delivered: other starts may pair them.
+
+    A shape that no mode comes near, as of a local mode, is of something that the model does not have.
+    """
+    out, begin = 0, problem.evaluate(np.zeros(problem.size))
+    for c, first, last in zip(problem.configurations, begin.points, at.points, strict=True):
+        aim = c.target
+        alone = aim.used & ~np.isin(np.arange(aim.used.size), last.pairs[:, 0])
+        near = np.zeros(int(alone.sum()))
+        for now in (first.now, last.now):
+            found = scores(aim.frequencies, aim.shapes, now.frequencies, now.shapes, aim.pairing)
+            near = np.maximum(near, found.merged[alone].max(axis=1, initial=0.0))
+        out += int((near > HOLD * aim.pairing.mac_gate).sum())
+    return out
 
 
 def whole_cost(problem: Problem, at: Evaluated) -> float:

@@ -22,7 +22,7 @@ from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
 from ringtrue.update import settle
 from ringtrue.update.objective import Target, aicc, residual
-from ringtrue.update.settle import Settled, lost, whole_cost
+from ringtrue.update.settle import Settled, displaced, whole_cost
 from ringtrue.update.several import Configuration, Evaluated, Problem
 from ringtrue.update.trust import Solution
 
@@ -37,7 +37,8 @@ def together(
 ) -> tuple[SetResult, int]:
     """Update on the reduced models of all configurations until the full ones agree at the end point.
 
-    `u` stands in for the [update] of the study. Beside the result the number of used modes without partner.
+    `u` stands in for the [update] of the study. Beside the result the number of used modes without partner whose
+    shape the model has.
 
     Raises
     ------
@@ -63,7 +64,7 @@ def together(
         raise not_verified(error)
     problem = _problem(desk, u, models, aims, members)
     end = settled(problem, u, desk.config.study.seed, progress, start=start)
-    return summary(problem, aims, name, replace(end, path=(*path, *end.path[1:]))), lost(problem, end.solution.end)
+    return summary(problem, aims, name, replace(end, path=(*path, *end.path[1:]))), displaced(problem, end.solution.end)
 
 
 def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:

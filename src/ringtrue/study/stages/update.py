@@ -40,7 +40,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
     found: CorrelateStage = desk.get("correlate")
     named = {s.name: s for s in desk.config.set}
     kept, results, runs = Iterates.of(desk, aim), list[SetResult](), 0
-    lost = dict[str, int]()  # used modes without partner
+    lost = dict[str, int]()  # used modes without partner that the model has
     for i, (name, members) in enumerate(sets.sets.items()):
         told = part(progress, i / len(sets.sets), (i + 1) / len(sets.sets))
         told(0.0, f"updating: {name}")
