@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtrc
 
-from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.progress import Progress, quiet
@@ -27,6 +27,7 @@ from ringtrue.shapes.mac import mac
 
 CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
 SHIFT = 0.1  # half bandwidths that matter
+STRAYED = 2.0  # times what the first fit leaves: poles that went astray from the start of another batch
 REACH, ALIKE, NEVER = 0.03, 0.7, 1e6  # shift of a frequency and MAC of participations, of a mode in two batches
 
 
@@ -69,8 +70,8 @@ def identify_batches(
     """Modes of a structure measured in several batches that share their inputs.
 
     The batch with most responses is identified on its own; its modes and participation vectors start the refinement in
-    every other batch, from the poles that this batch by itself has for them, where it has. The participation vector,
-    which all batches share, ties the scales of their shapes together.
+    every other batch; where that leaves more than in the first one, from the poles that this batch by itself has for
+    them, where it has. The participation vector, which all batches share, ties the scales of their shapes together.
 
     Parameters
     ----------
@@ -92,29 +93,34 @@ def identify_batches(
     lead = int(np.argmax([b.data.shape[1] for b in batches]))
     first = identify_hammer(batches[lead], settings, progress=lambda share, text: tell(0.6 * share, text))
     band = float(first.freqs[0]), float(first.freqs[-1])
-    found = []
-    for i, batch in enumerate(batches):
+    found = [_local(b, band, first.model) for b in batches]
+    for i, (batch, fit) in enumerate(zip(batches, found, strict=True)):
         tell(0.6 + 0.4 * i / len(batches), f"batch {i + 1} of {len(batches)}")
-        start = first.model if i == lead else tracked(first.model, identify_hammer(batch, settings).model)
-        found.append(_local(batch, band, start))
+        if fit.left > STRAYED * found[lead].left:
+            found[i] = _local(batch, band, tracked(first.model, identify_hammer(batch, settings).model))
     at = np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0)
     return _joined(batches, [f.take(at) for f in found], first.model.participation[at], lead)
 
 
 def tracked(modes: ModalModel, own: ModalModel) -> ModalModel:
-    """The modes of one batch with the poles that another has for them by itself, where one goes with a mode.
-
-    The assignment of least Σ 1 - MAC + ½ (Δf/reach)², MAC of the participation vectors: batches share their inputs.
-    """
-    shift = np.log(own.frequencies / modes.frequencies[:, None])
-    like = mac(modes.participation.T, own.participation.T)
-    cost = 1 - like + 0.5 * (shift / REACH) ** 2
-    cost[(like < ALIKE) | (np.abs(shift) > 3 * REACH)] = NEVER
-    row, column = linear_sum_assignment(cost)
-    goes = cost[row, column] < NEVER
+    """The modes of one batch with the poles that another has for them by itself, where one goes with a mode."""
+    row, column, goes = _assigned(modes, own.poles, own.participation)
     poles = np.array(modes.poles)
     poles[row[goes]] = own.poles[column[goes]]
     return replace(modes, poles=poles)
+
+
+def _assigned(modes: ModalModel, poles: Complex, participation: Complex) -> tuple[Int, Int, Bool]:
+    """Modes (k,), which of `poles` (m,) with `participation` (m, in) is each (k,), and whether it may be.
+
+    The assignment of least Σ 1 - MAC + ½ (Δf/reach)², MAC of the participation vectors: batches share their inputs.
+    """
+    shift = np.log(np.abs(poles) / np.abs(modes.poles)[:, None])
+    like = mac(modes.participation.T, participation.T)
+    cost = 1 - like + 0.5 * (shift / REACH) ** 2
+    cost[(like < ALIKE) | (np.abs(shift) > 3 * REACH)] = NEVER
+    row, column = linear_sum_assignment(cost)
+    return row, column, cost[row, column] < NEVER
 
 
 def told_apart(
@@ -161,15 +167,19 @@ def told_apart(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Local:
-    """Modes of one batch: poles with deviations (2, m), shapes for the common participation vectors, relative std."""
+    """Modes of one batch: poles with deviations (2, m), shapes for the common participation vectors, relative std.
+
+    `left` is the power that the fit leaves over that of the noise.
+    """
 
     poles: Complex
     std: Float
     shapes: Complex
     deviation: Float
+    left: float
 
     def take(self, at: Int) -> _Local:
-        return _Local(self.poles[at], self.std[:, at], self.shapes[:, at], self.deviation[:, at])
+        return _Local(self.poles[at], self.std[:, at], self.shapes[:, at], self.deviation[:, at], self.left)
 
 
 def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Local:
@@ -179,10 +189,12 @@ def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Loca
     fit = refine(lines, start.poles, start.participation)
     heard, driven = blow_factors(lines, fit.poles)
     fit = replace(fit, shapes=fit.shapes / heard, participation=fit.participation / driven)
-    common = start.participation
+    order = _assigned(start, fit.poles, fit.participation)[1]  # close modes may have changed places
+    common = start.participation[np.argsort(order)]
     factor = (common.conj() * fit.participation).sum(axis=1) / (np.abs(common) ** 2).sum(axis=1)
     std = np.stack([fit.std_frequency, fit.std_damping])
-    return _Local(fit.poles, std, fit.shapes * factor, shape_deviations(lines, fit, None))
+    found = _Local(fit.poles, std, fit.shapes * factor, shape_deviations(lines, fit, None), fit.error**2)
+    return found.take(order)
 
 
 def _joined(batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, lead: int) -> LocalFit:
