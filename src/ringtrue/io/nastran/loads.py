@@ -117,17 +117,24 @@ def _vector(r: Reader, at: int) -> Vector:
     return r.real(at, "N1", 0.0), r.real(at + 1, "N2", 0.0), r.real(at + 2, "N3", 0.0)
 
 
+def _node(r: Reader) -> int:
+    node = r.whole(1, "G")
+    if node < 1:
+        raise r.fail("G", f"{node} is no node")
+    return node
+
+
 def _force(r: Reader) -> list[Load | Pressure]:
     """FORCE and MOMENT: SID G CID F N1 N2 N3; GRAV: SID CID A N1 N2 N3."""
     at = 1 if r.card.name == "GRAV" else 2
-    node, cid = 0 if at == 1 else r.whole(1, "G"), r.whole(at, "CID", 0)
+    node, cid = 0 if at == 1 else _node(r), r.whole(at, "CID", 0)
     return [Load(r.card.name, node, cid, _vector(r, at + 2)).times(r.real(at + 1, "the size", 0.0))]
 
 
 def _between(r: Reader) -> list[Load | Pressure]:
     """FORCE1 and MOMENT1: SID G F G1 G2."""
     ends = (r.whole(3, "G1"), r.whole(4, "G2"))
-    return [Load(r.card.name[:-1], r.whole(1, "G"), 0, (r.real(2, "F"), 0.0, 0.0), ends)]
+    return [Load(r.card.name[:-1], _node(r), 0, (r.real(2, "F"), 0.0, 0.0), ends)]
 
 
 def _place(r: Reader) -> tuple[str, int]:
