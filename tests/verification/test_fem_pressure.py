@@ -145,6 +145,8 @@ def test_a_direction_of_a_cylindrical_frame_turns_with_the_place(tmp_path: Path)
         (("PLOAD4,1,2,1.", ",,,,,LINE"), "loads along edges"),
         (("PLOAD1,1,2,FZ,FR,0.,1.,1.,1.",), "PLOAD1 is not supported: of a static load, FORCE"),
         (("FORCE1,1,6,5.,5,55",), "FORCE names node 55"),
+        (("PLOAD,1,1.,5,6",), "PLOAD field G1: three or four nodes span a face"),
+        (("FORCE,1,6,,1.+200,0.,0.,1.+200",), "SUBCASE 1: the loads are too large"),
         (("FORCE1,1,0,5.,5,6",), "FORCE1 field G: 0 is no node"),
         (("FORCE,1,0,,5.,0.,0.,1.",), "FORCE field G: 0 is no node"),
         (("FORCE1,1,6,5.,5,5",), "which are at one place"),

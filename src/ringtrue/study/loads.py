@@ -29,9 +29,18 @@ def load_vectors(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float
     Raises
     ------
     InputError
-        If a load names a node, element or face that is not in the model, or a support is displaced (D of SPC).
+        If a load names a node, element or face that is not in the model, a support is displaced (D of SPC), or
+        the loads overflow.
     """
     _refuse_displaced(model)
+    with np.errstate(over="ignore", invalid="ignore"):  # told here
+        out = _summed(model, dofs, cases)
+    if (wild := ~np.isfinite(out).all(axis=0)).any():
+        raise InputError(f"{cases[int(wild.argmax())].name}: the loads are too large for a number")
+    return out
+
+
+def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
     out, xyz = np.zeros((len(dofs), len(cases))), positions(model)
     gravity = np.zeros((3, len(cases)))
     for j, case in enumerate(cases):

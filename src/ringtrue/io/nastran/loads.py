@@ -144,6 +144,8 @@ def _place(r: Reader) -> tuple[str, int]:
 def _pload(r: Reader) -> list[Load | Pressure]:
     """PLOAD: SID P G1 G2 G3 G4."""
     nodes = tuple(r.whole(i, f"G{i - 1}", 0) for i in (2, 3, 4, 5))
+    if min(nodes[:3]) < 1:
+        raise r.fail("G1", "three or four nodes span a face")
     return [Pressure("PLOAD", _place(r), (r.real(1, "P"),) * 4, nodes=nodes)]
 
 
