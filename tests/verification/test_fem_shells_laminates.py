@@ -119,6 +119,14 @@ def test_simplified_laminates() -> None:
     np.testing.assert_allclose(np.diag(core.shear[0]), [4e5, 2e5])
 
 
+@pytest.mark.parametrize(("half", "whole"), [("SYM", ""), ("SYMEM", "MEM"), ("SYBEND", "BEND"), ("SYSMEAR", "SMEAR")])
+def test_half_of_the_plies_stands_for_all(half: str, whole: str) -> None:
+    lower = one(pcomp([1e-3, 2e-3], [0.0, 40.0], LAM=half), CARBON)
+    full = one(pcomp([1e-3, 2e-3, 2e-3, 1e-3], [0.0, 40.0, 40.0, 0.0], LAM=whole), CARBON)
+    for name in ("membrane", "bending", "shear", "density"):
+        np.testing.assert_allclose(getattr(lower, name), getattr(full, name), rtol=1e-12, atol=1e-9)
+
+
 def mindlin(m: int, n: int, a: float, b: float, L: Laminate) -> float:
     """Simply supported cross-ply plate, first-order shear, no rotary inertia (Reddy 2004, section 6.4), Hz."""
     p, q, D, S = m * np.pi / a, n * np.pi / b, L.bending[0], L.shear[0]

@@ -17,7 +17,9 @@ from ringtrue.fem.mesh import error, unsupported
 from ringtrue.model.model import Model, Table
 
 _GAUSS = np.polynomial.legendre.leggauss(3)
-OPTIONS = ("", "SYM", "MEM", "BEND", "SMEAR", "SMCORE")
+MIRRORED = {"SYM": "", "SYMEM": "MEM", "SYBEND": "BEND", "SYSMEAR": "SMEAR"}  # LAM of half the plies and of all
+SIMPLER = ("MEM", "BEND", "SMEAR", "SMCORE")
+OPTIONS = ("", *MIRRORED, *SIMPLER)
 _SHORT = {"SME": "SMEAR", "SMC": "SMCORE"}  # Autodesk Nastran
 
 
@@ -79,16 +81,16 @@ def _options(model: Model, t: Table, rows: Int) -> Any_:
 
 
 def _plies(model: Model, t: Table, rows: Int, option: Any_) -> Plies:
-    """The plies from the bottom up; LAM=SYM is mirrored."""
+    """The plies from the bottom up; those of a LAM such as SYM are mirrored."""
     mid, T, theta = t.ragged("MID"), t.ragged("T"), t.ragged("THETA")
     first, count = mid.offsets[rows], mid.sizes[rows]
     k = np.arange(max(int(count.max(initial=1)), 1))
     there = k < count[:, None]
     at = np.where(there, first[:, None] + k, first[:, None])
     height = np.where(there, T.values[at], 0.0)
-    if (option == "SYM").any():
+    if (half := np.isin(option, tuple(MIRRORED))).any():
         at = np.concatenate([at, at[:, ::-1]], axis=1)
-        height = np.concatenate([height, np.where(option[:, None] == "SYM", height[:, ::-1], 0.0)], axis=1)
+        height = np.concatenate([height, np.where(half[:, None], height[:, ::-1], 0.0)], axis=1)
     used = layers(model, mid.values[at].ravel(), t, np.repeat(rows, at.shape[1]))
     angle = np.radians(1.0) * theta.values[at]
     through = used.through.reshape(*at.shape, 2, 2)
@@ -137,7 +139,7 @@ def transverse_shear(p: Plies, A: Any_, B: Any_, D: Any_) -> Any_:
 
 def _smeared(option: Any_, p: Plies, A: Any_, B: Any_, D: Any_, S: Any_) -> tuple[Any_, Any_, Any_, Any_]:
     """The sections where LAM simplifies them: MEM, BEND, SMEAR, SMCORE (the last ply is the core)."""
-    membrane, flat, smear, core = (_flag(option, o) for o in OPTIONS[2:])
+    membrane, flat, smear, core = (_flag(option, o) for o in SIMPLER)
     total = p.height.sum(axis=1)[:, None, None]
     B = np.where(membrane | flat | smear | core, 0.0, B)
     rigid = RIGID_SHEAR * _turning(p)[:, None, None] * np.eye(2)
@@ -156,4 +158,5 @@ def _smeared(option: Any_, p: Plies, A: Any_, B: Any_, D: Any_, S: Any_) -> tupl
 
 
 def _flag(option: Any_, name: str) -> Bool:
-    return np.asarray(option == name)[:, None, None]
+    names = [name, *(half for half, whole in MIRRORED.items() if whole == name)]
+    return np.isin(option, names)[:, None, None]
