@@ -66,6 +66,23 @@ def test_finds_hits_and_tells_why_some_are_left_out() -> None:
     assert reports[0].input == "2+Z" == input_id("F:2+Z") == input_id("2+Z")
 
 
+def across(history: TimeHistory, count: int) -> TimeHistory:
+    """With `count` channels across the direction of the blows, which show the noise of the sensors."""
+    rng = np.random.default_rng(3)
+    noise = 1e-3 * history.data[1:].std() * rng.standard_normal((count, history.data.shape[1]))
+    channels = [Channel(f"{k + 1}+X", "acceleration", "m/s^2") for k in range(count)]
+    return TimeHistory(np.vstack([history.data, noise]), RATE, (*history.channels, *channels), history.source)
+
+
+def test_a_single_blow_is_not_held_for_ringing_by_channels_that_show_nothing() -> None:
+    one, two = (across(record(1, [0, 1, 2], starts=np.array(s)), 6) for s in ([1.0], [1.0, 2.2]))
+    settings = HammerSettings(block=1.0)
+    assert [r.accepted for r in estimate_frf(one, settings)[1]] == [True]
+    first, second = estimate_frf(two, settings)[1]
+    assert first.accepted
+    assert "still ringing" in second.reasons[0]
+
+
 def test_overloads_with_and_without_a_range() -> None:
     r = record(1, [0, 1])
     top = np.abs(r.data[1] - 0.5).max()

@@ -282,13 +282,16 @@ def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSett
 
 
 def _unrest(responses: Any_, pre: int) -> float:
-    """Level before the hit over that after it, median of the channels; 0 where it cannot be told."""
+    """Level before the hit over that after it, 0 where it cannot be told.
+
+    The lower quartile of the channels: across the direction of the blow many show nothing but noise.
+    """
     if pre < 4 or not responses.shape[0]:
         return 0.0
     centred = responses - np.median(responses, axis=1, keepdims=True)
     before = np.sqrt(np.mean(np.square(centred[:, : pre // 2], dtype=np.float64), axis=1))
     after = np.sqrt(np.mean(np.square(centred[:, pre : pre + responses.shape[1] // 4], dtype=np.float64), axis=1))
-    return float(np.median(before / np.maximum(after, 1e-300)))
+    return float(np.quantile(before / np.maximum(after, 1e-300), 0.25))
 
 
 def _ringing(share: float, quietest: float) -> list[str]:

@@ -35,6 +35,7 @@ SEED = 7919  # of the virtual test, added to that of the study
 WORTH = 0.02  # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
 RIGID = 1e-3  # of the highest frequency
 STILL = 1e-9  # of the largest motion: a node that is held is no candidate
+BLOWS = 20  # of the virtual test at a reference, at most
 APART = 0.8  # m, most that measuring points must be apart where nothing is said
 RESIDUE: dict[str, Callable[[Float, int], Int]] = {
     "greedy": select_references,
@@ -386,7 +387,9 @@ def _rehearsed(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float
     low, high = float((stage.target_frequencies - margin).min()), float((stage.target_frequencies + margin).max())
     planned = Planned(f, rows, rows[at], stage.test.channels, stage.references, low, high)
     rng = np.random.default_rng(desk.config.study.seed + SEED)
-    conditions = Conditions(trials=plan.trials, damping=plan.damping, background=plan.background, hits=stage.averages)
+    conditions = Conditions(
+        trials=plan.trials, damping=plan.damping, background=plan.background, hits=min(stage.averages, BLOWS)
+    )
     result = rehearse(planned, conditions, rng, progress=part(progress, 0.7, 1.0))
     return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
 
