@@ -86,8 +86,8 @@ def _proposal(s: LocaliseStage) -> list[Block]:
         return [Text(f"{origin} {sentence(f'no parameter is proposed: {p.unexplained()}')}"), _candidates(s)]
     before, after = (100 * float(x) for x in p.mac[:2])
     gain = (
-        f"With {_count(len(p.members))} of them mean |Δf| of the used modes {'falls' if p.after <= p.before else 'rises'} from "
-        f"{fixed(100 * p.before, 2)} to "
+        f"With {_count(len(p.members))} of them mean |Δf| of the used modes "
+        f"{'falls' if p.after <= p.before else 'rises'} from {fixed(100 * p.before, 2)} to "
         f"{fixed(100 * p.after, 2)} %, mean MAC {'rises' if after >= before else 'falls'} from {fixed(before, 1)} to "
         f"{fixed(after, 1)} %, and {p.paired[1]} modes have a partner ({p.paired[0]} before)."
     )
