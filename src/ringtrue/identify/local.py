@@ -27,7 +27,7 @@ from ringtrue.shapes.mac import mac
 
 CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
 SHIFT = 0.1  # half bandwidths that matter
-STRAYED = 2.0  # times what the first fit leaves: poles that went astray from the start of another batch
+STRAYED = 1.2  # times what the first fit leaves: poles that went astray from the start of another batch
 REACH, ALIKE, NEVER = 0.03, 0.7, 1e6  # shift of a frequency and MAC of participations, of a mode in two batches
 
 
