@@ -49,11 +49,13 @@ def affine_terms(
     """
     m = mesh(model)
     groups = [g for i, p in enumerate(parameters.parameters) for g in groups_of(model, i, p)]
-    smooth = {k for k, g in enumerate(groups) if _parts(m, g) is not None}
+    powers = [_parts(m, g) for g in groups]
+    smooth = {k for k, some in enumerate(powers) if some is not None}
+    linear = {k for k, some in enumerate(powers) if some == (1,)}
     while True:
         curved = union(g.rows for k, g in enumerate(groups) if k not in smooth)
         rest = {k: replace(groups[k], rows=without(groups[k].rows, curved)) for k in sorted(smooth)}
-        terms, lost = products(m, rest, system, part(progress, 0.0, 0.5))
+        terms, lost = products(m, rest, linear, system, part(progress, 0.0, 0.5))
         if not lost:
             return (*terms, *interpolated(m, groups, curved, system, part(progress, 0.5, 1.0)))
         smooth -= lost  # elements that are not in the sample, or what two of them do together

@@ -8,7 +8,7 @@ Three and more are looked at where any two of them do something together.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, lru_cache, partial
@@ -42,14 +42,17 @@ At = Callable[[tuple[float, ...]], Any]  # factors of the groups -> K and M of e
 
 
 def products(
-    m: Mesh, groups: Mapping[int, Group], system: System, progress: Progress
+    m: Mesh, groups: Mapping[int, Group], linear: Collection[int], system: System, progress: Progress
 ) -> tuple[list[AffineTerm], set[int]]:
-    """The terms of groups, by their numbers; where some are no polynomials, by themselves or together, only which."""
+    """The terms of groups, by their numbers; where some are no polynomials, by themselves or together, only which.
+
+    `linear` are those of which a sample of elements is.
+    """
     every, sums, lost = list[Member](), dict[tuple[int, int], list[Pair]](), set[int]()
     for k, g in groups.items():
         progress(0.7 * len(every) / len(groups), f"derivatives: {g.parameter.name}")
         try:
-            parts = _alone(m, g)
+            parts = _alone(m, g, linear=k in linear)
         except UnsupportedError:
             lost.add(k)
             continue
@@ -70,9 +73,9 @@ def products(
     return [*out, *(t for found in (*two, *more) for t in found or ())], lost
 
 
-def _alone(m: Mesh, g: Group) -> dict[int, Pair]:
+def _alone(m: Mesh, g: Group, *, linear: bool) -> dict[int, Pair]:
     """The parts of a polynomial."""
-    if set(cubic(m, replace(g, rows=few(g.rows, SAMPLE)))) == {1}:
+    if linear:
         with suppress(UnsupportedError):  # other elements may have higher powers
             return cubic(m, g, linear=True)
     return cubic(m, g)
