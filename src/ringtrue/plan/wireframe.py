@@ -102,7 +102,8 @@ def neighbours(xyz: Float, groups: Sequence[str]) -> Int:
 
 
 def _graph(pair: Int, weight: Float, n: int) -> sparse.csr_array:
-    return sparse.coo_array((weight, (pair[:, 0], pair[:, 1])), shape=(n, n)).tocsr()
+    at = pair.astype(np.int32).T  # as csgraph of SciPy before 1.17 takes them
+    return sparse.coo_array((weight, (at[0], at[1])), shape=(n, n)).tocsr()
 
 
 def _in_tree(pair: Int, way: Float, n: int) -> Bool:
