@@ -24,6 +24,7 @@ from ringtrue.study.config_plan import Directions, Method, Strike
 from ringtrue.study.measured import LENGTH
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
+from ringtrue.study.words import left_by_loss
 from ringtrue.virtual.sensors import ICP
 
 METHODS, STRIKES, DIRECTIONS = (get_args(kind) for kind in (Method, Strike, Directions))
@@ -270,11 +271,6 @@ def _modes(stage: PlanStage) -> list[dict[str, Any]]:
     ]
 
 
-def without(stage: PlanStage) -> str:
-    """The points that are taken as lost, in words."""
-    return "without the most important point" if stage.lost == 1 else f"without any {stage.lost} points"
-
-
 def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     heads = {
         "mode": ("mode", "{}"),
@@ -294,8 +290,7 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
         f"{len(stage.test.channels)} channels at {stage.test.points.size} points, of {stage.candidates} candidates: "
         f"{' '.join(map(str, told['points']))}",
         f"strike at {' '.join(stage.references)}",
-        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {without(stage)} "
-        f"{100 * stage.left_by_loss:.0f} % of the information about any mode is left",
+        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {left_by_loss(stage)}",
         f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, {stage.averages} averages; "
         f"ambient record {stage.record_length / 60:.3g} min, {stage.segments} blocks",
     ]

@@ -26,10 +26,11 @@ from ringtrue.io.statics import COLUMNS
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
 from ringtrue.study.loads import load_vectors
+from ringtrue.update.catalogue import LENGTH
 
 ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
 
-Units = Annotated[str, typer.Option(help="Of the deck: SI, mm-t-s, mm-kg-s, in-lbf-s, ft-lbf-s; results are in SI.")]
+Units = Annotated[str, typer.Option(help=f"Of the deck: {', '.join(LENGTH)}; results are in SI.")]
 
 
 def frf(

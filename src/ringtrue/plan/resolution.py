@@ -23,8 +23,6 @@ class Resolution:
         Of an ambient record for the wanted precision of damping.
     averages : int
         Blows, or blocks of a shaker, at each reference for the wanted random error of the FRFs.
-    segments : int
-        Blocks in the ambient record; the random error of a spectral density is 1/√segments.
     std_frequency, std_damping : (m,) float64
         Relative standard deviations to expect of an ambient record of that length.
     """
@@ -33,7 +31,6 @@ class Resolution:
     block: float
     record: float
     averages: int
-    segments: int
     std_frequency: Float
     std_damping: Float
 
@@ -91,4 +88,4 @@ def resolution(
     record = float(np.ceil(record / 60) * 60)
     std_f, std_z = ambient_std(f, damping, record)
     averages = frf_averages(error, coherence)
-    return Resolution(float(step), float(block), record, averages, int(record // block), std_f, std_z)
+    return Resolution(float(step), float(block), record, averages, std_f, std_z)

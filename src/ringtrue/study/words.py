@@ -15,6 +15,7 @@ from ringtrue.study.results import (
     Evidence,
     FinalStage,
     IdentifyStage,
+    PlanStage,
     TuneStage,
     UncertaintyStage,
     UpdateStage,
@@ -62,6 +63,12 @@ def weighed_by(discrepancy: Sequence[float]) -> str:
     """What an updating took for the deviations, of a frequency (relative) and of 1 − MAC, that its best model keeps."""
     parts = [f"{100 * x:.2g} % of {what}" for x, what in zip(discrepancy, ("frequency", "MAC"), strict=True) if x > 0]
     return f"deviations that the model is taken to keep: {' and '.join(parts)}" if parts else ""
+
+
+def left_by_loss(plan: PlanStage) -> str:
+    """What a plan still tells of the modes when the worst of its points fail."""
+    what = "the most important point" if plan.lost == 1 else f"any {plan.lost} points"
+    return f"without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left"
 
 
 def worse(before: Float, after: Float) -> str:

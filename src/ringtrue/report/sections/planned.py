@@ -27,6 +27,7 @@ from ringtrue.report.parts import (
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import IdentifyStage, PlanStage
 from ringtrue.study.summary import precision
+from ringtrue.study.words import left_by_loss
 
 MISSED = 0.1  # of the best driving-point residue
 SURE = 0.9  # of the virtual tests
@@ -47,11 +48,9 @@ def section(data: Stages) -> Section | None:
     ]
     if plan.averages:
         facts.insert(5, Fact("Averages", str(plan.averages)))
-    what = "the most important point" if plan.lost == 1 else f"any {plan.lost} points"
-    kept = f"Without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left."
     blocks: list[Block] = [
         Facts(facts),
-        Text(f"{sentence(plan.rule)} {kept} Hammer references: {', '.join(plan.references)}."),
+        Text(f"{sentence(plan.rule)} {sentence(left_by_loss(plan))} Hammer references: {', '.join(plan.references)}."),
     ]
     blocks += [Text(sentence(n)) for n in plan.notes]
     names = [str(i + 1) for i in plan.target_modes.tolist()]

@@ -82,7 +82,7 @@ class PlanStage:
     left_by_loss: float = 1.0  # least share of information left when the worst points fail
     lost: int = 1  # so many points
     averages: int = 0  # blows at each reference for the wanted error of the FRFs
-    segments: int = 0  # blocks in the ambient record
+    segments: int = 0  # blocks of that length in the ambient record
     notes: tuple[str, ...] = ()  # what the plan asks for in vain
     loaded: Float = field(default_factory=lambda: np.zeros(0))  # (target,) relative shift by the mass of the sensors
     suspension: tuple[int, ...] = ()  # nodes to hang from

@@ -17,7 +17,6 @@ from ringtrue.plan.candidates import along, even_distance, select_candidates
 from ringtrue.plan.exciters import appropriate_exciters, qr_exciters, rank_sets
 from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
 from ringtrue.plan.layout import lower_auto_mac, reached, select_points, select_references
-from ringtrue.plan.rehearsal import Conditions, Planned, Rehearsal, rehearse
 from ringtrue.plan.resolution import resolution
 from ringtrue.plan.selection import auto_mac_points, kinetic_weighted, make_redundant, qr_points, worst_loss
 from ringtrue.plan.suspension import loaded_frequencies, suspension_points
@@ -29,13 +28,12 @@ from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.parametric import build
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import ModelStage, PlanStage
+from ringtrue.study.virtual_test import virtual_test
 from ringtrue.study.workbench import Workbench
 
-SEED = 7919  # of the virtual test, added to that of the study
 WORTH = 0.02  # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
 RIGID = 1e-3  # of the highest frequency
 STILL = 1e-9  # of the largest motion: a node that is held is no candidate
-BLOWS = 20  # of the virtual test at a reference, at most
 APART = 0.8  # m, most that measuring points must be apart where nothing is said
 RESIDUE: dict[str, Callable[[Float, int], Int]] = {
     "greedy": select_references,
@@ -375,23 +373,9 @@ def _judged(
         stage = replace(stage, suspension=places, suspension_motion=hung.motion, steady=hung.steady)
     if plan.trials:
         progress(0.7, "virtual test")
-        rows = able.seen(motion)[chosen].reshape(-1, f.size)
-        stage = replace(stage, rehearsal=_rehearsed(desk, plan, stage, si * rows, progress))
+        rows = si * able.seen(motion)[chosen].reshape(-1, f.size)
+        stage = replace(stage, rehearsal=virtual_test(desk, plan, stage, rows, part(progress, 0.7, 1.0)))
     return stage
-
-
-def _rehearsed(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float, progress: Progress) -> Rehearsal:
-    f = desk.get("model").modes.frequencies
-    at = [stage.test.channels.index(r) for r in stage.references]
-    margin = 0.5 * plan.damping * stage.target_frequencies
-    low, high = float((stage.target_frequencies - margin).min()), float((stage.target_frequencies + margin).max())
-    planned = Planned(f, rows, rows[at], stage.test.channels, stage.references, low, high)
-    rng = np.random.default_rng(desk.config.study.seed + SEED)
-    conditions = Conditions(
-        trials=plan.trials, damping=plan.damping, background=plan.background, hits=min(stage.averages, BLOWS)
-    )
-    result = rehearse(planned, conditions, rng, progress=part(progress, 0.7, 1.0))
-    return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
 
 
 def _ambient(plan: PlanSection, able: Arrangement, shapes: Float, apart: float) -> Int:
