@@ -181,6 +181,7 @@ def test_loads_that_cannot_be_taken(tmp_path: Path, old: str, new: str, told: st
         (("frf", "--force", "55+X", "--fmax", "5"), 2, "the deck has no 55+X"),
         (("frf", "--force", "5+X", "--fmax", "5", "--units", "mm-kg-ms"), 2, "did you mean"),
         (("frf", "--force", "7+X", "--fmax", "5"), 0, "warning: 7+X is held"),
+        (("static", "--at", "5+X", "--units", "mm-kg-ms"), 2, "did you mean"),  # frequencies in kHz
         (("static",), 2, "--at: name the points"),
         (("static", "--at", "5+X", "--csv", "s.csv"), 2, "--csv: a static test has forces at points"),
         (("static", "--force", "5+X=much"), 2, "the form is"),

@@ -10,7 +10,7 @@ import typer
 from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedAnalysis
-from ringtrue.cli.show import json_target, out, progress, rows, tell, unit_length, write_json
+from ringtrue.cli.show import IN_SECONDS, json_target, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
@@ -41,7 +41,7 @@ def localise(
     sensors: Annotated[
         Path | None, typer.Option(help="Sensor sheet; without it, channels are DOFs of the deck such as 101+Z.")
     ] = None,
-    units: Annotated[str, typer.Option(help="Unit system of the deck.")] = "SI",
+    units: Annotated[str, typer.Option(help=f"Unit system of the deck: {', '.join(IN_SECONDS)}.")] = "SI",
     tolerance: Annotated[float, typer.Option(metavar="M", help="Largest distance of a sensor from a node.")] = 0.05,
     most: Annotated[int, typer.Option(help="Most parameters that are proposed.", min=1)] = 8,
     pool: Annotated[

@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args
 import numpy as np
 import typer
 
-from ringtrue.cli.show import json_target, listed, out, progress, rows, tell, unit_length, write_json
+from ringtrue.cli.show import IN_SECONDS, json_target, listed, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import part
@@ -34,7 +34,7 @@ from ringtrue.study.summary import correlation_json
 MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
 LOWEST, RIGID = 26, 1e-3  # modes of a deck in the place of a test; of their highest frequency
 ABOVE = 1.5  # modes of a deck up to here over the highest test mode
-CHOICES = {"match": get_args(Method), "align": ("", "points", "nearest"), "tam": get_args(Tam)}
+CHOICES = {"match": get_args(Method), "align": ("points", "nearest"), "tam": get_args(Tam)}
 
 Json = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
@@ -156,14 +156,15 @@ def correlate(
     sensors: Annotated[
         Path | None, typer.Option(help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z.")
     ] = None,
-    units: Annotated[str, typer.Option(help="Unit system of the deck.")] = "SI",
+    units: Annotated[str, typer.Option(help=f"Unit system of decks: {', '.join(IN_SECONDS)}.")] = "SI",
     tolerance: Annotated[float, typer.Option(metavar="M", help="Largest distance of a sensor from a node.")] = 0.05,
     match: Annotated[
         str, typer.Option(help=f"What a sensor off the nodes reads: {', '.join(CHOICES['match'])}.")
     ] = "nearest",
     align: Annotated[
-        str, typer.Option(metavar="HOW", help="Lay the sheet onto the deck by points (numbered as nodes) or nearest.")
-    ] = "",
+        str | None,
+        typer.Option(metavar="HOW", help="Lay the sheet onto the deck by points (numbered as nodes) or nearest."),
+    ] = None,
     mac_gate: Annotated[float, typer.Option(metavar="%", help="Least MAC of a pair.")] = 60.0,
     frequency_gate: Annotated[float, typer.Option(metavar="%", help="Largest deviation of a pair.")] = 40.0,
     lock: Annotated[
@@ -194,7 +195,7 @@ def correlate(
     Example: ringtrue correlate test.json wing.bdf --sensors sensors.csv --complete
     """
     for name, choice in (("match", match), ("align", align), ("tam", tam)):
-        if choice not in CHOICES[name]:
+        if choice is not None and choice not in CHOICES[name]:
             raise ConfigError(f"--{name} {choice!r}{did_you_mean(choice, CHOICES[name])}")
     gate = Gate(diagonal / 100, off_diagonal / 100, f"{diagonal:g} % / {off_diagonal:g} %")
     settings = PairingSettings(mac_gate=mac_gate / 100, frequency_gate=frequency_gate / 100)
@@ -207,7 +208,12 @@ def correlate(
     if align and sensors is None:
         raise ConfigError(f"--align {align}: lays the places of a sheet onto a deck; give --sensors")
     asked = CorrelateSection.model_validate(
-        {"match": "rigid" if both else match, "align": align, "tam": tam, "frequency_gate": settings.frequency_gate}
+        {
+            "match": "rigid" if both else match,
+            "align": align or "",
+            "tam": tam,
+            "frequency_gate": settings.frequency_gate,
+        }
     )
     test, points, first = _as_test(a, units) if both else (read_modes(a), sensors, "")
     there, notes, held = (

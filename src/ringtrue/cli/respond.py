@@ -12,7 +12,7 @@ import typer
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.ema import Motion
 from ringtrue.cli.model import Deck, Json
-from ringtrue.cli.show import err, file_target, progress, rows, unit_length, unit_mass, write_json
+from ringtrue.cli.show import IN_SECONDS, err, file_target, progress, rows, unit_length, unit_mass, write_json
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.motions import FRF_KIND, SI_UNIT
@@ -26,11 +26,10 @@ from ringtrue.io.statics import COLUMNS
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
 from ringtrue.study.loads import load_vectors
-from ringtrue.update.catalogue import LENGTH
 
 ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
 
-Units = Annotated[str, typer.Option(help=f"Of the deck: {', '.join(LENGTH)}; results are in SI.")]
+Units = Annotated[str, typer.Option(help=f"Of the deck: {', '.join(IN_SECONDS)}; results are in SI.")]
 
 
 def frf(

@@ -14,15 +14,16 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
 
-from ringtrue.checks.units import UNIT_SYSTEMS
+from ringtrue.checks.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
-from ringtrue.update.catalogue import LENGTH
 
 # names in brackets and lines like `wing.bdf:100:` stay as they are, lines are the terminal's to wrap
 out = Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
 err = Console(stderr=True, markup=False, emoji=False, highlight=False, soft_wrap=True)
+
+IN_SECONDS = tuple(u for u in UNIT_SYSTEMS if not u.endswith("-ms"))  # systems with frequencies in Hz
 
 
 @contextmanager
@@ -117,15 +118,17 @@ def write_json(value: Any, target: str) -> None:
 
 
 def unit_mass(units: str) -> float:
-    """Kilograms a unit of mass of the system that `--units` names, of those with seconds."""
-    if units not in (named := [u for u in UNIT_SYSTEMS if not u.endswith("-ms")]):
-        raise ConfigError(f"--units {units}{did_you_mean(units, named)}")
-    one = UNIT_SYSTEMS[units]
+    """Kilograms a unit of mass of the system that `--units` names."""
+    one = _in_seconds(units)
     return one.density * one.length**3
 
 
 def unit_length(units: str) -> float:
     """Metres a unit of length of the system that `--units` names."""
-    if units not in LENGTH:
-        raise ConfigError(f"--units {units}{did_you_mean(units, LENGTH)}")
-    return LENGTH[units]
+    return _in_seconds(units).length
+
+
+def _in_seconds(units: str) -> UnitSystem:
+    if units not in IN_SECONDS:
+        raise ConfigError(f"--units {units}{did_you_mean(units, IN_SECONDS)}")
+    return UNIT_SYSTEMS[units]

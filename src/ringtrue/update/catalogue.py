@@ -16,9 +16,6 @@ UNITS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "ft-lbf-s": ("ft", "lbf/ft2", "slug/ft3", "lbf/ft", "lbf ft/rad", "slug"),
     }
 )
-LENGTH = MappingProxyType(  # m
-    {"SI": 1.0, "mm-t-s": 1e-3, "mm-kg-s": 1e-3, "mm-kg-ms": 1e-3, "in-lbf-s": 0.0254, "ft-lbf-s": 0.3048}
-)
 # quantity -> prior standard deviation of ln(factor), largest factor
 SPREAD: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
