@@ -226,6 +226,9 @@ def test_track(record: Path, tmp_path: Path, capsys: Capture) -> None:
     assert status == 0
     assert "wind" in out
     assert "time" in out
+    found = parsed(capsys, *words, "--environment", table, "--temperature", "wind", "--leave-out", "ch5")
+    assert [s["name"] for s in found["modes"][0]["environment"]["slopes"]] == ["wind"]
+    assert "no channel 'wind'" in refused(capsys, *words, "--temperature", "wind")
 
 
 def test_track_has_an_example(capsys: Capture) -> None:

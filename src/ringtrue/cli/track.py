@@ -94,7 +94,11 @@ def track(
     fmax: Fmax = None,
     temperature: Annotated[
         list[str] | None,
-        typer.Option("--temperature", metavar="CHANNEL", help="Regress on the mean of this channel; no response."),
+        typer.Option(
+            metavar="NAME",
+            help="Regress on this temperature, which modes may follow hours behind: the mean of a channel, "
+            "which is no response, or a column of --environment.",
+        ),
     ] = None,
     amplitude: Annotated[
         list[str] | None,
@@ -131,9 +135,10 @@ def track(
     if not 0 < hours < math.inf:
         raise ConfigError(f"--hours {hours}: must be positive")
     settings = AmbientSettings(fmin=fmin, fmax=fmax)
-    env = _Environment(tuple(temperature or ()), tuple(amplitude or ()))
     begin = _starts(starts, records)
     given = _given(environment) if environment else None
+    heat = tuple(temperature or ())
+    env = _Environment(tuple(t for t in heat if not (given and t in given.names)), tuple(amplitude or ()))
     with progress("modes through time") as show:
         found, values, notes = _collect(records, begin, (rate, hours), (settings, env, given, leave_out or ()), show)
     tracked = track_modes(found)
@@ -144,7 +149,7 @@ def track(
         )
     columns = (*env.names, *(given.names if given else ()))
     regressors = {name: np.array([v[j] for v in values]) for j, name in enumerate(columns)}
-    regressors, late = _late(tracked, regressors, env.mean)
+    regressors, late = _late(tracked, regressors, heat)
     notes += late
     if drift:
         regressors["time"] = tracked.times
