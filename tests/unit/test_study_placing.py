@@ -18,7 +18,7 @@ from ringtrue.errors import DataError
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import alignment, shared_places
+from ringtrue.study.placing import alignment, mesh_points, shared_places
 from ringtrue.virtual.logbook import write_sheet
 
 # a bar on two bushes of no length; its middle node 2 and, beside it, node 30 that nothing holds or uses
@@ -151,18 +151,20 @@ def test_correlate_lays_a_sheet_onto_a_deck_and_judges_over_its_mass(
         assert f"{wrong[0]} '{wrong[1]}'" in capsys.readouterr().err
 
 
+def _plate(path: Path, n: int, first: int, *, size: float = 1.0, held: str = "") -> Path:
+    """A plate of n by n elements, 1.2 by 0.8 times the size."""
+    at = {(i, j): first + i + (n + 1) * j for j in range(n + 1) for i in range(n + 1)}
+    lines = [f"GRID,{k},,{1.2 * size * i / n:.6f},{0.8 * size * j / n:.6f},0.0" for (i, j), k in at.items()]
+    corners = (((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)) for j in range(n) for i in range(n))
+    lines += [f"CQUAD4,{e},1," + ",".join(str(at[c]) for c in q) for e, q in enumerate(corners, 1)]
+    lines += [held, "PSHELL,1,1,.004,1", "MAT1,1,2.1+11,,.3,7850.", "ENDDATA"]
+    path.write_text("\n".join(["BEGIN BULK", *filter(None, lines)]))
+    return path
+
+
 def test_a_deck_is_held_against_one_of_another_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A free plate in two meshes whose nodes have nothing in common but the places of some."""
-    decks = []
-    for n, first in ((6, 1), (9, 5001)):
-        at = {(i, j): first + i + (n + 1) * j for j in range(n + 1) for i in range(n + 1)}
-        lines = [f"GRID,{k},,{1.2 * i / n:.6f},{0.8 * j / n:.6f},0.0" for (i, j), k in at.items()]
-        corners = (((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)) for j in range(n) for i in range(n))
-        lines += [f"CQUAD4,{e},1," + ",".join(str(at[c]) for c in q) for e, q in enumerate(corners, 1)]
-        decks.append(tmp_path / f"plate{n}.bdf")
-        decks[-1].write_text(
-            "\n".join(["BEGIN BULK", *lines, "PSHELL,1,1,.004,1", "MAT1,1,2.1+11,,.3,7850.", "ENDDATA"])
-        )
+    decks = _plate(tmp_path / "plate6.bdf", 6, 1), _plate(tmp_path / "plate9.bdf", 9, 5001)
     status = run(["correlate", str(decks[0]), str(decks[1]), "--json", "-"])
     out, err = capsys.readouterr()
     assert status == 0, err
@@ -171,3 +173,17 @@ def test_a_deck_is_held_against_one_of_another_mesh(tmp_path: Path, capsys: pyte
     assert all(p["mac_percent"] > 97 for p in pairs[:6])  # the coarse mesh has six elements
     assert run(["correlate", str(decks[0]), str(tmp_path / "modes.json")]) == 2
     assert "another deck only" in capsys.readouterr().err
+    large = _plate(tmp_path / "mm.bdf", 9, 5001, size=1e3)
+    whole = _plate(tmp_path / "whole.bdf", 9, 5001, size=6.0)
+    for pair, told in (
+        ((decks[0], large), "1.44 m in size, the other 1.44e+03 m"),
+        ((large, decks[0]), "1.44e+03 m in size, the other 1.44 m"),
+        ((whole, decks[0]), "4 % of the nodes of the one deck"),
+    ):
+        assert run(["correlate", *map(str, pair)]) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_held_nodes_are_no_points_of_a_deck(tmp_path: Path) -> None:
+    deck = _plate(tmp_path / "held.bdf", 3, 1, held="SPC1,1,123456,1,THRU,4")
+    assert mesh_points(Opened(read_deck(deck), 1.0)).points.tolist() == list(range(5, 17))

@@ -74,7 +74,7 @@ class Opened:
 
         A spring of no length to the ground has two nodes at one place; a sensor there sits on the one that moves.
         """
-        ids, xyz, moves = self.model["GRID"].ids, positions(self.model), self._moves
+        ids, xyz, moves = self.model["GRID"].ids, positions(self.model), self.moves
         keep = moves.copy()
         if moves.any() and not moves.all():
             size = float(np.linalg.norm(np.ptp(xyz, axis=0)))
@@ -82,7 +82,7 @@ class Opened:
         return (ids[keep], xyz[keep]) if keep.any() else (ids, xyz)
 
     @property
-    def _moves(self) -> Bool:
+    def moves(self) -> Bool:
         """Whether any translation of a node is neither held nor without stiffness, (node,)."""
         system, n = self.analysis.system, len(self.model["GRID"].ids)
         return np.asarray((np.diff(system.transform.indptr)[: 6 * n].reshape(n, 6)[:, :3] > 0).any(axis=1))

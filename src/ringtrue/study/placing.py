@@ -26,6 +26,8 @@ MANY = 12  # points that are named
 MESHED = 400  # points of a deck that is held against another
 BAD, BETTER = 0.01, 0.2  # of the size of the deck: a fit that is looked into; of its error: what explains it
 LARGER = 1.5  # times the deck: a test that cannot lie on it
+SHARED = 0.1  # of the nodes of a deck: with fewer near another it is not of the same structure
+UNLIKE = 10.0  # times another in size: in another unit
 
 
 def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
@@ -195,9 +197,10 @@ def placed(
 
 
 def mesh_points(opened: Opened, most: int = MESHED) -> TestModel:
-    """Nodes that are drawn of a deck, at most so many all over it, as points of a test with three directions each."""
+    """Nodes that are drawn of a deck and move, at most so many all over it, as points with three directions each."""
     scene = make_scene(opened.model, {}, opened.length)
-    at = np.unique(np.linspace(0, scene.node.size - 1, min(most, scene.node.size)).astype(np.int64))
+    drawn = np.flatnonzero(np.isin(scene.node, opened.model["GRID"].ids[opened.moves]))
+    at = drawn[np.unique(np.linspace(0, drawn.size - 1, min(most, drawn.size)).astype(np.int64))]
     node, axes = scene.node[at], np.tile(np.eye(3), (at.size, 1))
     channels = tuple(f"{n}+{a}" for n in node.tolist() for a in "XYZ")
     return TestModel(node, scene.xyz[at], channels, np.repeat(node, 3), axes, np.zeros((0, 2), dtype=np.int64))
@@ -206,11 +209,15 @@ def mesh_points(opened: Opened, most: int = MESHED) -> TestModel:
 def near_mesh(test: TestModel, opened: Opened, tolerance: float) -> tuple[TestModel, float]:
     """The channels of a test that are near a node of a deck: within `tolerance` or the spacing of the nodes, m."""
     xyz = opened.seats[1] * opened.length
+    one, other = (float(np.linalg.norm(np.ptp(x, axis=0))) for x in (test.xyz, xyz))
+    if min(one, other) > 0 and max(one, other) > UNLIKE * min(one, other):
+        raise DataError(f"the one deck is {one:.3g} m in size, the other {other:.3g} m: check --units")
     tree = KDTree(xyz)
     reach = max(tolerance, float(np.median(tree.query(xyz, k=[2])[0])))
     near = np.asarray(tree.query(test.channel_xyz())[0] <= reach)
-    if not near.any():
+    if near.mean() < SHARED:
         raise DataError(
-            f"no node of the one deck is within {reach:.3g} m of a node of the other: check --units and the origins"
+            f"{100 * near.mean():.0f} % of the nodes of the one deck are within {reach:.3g} m of a node of the other: "
+            "check their origins; of a whole and its part name the part first"
         )
     return test.pick(tuple(c for c, yes in zip(test.channels, near.tolist(), strict=True) if yes)), reach

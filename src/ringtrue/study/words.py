@@ -72,14 +72,14 @@ def left_by_loss(plan: PlanStage) -> str:
 
 
 def worse(before: Float, after: Float) -> str:
-    """That an updating has made frequencies worse; nothing where it has not.
+    """That an updating has made frequencies worse; nothing where it has not by a hundredth of a percent.
 
     Parameters
     ----------
     before, after : (n,) float64
         Deviations in percent of the used modes that have a partner in both.
     """
-    a, b = (float(np.abs(x).mean()) if x.size else 0.0 for x in (before, after))
+    a, b = (round(float(np.abs(x).mean()), 2) if x.size else 0.0 for x in (before, after))
     if b <= a:
         return ""
     return (
