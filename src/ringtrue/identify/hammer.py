@@ -46,6 +46,7 @@ from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
 from ringtrue.identify.repeated_hammer import twins, united
 from ringtrue.identify.scale import scale_deviations
+from ringtrue.identify.split import joined, levelled, scattered, split_modes, split_note
 from ringtrue.signal.reciprocal import exchanged
 
 TURNS = 6
@@ -192,13 +193,14 @@ def identify_hammer(
         rejected += why
         if _still(before, fit.refined):
             break
+    search, fit, split = _whole(search, fit)
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
     result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
     reported = lines_between(used, low, high)
     said = fit_notes(reported, result.modes, result.synthesis_error)
     late = late_channels(result.modes)
     told = tuple(filter(None, (roving, _end_note(frfs, settings, high))))
-    odd = tuple(filter(None, (odd_channel(used, fit.refined.poles), parted_modes(result.model))))
+    odd = tuple(filter(None, (split, odd_channel(used, fit.refined.poles), parted_modes(result.model))))
     told = (*told, *frf_notes(reported, search.pairs), *result.notes, *said, *late, *odd, *notes)
     return replace(result, notes=told)
 
@@ -317,6 +319,17 @@ def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit,
     start = replace(fit.candidates, pole=r.poles, participation=r.participation)
     new, why = search.settle(search.refined(start), r.poles.size + 1, strict=True)
     return search, new, why
+
+
+def _whole(search: _Search, fit: _Fit) -> tuple[_Search, _Fit, str]:
+    """The fit with one mode for each that it shows twice since the FRFs disagree about it, and a note on that."""
+    split = split_modes(search.lines, fit.refined)
+    if not split:
+        return search, fit, ""
+    level = replace(search, lines=levelled(search.lines, split))
+    new = level.refined(joined(search.lines, fit.candidates, split))
+    refined = scattered(search.lines, fit.refined, new.refined, split)
+    return level, level.judged(replace(new, refined=refined), strict=True), split_note(refined, len(split))
 
 
 def _still(before: Complex, now: Refined) -> bool:
