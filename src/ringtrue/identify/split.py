@@ -132,9 +132,9 @@ def split_note(fit: Refined, count: int) -> str:
     shift = float(np.median(fit.std_frequency[-count:] / f))
     named = " ".join(f"{x:.5g}" for x in f[order])
     return (
-        f"the responses disagree about the modes at {named} Hz, by {100 * shift:.2g} % of the frequency: each would show "
-        "as several, and is one with the mean and scatter of the responses (moved sensors load the structure, or it "
-        "changed)"
+        f"the responses disagree about the modes at {named} Hz, by {100 * shift:.2g} % of the frequency: each would "
+        "show as several, and is one with the mean and scatter of the responses (moved sensors load the structure, "
+        "or it changed)"
     )
 
 
