@@ -23,7 +23,6 @@ NEAR = 2.0  # half bandwidths between neighbours among the poles of a split mode
 BAND = 6.0  # half bandwidths around them that tell
 LEAST = 12  # lines on each side
 FEWEST = 6  # responses
-NO_WORSE = 1.005  # times the squares of the fit: what noise alone makes of them
 TURNS = 12
 BETWEEN_TURNS = 10
 LEAST_DAMPED = 0.1  # of the half bandwidth
@@ -81,7 +80,7 @@ def _split(lines: Lines, fit: Refined, run: tuple[int, ...]) -> list[SplitMode]:
         for i in range(len(run) - length + 1):
             at = run[i : i + length]
             mode = local_poles(lines, fit, at)
-            if mode.cost < NO_WORSE:
+            if mode.cost < 1:
                 rest = run[:i], run[i + length :]
                 return [SplitMode(at, mode), *(m for part in rest for m in _split(lines, fit, part))]
     return []
@@ -109,7 +108,7 @@ def levelled(lines: Lines, split: Sequence[SplitMode]) -> Lines:
         change = without(lines.terms, without(lines.smooth, change))
         for i, part in enumerate(mode.participation):  # all inputs at once would not fit
             y[i] -= part * change
-    return replace(lines, y=y, power=sum(_squares(a) for a in y))
+    return replace(lines, y=y, power=_squares(y).sum(axis=0))
 
 
 def scattered(lines: Lines, fit: Refined, new: Refined, split: Sequence[SplitMode]) -> Refined:
