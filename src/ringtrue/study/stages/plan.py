@@ -139,6 +139,17 @@ def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Boo
     return criteria
 
 
+def _able(desk: Workbench, plan: PlanSection, model: ModelStage) -> tuple[Arrangement, Float]:
+    """The candidates that move, and the motion (node, 3, mode) of their nodes."""
+    nodes, region = _within(desk, plan, *_candidates(plan, model))
+    motion = _shapes(desk, nodes, np.arange(model.modes.frequencies.size))
+    moves = np.abs(motion).max(axis=(1, 2)) > STILL * np.abs(motion).max(initial=0.0)
+    keep = np.flatnonzero(moves | np.isin(nodes, plan.fixed))
+    nodes, region, motion = nodes[keep], tuple(region[i] for i in keep.tolist()), motion[keep]
+    xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(nodes)] * desk.length
+    return arranged(nodes, region, xyz, plan.directions, model.scene), motion
+
+
 def run(desk: Workbench, progress: Progress) -> PlanStage:
     """Choose where to measure and where to hit.
 
@@ -153,13 +164,7 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     edge = elastic_edge(f, desk.config)
     wanted = _targets(desk, plan, f, edge)
     targets = wanted.modes
-    nodes, region = _within(desk, plan, *_candidates(plan, model))
-    motion = _shapes(desk, nodes, np.arange(f.size))
-    moves = np.abs(motion).max(axis=(1, 2)) > STILL * np.abs(motion).max(initial=0.0)
-    keep = np.flatnonzero(moves | np.isin(nodes, plan.fixed))
-    nodes, region, motion = nodes[keep], tuple(region[i] for i in keep.tolist()), motion[keep]
-    xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(nodes)] * desk.length
-    able = arranged(nodes, region, xyz, plan.directions, model.scene)
+    able, motion = _able(desk, plan, model)
     shapes = able.seen(motion)
     elastic = f > RIGID * f.max()
     timed = targets[elastic[targets]] if elastic[targets].any() else targets  # what decays; rigid bodies do not
