@@ -127,6 +127,21 @@ def _reasons(unpaired: Sequence[dict[str, Any]]) -> list[str]:
     return [f"{name} {listed(modes)}: {reason}" for (name, reason), modes in told.items()]
 
 
+def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
+    body = [
+        (
+            p["test_mode"],
+            p["fe_mode"],
+            f"{p['frequency_test_hz']:.4g}",
+            f"{p['frequency_fe_hz']:.4g}",
+            f"{p['deviation_percent']:+.2f}",
+            f"{p['mac_percent']:.1f}",
+        )
+        for p in pairs
+    ]
+    rows(title, ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
+
+
 def _show_complete(c: CompleteCorrelation) -> None:
     for check in c.checks:
         out.print(f"{check.name}: {check.verdict}")
@@ -243,18 +258,7 @@ def correlate(
     if json:
         write_json(value, json)
     if json != "-":
-        body = [
-            (
-                r["test_mode"],
-                r["fe_mode"],
-                f"{r['frequency_test_hz']:.4g}",
-                f"{r['frequency_fe_hz']:.4g}",
-                f"{r['deviation_percent']:+.2f}",
-                f"{r['mac_percent']:.1f}",
-            )
-            for r in value["pairs"]
-        ]
-        rows(f"{a} against {b}", ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
+        _show_pairs(f"{a} against {b}", value["pairs"])
         tell([*_reasons(value["unpaired"]), *filter(None, [first]), *notes])
         if full is not None:
             _show_complete(full)
