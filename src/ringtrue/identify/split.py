@@ -21,6 +21,7 @@ from ringtrue.identify.refine import Refined
 
 NEAR = 2.0  # half bandwidths between neighbours among the poles of a split mode
 BAND = 6.0  # half bandwidths around them that tell
+INSIDE = 0.5  # length, in the band, of smooth terms that the fit has there
 LEAST = 12  # lines on each side
 FEWEST = 6  # responses
 TURNS = 12
@@ -193,7 +194,7 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Band:
-    """What the data hold of some modes in their band, without what neighbours may have.
+    """What the data hold of some modes in their band, without what neighbours and smooth terms may have.
 
     `along` (freq, out) is the part along the participation vector `part` (in,); `beside` are the squares of the rest,
     `left` those that the fit leaves. `neighbours` (freq, n) is an orthonormal basis.
@@ -226,8 +227,9 @@ def _band(lines: Lines, fit: Refined, at: list[int]) -> _Band:
     band = replace(lines, s=lines.s[near], kind=lines.kind[near], weight=lines.weight[near])
     far = np.abs(fit.poles.imag[:, None] - poles.imag).min(axis=1)
     others = fit.poles[(far > NEAR * np.maximum(half, np.abs(fit.poles.real))) & (far < 2 * reach)]
-    columns = np.concatenate(resonances(band, others), axis=1)
-    basis = np.linalg.qr(band.weight[:, None] * columns)[0]
+    flat, size, _ = np.linalg.svd(lines.smooth[near], full_matrices=False)
+    columns = [*(band.weight[:, None] * x for x in resonances(band, others)), flat[:, size > INSIDE]]
+    basis = np.linalg.qr(np.concatenate(columns, axis=1))[0]
     shapes = fit.shapes[:, at] * lines.response[:, None]
     left = without(basis, fit.known.rest[:, near])
     own = band.weight[:, None] * resonances(band, poles)[0]
