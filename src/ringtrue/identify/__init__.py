@@ -4,7 +4,7 @@ Ambient records: `ambient` is the call; `ambient_record` what a record allows, `
 kept of it, `ambient_band` the modes of one band, `ambient_verdict` the verdict on those of all;
 `ambient_methods` by another method.
 
-Blows, shakers, FRFs: `hammer` is the call; `frf_input` what is refused, `condense` fewer lines,
+Blows, shakers, FRFs: `hammer` is the call; `frf_input` what is refused, `frf_band` the band, `condense` fewer lines,
 `bands_hammer` the candidates, `deflate` what they miss, `refine` the fit, `lsfd` and `scale` residues and
 modal masses, `normal` real shapes; `split` and `local` responses and setups that disagree,
 `linearity` several force levels; `frf_methods` by another method.

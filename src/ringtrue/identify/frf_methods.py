@@ -16,8 +16,9 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.identify.bands_hammer import MOST_PEAKS, choose_bands, grouped, merged, principal
+from ringtrue.identify.frf_band import band_limits, lines_between
 from ringtrue.identify.frf_input import frf_notes, refuse_bad_frfs, sound_pairs
-from ringtrue.identify.hammer import HammerModes, band_limits, lines_between, mode_scale
+from ringtrue.identify.hammer import HammerModes, mode_scale
 from ringtrue.identify.judge import judge
 from ringtrue.identify.lsce import Lsce, lsce
 from ringtrue.identify.lsfd import lsfd, noise, prepare
@@ -61,7 +62,7 @@ def identify_frfs_by(
     settings, tell = settings or HammerModes(), progress or quiet
     refuse_bad_frfs(frfs)
     frfs, roving = exchanged(frfs)
-    low, high = band_limits(frfs, settings)
+    low, high = band_limits(frfs, settings.fmin, settings.fmax)
     tell(0.0, NAMES[method])
     if method == "cmif":
         model = cmif_modes(frfs, CmifPeaks(low, high))

@@ -19,6 +19,7 @@ from ringtrue.errors import DataError
 from ringtrue.identify.bands_hammer import band_candidates, choose_bands, merged
 from ringtrue.identify.choice_hammer import hand_poles
 from ringtrue.identify.deflate import missed, support
+from ringtrue.identify.frf_band import band_limits, end_note, lines_between
 from ringtrue.identify.frf_input import (
     fit_notes,
     frf_notes,
@@ -32,7 +33,6 @@ from ringtrue.identify.judge import Candidates, Verdict, judge
 from ringtrue.identify.lsfd import (
     Lines,
     blow_factors,
-    likeness,
     lsfd,
     noise,
     noise_left,
@@ -54,8 +54,6 @@ LAST_ITERATIONS = 60
 RINGING_TURNS = 6  # of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
 MOST_NEW = 6
 MOST_BYTES = 2e9
-_USABLE = 0.5  # of coherence, or of likeness
-_TO_THE_END = 0.95
 PAIR = "one of two modes of one frequency: any turn of the two shapes in their plane fits as well"
 
 
@@ -161,7 +159,7 @@ def identify_hammer(
     refuse_bad_frfs(frfs)
     frfs, roving = exchanged(frfs)
     tell = progress or quiet
-    low, high = band_limits(frfs, settings)
+    low, high = band_limits(frfs, settings.fmin, settings.fmax)
     used = lines_between(frfs, 0.8 * low, 1.25 * high)
     sigma = noise(used)
     curve = cmif(used.data / sigma.response[:, None])
@@ -199,44 +197,10 @@ def identify_hammer(
     reported = lines_between(used, low, high)
     said = fit_notes(reported, result.modes, result.synthesis_error)
     late = late_channels(result.modes)
-    told = tuple(filter(None, (roving, _end_note(frfs, settings, high))))
+    told = tuple(filter(None, (roving, end_note(frfs, settings.fmax, high))))
     odd = tuple(filter(None, (split, odd_channel(used, fit.refined.poles), parted_modes(result.model))))
     told = (*told, *frf_notes(reported, search.pairs), *result.notes, *said, *late, *odd, *notes)
     return replace(result, notes=told)
-
-
-def band_limits(frfs: FrfSet, settings: HammerModes) -> tuple[float, float]:
-    """The reported band, Hz; where not given, up to where the coherence, or the likeness of next lines, ends."""
-    f = frfs.freqs
-    low = settings.fmin if settings.fmin is not None else float(f[f > 0][0])
-    high = settings.fmax if settings.fmax is not None else _usable_to(frfs)
-    if np.count_nonzero((f >= low) & (f <= high)) < 32:
-        raise DataError(f"{frfs.source}: fewer than 32 lines between {low:g} and {high:g} Hz; widen fmin, fmax")
-    return max(low, float(f[0])), min(high, float(f[-1]))
-
-
-def _usable_to(frfs: FrfSet) -> float:
-    """Frequency, Hz, of the last line at which the coherence, or the likeness of next lines, is usable."""
-    f = frfs.freqs
-    known = bool(np.isfinite(frfs.coherence).all())
-    good = np.median(frfs.coherence, axis=(1, 2)) if known else likeness(frfs.data, f)
-    wide = max(5, f.size // 50) | 1
-    good = np.convolve(np.pad(good, wide // 2, mode="edge"), np.ones(wide) / wide, "valid")
-    usable = f[good > _USABLE]
-    return float(usable[-1] if usable.size else f[-1])
-
-
-def _end_note(frfs: FrfSet, settings: HammerModes, high: float) -> str:
-    """Says that the band ends before the lines do."""
-    if settings.fmax is not None or high > _TO_THE_END * frfs.freqs[-1]:
-        return ""
-    return f"the band ends at {high:.4g} Hz: beyond, the FRFs are noise (--fmax for more)"
-
-
-def lines_between(frfs: FrfSet, low: float, high: float) -> FrfSet:
-    """The FRFs of a band, Hz, without the line at 0 Hz."""
-    at = (frfs.freqs >= low) & (frfs.freqs <= high) & (frfs.freqs > 0)
-    return replace(frfs, data=frfs.data[at], freqs=frfs.freqs[at], coherence=frfs.coherence[at])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
