@@ -23,7 +23,7 @@ from ringtrue.core.arrays import Int
 from ringtrue.io.nastran.constraint_sets import empty_choices
 from ringtrue.model.cards import columns
 from ringtrue.model.choices import CONSTRAINTS, idle
-from ringtrue.model.frames import positions
+from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model, Ragged
 from ringtrue.model.references import NODES, REFERENCES, missing, unused
 
@@ -139,7 +139,7 @@ def _coincident(model: Model) -> list[Finding]:
         return []
     grid, xyz = model["GRID"], positions(model)
     used = np.flatnonzero(np.isin(grid.ids, _used_nodes(model)))
-    size = float(np.linalg.norm(np.ptp(xyz, axis=0)))
+    size = diagonal(xyz)
     pairs = KDTree(xyz[used]).query_pairs(NEAR * size, output_type="ndarray").astype(np.int64)
     if not len(pairs):
         return []

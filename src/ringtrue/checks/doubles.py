@@ -9,13 +9,11 @@ import numpy as np
 from ringtrue.checks.edges import CORNERS
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.core.arrays import Int
+from ringtrue.fem.kinds import SOLIDS
 from ringtrue.model.model import Model
 
-_NODES = {card: tuple(f"G{i + 1}" for i in range(count)) for card, count in CORNERS.items()} | {
-    "CTETRA": tuple(f"G{i}" for i in range(1, 5)),
-    "CPYRAM": tuple(f"G{i}" for i in range(1, 6)),
-    "CPENTA": tuple(f"G{i}" for i in range(1, 7)),
-    "CHEXA": tuple(f"G{i}" for i in range(1, 9)),
+_CORNERS = CORNERS | {card: solid.corners for card, solid in SOLIDS.items()}
+_NODES = {card: tuple(f"G{i + 1}" for i in range(count)) for card, count in _CORNERS.items()} | {
     "CROD": ("G1", "G2"),
     "CBAR": ("GA", "GB"),
     "CBEAM": ("GA", "GB"),

@@ -8,7 +8,7 @@ import numpy as np
 
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.core.arrays import Bool, Int
-from ringtrue.model.frames import positions
+from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model, Ragged
 from ringtrue.model.references import NODES, REFERENCES, SHELLS
 
@@ -78,7 +78,7 @@ def _idle_bushes(model: Model, free: Bool) -> Bool:
     """Bushes of some length and stiffness in two directions, both ends of which turn freely."""
     t, x = model["CBUSH"], positions(model)
     a, b = _rows(model, "CBUSH", "GA"), _rows(model, "CBUSH", "GB")
-    long = np.linalg.norm(x[a] - x[b], axis=1) > 1e-6 * np.linalg.norm(np.ptp(x, axis=0))
+    long = np.linalg.norm(x[a] - x[b], axis=1) > 1e-6 * diagonal(x)
     stiff = np.zeros(len(t), dtype=bool)
     if "PBUSH" in model:
         at = model["PBUSH"].find(t["PID"])

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
+from ringtrue.model.frames import diagonal
 
 MOST_STEPS = 100
 ROUNDS = 6
@@ -184,7 +185,7 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
         if best.rms > 0.99 * win.rms:
             break
         win = best
-    reach = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    reach = diagonal(nodes)
     near = [f for f in found if f.rms <= RIVAL * win.rms + 1e-9 * reach]
     return replace(win, rivals=_distinct([f(source) for f in near], win(source), 0.02 * reach))
 

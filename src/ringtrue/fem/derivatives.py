@@ -16,6 +16,7 @@ from ringtrue.fem.elements import dmig
 from ringtrue.fem.kinds import batches
 from ringtrue.fem.mesh import Mesh, mesh
 from ringtrue.fem.slopes import CENTRAL, SMALL, ElementSlopes, displaced, element_slopes, moves_nodes
+from ringtrue.model.frames import diagonal
 from ringtrue.model.model import Model
 
 
@@ -97,7 +98,7 @@ def _moved(
 
 
 def _reach(m: Mesh) -> float:
-    return float(np.linalg.norm(np.ptp(m.xyz, axis=0))) or 1.0
+    return diagonal(m.xyz) or 1.0
 
 
 def _transform(model: Model, system: System) -> sparse.csr_array:

@@ -19,6 +19,7 @@ from ringtrue.fem.change import changed, moved, rows_of, rows_of_elements, users
 from ringtrue.fem.kinds import MATERIAL, PROPERTY, batches
 from ringtrue.fem.mesh import Matrices, Mesh, mesh
 from ringtrue.fem.rows import Rows, union
+from ringtrue.model.frames import diagonal
 from ringtrue.model.model import Model
 
 STEP = 1e-40  # of the complex step; nothing is subtracted, so it costs no digits
@@ -337,7 +338,7 @@ def _added(old: ElementSlopes | None, new: ElementSlopes, c: float) -> ElementSl
 
 def difference_step(m: Mesh, rows: Rows, size: float) -> float:
     """Step of a for a place that moves by `size` (a − 1): a share of the shortest edge of the elements of `rows`."""
-    shortest = float(np.linalg.norm(np.ptp(m.xyz, axis=0))) or 1.0
+    shortest = diagonal(m.xyz) or 1.0
     for _, _, part in _parts(m, rows):
         node = part.dofs[:, ::6] // 6 if part.dofs.shape[1] % 6 == 0 else part.dofs[:, ::3] // 6
         node = np.where((node >= 0) & (node < len(m.xyz)), node, -1)

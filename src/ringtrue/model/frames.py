@@ -175,9 +175,14 @@ def positions(model: Model) -> Float:
     return out
 
 
+def diagonal(xyz: Float) -> float:
+    """The diagonal of the box about points (n, 3), 0 without two places."""
+    return float(np.linalg.norm(np.ptp(xyz, axis=0))) if len(xyz) else 0.0
+
+
 def extent(model: Model) -> float:
-    """The diagonal of the box about all nodes, 0 without two places."""
-    return float(np.linalg.norm(np.ptp(positions(model), axis=0))) if len(model["GRID"]) else 0.0
+    """The diagonal of the box about all nodes."""
+    return diagonal(positions(model))
 
 
 def axes(model: Model, cid: Int, basic: Float) -> Float:

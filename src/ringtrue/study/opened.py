@@ -16,7 +16,7 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.observe import Method, observe
-from ringtrue.model.frames import positions
+from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
 
@@ -77,7 +77,7 @@ class Opened:
         ids, xyz, moves = self.model["GRID"].ids, positions(self.model), self.moves
         keep = moves.copy()
         if moves.any() and not moves.all():
-            size = float(np.linalg.norm(np.ptp(xyz, axis=0)))
+            size = diagonal(xyz)
             keep[~moves] = KDTree(xyz[moves]).query(xyz[~moves])[0] > ROUNDING * size
         return (ids[keep], xyz[keep]) if keep.any() else (ids, xyz)
 

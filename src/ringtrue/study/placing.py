@@ -17,7 +17,7 @@ from ringtrue.correlate.align import Alignment, best_fit, nearest_fit
 from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.errors import DataError, InputError, did_you_mean
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.model.frames import positions
+from ringtrue.model.frames import diagonal, positions
 from ringtrue.study.opened import ROUNDING, Opened
 from ringtrue.study.scene import make_scene
 
@@ -46,7 +46,7 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
     """
     nodes, ids = positions(opened.model) * opened.length, opened.model["GRID"].ids
     if how == "nearest":
-        times = float(np.linalg.norm(np.ptp(test.xyz, axis=0)) / np.linalg.norm(np.ptp(nodes, axis=0)))
+        times = diagonal(test.xyz) / diagonal(nodes)
         if times > LARGER:
             raise DataError(f"correlate.align nearest: {_other_size(times)}")
         found = nearest_fit(test.xyz, nodes)
@@ -67,7 +67,7 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
 def _look_into(found: Alignment, points: Float, nodes: Float) -> None:
     """Refuse a poor fit that another unit or a mirror image explains."""
     off = _off(found)
-    if off < BAD * float(np.linalg.norm(np.ptp(nodes, axis=0))):
+    if off < BAD * diagonal(nodes):
         return
     try:
         sized, mirrored = best_fit(points, nodes, scale=True), best_fit(points * [1, 1, -1], nodes)
@@ -123,7 +123,7 @@ def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str,
     ids, xyz = opened.seats
     points, first = np.unique(test.at, return_index=True)
     place, tree = test.channel_xyz()[first] / opened.length, KDTree(xyz)
-    reach = tree.query(place)[0] + ROUNDING * float(np.linalg.norm(np.ptp(xyz, axis=0)))
+    reach = tree.query(place)[0] + ROUNDING * diagonal(xyz)
     shared = [
         (point, some)
         for point, at in zip(points.tolist(), tree.query_ball_point(place, reach), strict=True)
@@ -209,7 +209,7 @@ def mesh_points(opened: Opened, most: int = MESHED) -> TestModel:
 def near_mesh(test: TestModel, opened: Opened, tolerance: float) -> tuple[TestModel, float]:
     """The channels of a test that are near a node of a deck: within `tolerance` or the spacing of the nodes, m."""
     xyz = opened.seats[1] * opened.length
-    one, other = (float(np.linalg.norm(np.ptp(x, axis=0))) for x in (test.xyz, xyz))
+    one, other = diagonal(test.xyz), diagonal(xyz)
     if min(one, other) > 0 and max(one, other) > UNLIKE * min(one, other):
         raise DataError(f"the one deck is {one:.3g} m in size, the other {other:.3g} m: check --units")
     tree = KDTree(xyz)

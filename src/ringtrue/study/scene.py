@@ -10,7 +10,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.fem.pressure import FACES, SURFACES
-from ringtrue.model.frames import positions
+from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.study.results import Scene
 
@@ -67,7 +67,7 @@ def _lines(model: Model) -> tuple[Int, Int]:
     lines, joints = _ends(model, _LINES), _ends(model, _JOINTS)
     xyz, at = positions(model), model["GRID"].find(joints[:, :2])
     length = np.linalg.norm(xyz[at[:, 0]] - xyz[at[:, 1]], axis=1)
-    apart = (at >= 0).all(axis=1) & (length > NOWHERE * np.linalg.norm(np.ptp(xyz, axis=0)))
+    apart = (at >= 0).all(axis=1) & (length > NOWHERE * diagonal(xyz))
     points = [joints[~apart & (at[:, k] >= 0)][:, [k, k, 2]] for k in (0, 1)]
     every = np.concatenate([lines, joints[apart], np.unique(np.concatenate(points), axis=0)])
     return every[:, :2], every[:, 2]
