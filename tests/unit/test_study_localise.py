@@ -14,6 +14,7 @@ from ringtrue.errors import DataError
 from ringtrue.report.deliver import deliver
 from ringtrue.study.results import LocaliseStage, UncertaintyStage
 from ringtrue.study.run import StudyRun, load_study, run_study
+from ringtrue.study.words import told
 
 PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS
 AUTO = PLAIN.replace("[update]\n", "[update]\npropose = true\n")
@@ -161,3 +162,14 @@ def _same(a: object, b: object, close: float) -> None:
         _same(list(a.items()), list(b.items()), close)
     else:
         assert a == pytest.approx(b, rel=max(close, 1e-15))
+
+
+def test_a_deck_that_needs_no_change_is_delivered_as_it_is(tmp_path: Path) -> None:
+    study = small_study.write_study(tmp_path, AUTO, ambient=False)
+    (tmp_path / "deck" / "frame.bdf").write_text(small_study.deck(small_study.TRUTH))
+    run = run_study(study)
+    assert run.results["localise"].proposal.members == ()
+    assert run.results["update"].sets[0].parameters == ()
+    assert run.results["final"].changes == ()
+    assert any("nothing is proposed, and the deck is delivered as it is" in line for line in told(run.results))
+    deliver(run)

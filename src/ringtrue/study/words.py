@@ -24,8 +24,8 @@ from ringtrue.study.results import (
 MEND = "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out = [...] leaves it out"
 
 NO_CHANGE = (
-    "no change of the candidates pays for its parameters (AICc): the one that explains most by itself was updated all "
-    "the same; first look for what is wrong with the pairs, the sensors or the form of the model"
+    "no change of the candidates pays for its parameters (AICc): nothing is proposed, and the deck is delivered as it "
+    "is; first look for what is wrong with the pairs, the sensors, the mesh or the form of the model"
 )
 
 

@@ -322,7 +322,7 @@ def _solution(problem: Problem, history: tuple[Evaluated, ...], outcome: Outcome
     end, precision = history[-1], problem.linked_precision
     _, g = problem.weighted(end)
     normal = g.T @ g
-    total = normal + precision + 1e-14 * np.eye(len(normal)) * max(float(np.diag(normal + precision).max()), 1e-300)
+    total = normal + precision + 1e-14 * np.eye(len(normal)) * float(np.diag(normal + precision).max(initial=1e-300))
     spent = float(np.trace(linalg.solve(total, normal, assume_a="pos")))
     many = problem.configurations[0].target.weights.independent  # errors in a shape, the datum of many rows
     data = float(np.where(np.bincount(end.datum) > 1, many, 1.0).sum())

@@ -69,7 +69,7 @@ def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[
         weighted = several.evaluate(np.zeros(len(names))).slope * several.parameters.std()
     out: dict[str, Int] = {}
     if desk.config.propose:
-        out["proposal"] = np.array([names.index(n) for n in proposed(desk)])
+        out["proposal"] = np.array([names.index(n) for n in proposed(desk)], dtype=np.int64)
     if not len(desk.config.candidates()):  # those made from the deck may scale the same field: the proposal knows
         return out, weighted
     orthogonal, largest = choose.orthogonal(weighted, count), choose.largest(weighted, count)
@@ -101,9 +101,9 @@ def mac_slope(psi: Float, point: Linearisation, fe: int) -> Float:
 
 
 def proposed(desk: Workbench) -> tuple[str, ...]:
-    """Names of the proposed parameters, or of the one that explains most by itself where no change pays."""
+    """Names of the proposed parameters; none where no change pays, and the deck stays as it is."""
     found: LocaliseStage = desk.get("localise")
-    return tuple(m.name for m in found.proposal.members) or found.proposal.orders["single gain"][:1]
+    return tuple(m.name for m in found.proposal.members)
 
 
 def run(desk: Workbench, progress: Progress) -> SensitivityStage:

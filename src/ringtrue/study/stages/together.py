@@ -182,7 +182,7 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
         percent(np.max, error, used),
         percent(np.mean, mac, used),
         spared(aims, [p.now for p in done.end.points]),
-        float(np.linalg.cond(scaled.T @ scaled)),
+        float(np.linalg.cond(scaled.T @ scaled)) if size.size else 1.0,
         aicc(whole_cost(problem, done.end), data_count(problem, done.end), done.x.size),
         done.outcome.value,
         np.array([at.cost for at in path]),

@@ -59,7 +59,7 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
             results.append(replace(done, settings=named[name].words() if own else ""))
     alike = [r.name not in named or named[r.name].comparable(desk.config.update) for r in results]
     chosen = _least(results, alike)
-    if lost.get(results[chosen].name):
+    if results[chosen].parameters and lost.get(results[chosen].name):
         results = _with_further_starts(desk, results, chosen, progress, kept)
         chosen = _least(results, alike)
     kept.done()
