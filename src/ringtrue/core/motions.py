@@ -1,9 +1,12 @@
-"""Motions that sensors measure: orders of derivative, SI units, and the kinds of FRF that they give."""
+"""Motions that sensors measure: orders of derivative, SI units, the kinds of FRF that they give, one made another."""
 
 from __future__ import annotations
 
 from typing import Literal
 
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.signals import Channel, FrfKind
 
 Motion = Literal["displacement", "velocity", "acceleration"]
@@ -18,3 +21,20 @@ BASE = "base "  # how the name of a base begins
 def base_motion(name: str) -> Channel:
     """The input of transmissibilities, the motion of a base; by its name no response is its driving point."""
     return Channel(BASE + name, "acceleration", SI_UNIT["acceleration"])
+
+
+def as_motion(h: Complex, freqs: Float, motion: str, wanted: str) -> Complex:
+    """FRFs of one motion as those of another; the line at 0 Hz becomes 0.
+
+    Parameters
+    ----------
+    h : (f, ...) complex128, SI
+    freqs : (f,) float64, Hz
+    motion, wanted : str
+        Quantities; what is no motion stays what it is.
+    """
+    if motion == wanted or not {motion, wanted} <= set(DERIVATIVE):
+        return h
+    s = 2j * np.pi * freqs.reshape(-1, *(1,) * (h.ndim - 1))
+    factor = np.where(s == 0, 1, s) ** (DERIVATIVE[wanted] - DERIVATIVE[motion])
+    return np.asarray(h * np.where(s == 0, 0, factor))

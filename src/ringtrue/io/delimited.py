@@ -33,6 +33,7 @@ _SECONDS = {
     "min": 60.0,
     "h": 3600.0,
 }
+_AXES = ("hz", "khz", "rad/s", "db", "deg", "°", "rad")  # of FRFs
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # since 1970: above this the unit is that of seconds
 _UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
 _NUMBER = r"(?P<x>\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
@@ -173,7 +174,8 @@ def _titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
     if len(fit) < 2 or not all(_is_unit(u.strip("[]()")) for u in fit[-1][1:]):
         return fit[-1] if fit else []
     units = [u.strip("[]()").strip("-") if _is_unit(u.strip("[]()")) else "" for u in fit[-1]]
-    return [n if _UNIT.match(n) or not u else f"{n} [{u}]" for n, u in zip(fit[-2], units, strict=True)]
+    told = [(m := _UNIT.match(n)) is not None and _is_unit(m[2]) for n in fit[-2]]
+    return [n if t or not u else f"{n} [{u}]" for n, u, t in zip(fit[-2], units, told, strict=True)]
 
 
 def _commented(told: Sequence[str], delimiter: str, width: int) -> list[str]:
@@ -183,7 +185,8 @@ def _commented(told: Sequence[str], delimiter: str, width: int) -> list[str]:
 
 
 def _is_unit(text: str) -> bool:
-    return text.lower() in ("", "-", *_SECONDS) or bool(known(text))
+    over, _, under = text.rpartition("/")
+    return text.lower() in ("", "-", *_SECONDS, *_AXES) or bool(known(text) or (over and known(over) and known(under)))
 
 
 def _clocked(lines: Sequence[str], delimiter: str, path: Path) -> tuple[Sequence[str], int]:

@@ -3,32 +3,43 @@
 from __future__ import annotations
 
 import csv
+import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import BASE, FRF_KIND, SI_UNIT, base_motion
-from ringtrue.core.signals import Channel, FrfSet, Quantity
+from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.motions import BASE, FRF_KIND, SI_UNIT, Motion, as_motion, base_motion
+from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.delimited import read_columns
-from ringtrue.io.si import known, to_si
+from ringtrue.io.si import axis_factor, known, to_si
 
-_FREQUENCY = re.compile(r"^\W*(freq\w*|f|hz|frequenz|fr[eé]quence|x)\b", re.IGNORECASE)
+log = logging.getLogger(__name__)
+
+_FREQUENCY = re.compile(r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE)
+_AXIS = re.compile(r"(?<![A-Za-z])(k?hz|rad/s(ec)?|rpm|cpm|1/min|omega)(?![A-Za-z])", re.IGNORECASE)
 _PARTS = {
-    "re": r"real|re",
-    "im": r"imaginary|imag|im",
-    "size": r"magnitude|mag|amplitude|ampl|amp|abs|modulus|gain",
-    "phase": r"phase|phi|arg|angle",
-    "coherence": r"coherence|coh|gamma2",
+    "re": r"real([\s_]*part|teil)?|(partie\s+)?r[eé]elle|re",
+    "im": r"imaginary([\s_]*part)?|imag([\s_]*part)?|imagin[aä]rteil|(partie\s+)?imaginaire|im",
+    "size": r"magnitude|mag|amplitude|ampl|amp|abs|modulus|module|gain|betrag",
+    "phase": r"phase(nwinkel)?|phi|arg|angle|winkel",
+    "coherence": r"coh[eé]rence|coh|gamma2|koh[aä]renz",
 }
 _PART = {k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in _PARTS.items()}
-_BRACKETS = re.compile(r"(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*$")
-_LEVEL = re.compile(r"\bdB\b(\s*re[fl]?\b[.:]?\s*(?P<one>(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)?)?", re.IGNORECASE)
+_GROUP = re.compile(r"\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\)")
+_BARS = re.compile(r"^\s*\|([^|]+)\|")  # of a modulus
+_CALLED = re.compile(r"^\W*((H|FRF)(?=[\s_:(])|H[12vV](?=\())")
+_LEVEL = re.compile(
+    r"(?<![A-Za-z])dB(?![A-Za-z])(\s*re[fl]?\b[.:]?\s*(?P<one>(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)?)?", re.IGNORECASE
+)
+_DEGREES = re.compile(r"(?<![A-Za-z])deg(rees?)?(?![A-Za-z])|°", re.IGNORECASE)
+_RADIANS = re.compile(r"(?<![A-Za-z])rad(ians?)?(?![A-Za-z])", re.IGNORECASE)
 _TURN = 2 * np.pi + 0.1  # a phase beyond is in degrees
 
 
@@ -56,31 +67,26 @@ def read_frf_table(path: Path) -> FrfSet:
 
     Titles name response, reference and part, `1+Z/3+Z real [m/s^2/N]`: real and imag, or magnitude (dB, too) and
     phase (degrees, or radians where no value passes a turn and no unit tells); coherence as well. Without a reference
-    it is `in1`; without a unit the responses are accelerations. Lines may be uneven and in any order.
+    it is `in1`; without a unit the responses are accelerations, of several kinds they become those of most. Lines may
+    be in kHz, rad/s or rpm, uneven and in any order; those at which no FRF has a value are left out.
 
     Raises
     ------
     DataError
-        If the first column is no frequency, a response lacks a part, or a unit is not motion over force.
+        If the first column is no frequency, a response lacks a part or a value, two columns are the same part, or a
+        unit is not motion over force.
     """
     names, data = read_columns(path)
     if len(names) != len(data) or not names or not _FREQUENCY.match(names[0]):
         raise DataError(f"{path}: the first column must be named a frequency; it is {names[:1]}")
-    titles = [_title(n) for n in names[1:]]
-    parts: dict[tuple[str, str], dict[str, int]] = {}
-    for at, t in enumerate(titles, start=1):
-        if t is not None:
-            parts.setdefault((t.output, t.reference), {})[t.part] = at
-    units = {(t.output, t.reference): t.unit for t in titles if t and t.part in ("re", "size") and t.unit}
-    freqs, order = np.unique(data[0], return_index=True)
+    parts, units = _columns(names, path)
+    freqs, order = np.unique(data[0] * _hertz(names[0]), return_index=True)
     if freqs.size != data.shape[1]:
         raise DataError(f"{path}: {data.shape[1] - freqs.size} frequencies occur twice")
     outputs, inputs = (list(dict.fromkeys(k[i] for k in parts)) for i in (0, 1))
     shape = (freqs.size, len(outputs), len(inputs))
     h, coherence = np.full(shape, np.nan, dtype=np.complex128), np.full(shape, np.nan)
     kinds = {k: _kind(units.get(k, ""), path) for k in parts}
-    if len({k[0] for k in kinds.values()}) > 1:
-        raise DataError(f"{path}: responses of several kinds: {', '.join(sorted({k[0] for k in kinds.values()}))}")
     based = {key[1] for key, k in kinds.items() if k[2]}
     for key, columns in parts.items():
         o, i = outputs.index(key[0]), inputs.index(key[1])
@@ -88,20 +94,60 @@ def read_frf_table(path: Path) -> FrfSet:
         h[:, o, i] = _complex({p: data[at, order] for p, at in columns.items()}, title, key, path) * kinds[key][1]
         if "coherence" in columns:
             coherence[:, o, i] = data[columns["coherence"], order]
-    if np.isnan(h).any():
-        o, i = np.argwhere(np.isnan(h))[0][1:]
-        raise DataError(f"{path}: no value, or none at some line, of {outputs[o]} for {inputs[i]}")
-    kind: Quantity = next(iter(kinds.values()))[0]
+    motions = {key: k[0] for key, k in kinds.items()}
+    kind = max(dict.fromkeys(motions.values()), key=list(motions.values()).count)
+    for (out, ref), motion in motions.items():
+        at = outputs.index(out), inputs.index(ref)
+        h[:, *at] = as_motion(h[:, *at], freqs, motion, kind)
+    known_at = _known_lines(h, freqs, outputs, inputs, path)
     return FrfSet(
-        h,
-        freqs,
+        h[known_at],
+        freqs[known_at],
         tuple(Channel(n, kind, SI_UNIT[kind]) for n in outputs),
         tuple(base_motion(n) if n in based else Channel(n, "force", "N") for n in inputs),
-        coherence,
+        coherence[known_at],
         np.full(len(inputs), np.nan),
         FRF_KIND[kind],
         source=str(path),
     )
+
+
+def _columns(
+    names: Sequence[str], path: Path
+) -> tuple[dict[tuple[str, str], dict[str, int]], dict[tuple[str, str], str]]:
+    """The columns of the parts of each response for a reference, and its unit where it has one."""
+    parts: dict[tuple[str, str], dict[str, int]] = {}
+    units = {}
+    for at, name in enumerate(names[1:], start=1):
+        if (t := _title(name)) is None:
+            continue
+        pair = parts.setdefault((t.output, t.reference), {})
+        if t.part in pair:
+            raise DataError(
+                f"{path}: {names[pair[t.part]]!r} and {name!r} are the same part of {t.output}/{t.reference}"
+            )
+        pair[t.part] = at
+        if t.unit and t.part in ("re", "size"):
+            units[t.output, t.reference] = t.unit
+    return parts, units
+
+
+def _hertz(title: str) -> float:
+    """The factor to Hz of the column of frequencies."""
+    unit = _AXIS.search(title)
+    return axis_factor("rad/s" if unit and unit[1].lower() == "omega" else unit[1] if unit else "Hz")
+
+
+def _known_lines(h: Complex, freqs: Float, outputs: Sequence[str], inputs: Sequence[str], path: Path) -> Bool:
+    """(f,) bool: lines with values; those where no FRF has one are left out."""
+    lost = ~np.isfinite(h)
+    none = np.asarray(lost.all(axis=(1, 2)))
+    if (rest := lost & ~none[:, None, None]).any() or none.all():
+        f, o, i = np.argwhere(rest if rest.any() else lost)[0]
+        raise DataError(f"{path}: no value of {outputs[o]} for {inputs[i]} at {freqs[f]:g} Hz")
+    if (bare := freqs[none & (freqs > 0)]).size:
+        log.warning("%s: lines at which no FRF has a value are left out: %d, from %g Hz", path, bare.size, bare[0])
+    return ~none
 
 
 def write_frf_table(path: Path, frfs: FrfSet) -> None:
@@ -124,17 +170,44 @@ def write_frf_table(path: Path, frfs: FrfSet) -> None:
 
 def _title(name: str) -> _Title | None:
     """Part, response and reference of a title; None where it names no part."""
-    found = _BRACKETS.search(name)
-    inside = (found[1] or found[2] or "").strip() if found else ""
-    unit = "" if _points(inside) or any(p.fullmatch(inside) for p in _PART.values()) else inside
-    rest = name[: found.start()] if found and unit else name
-    for part, pattern in _PART.items():
-        if hit := pattern.search(rest):
-            rest = rest[: hit.start()] + rest[hit.end() :]
-            label = re.sub(r"^\W*(?:H|FRF)(?=[\s_:(])", "", rest.strip()).strip(" _:()[]|.,;#=")
-            sides = re.split(r"\s*(?:/|<-|\||,)\s*", label, maxsplit=1)
-            return _Title(part, sides[0] or "out1", sides[1] if len(sides) > 1 else "in1", unit)
-    return None
+    rest, unit = _unit_of(_BARS.sub(r"abs \1 ", name))
+    hits = ((part, hit) for part, pattern in _PART.items() if (hit := pattern.search(rest)))
+    part, hit = next(hits, ("size" if _LEVEL.search(unit) else "phase" if _angle(unit) else "", None))
+    if not part:
+        return None
+    rest = rest[: hit.start()] + rest[hit.end() :] if hit else rest
+    label = _CALLED.sub("", rest.strip()).strip(" _:()[]|.,;#=").rstrip(" -")
+    sides = re.split(r"\s*(?:/|<-|\||,)\s*", label, maxsplit=1)
+    return _Title(part, sides[0] or "out1", sides[1] if len(sides) > 1 else "in1", unit)
+
+
+def _unit_of(title: str) -> tuple[str, str]:
+    """The title without its unit, and that: in brackets, as a word such as `g/N`, or `dB` and `deg` anywhere."""
+    rest, units = title, list[str]()
+    for found in _GROUP.finditer(title):
+        inside = found[0][1:-1].strip()
+        closing = not title[found.end() :].strip() and not title[: found.start()][-1:].isalpha()
+        if _says_unit(inside) or (
+            closing and not _points(inside) and not any(p.fullmatch(inside) for p in _PART.values())
+        ):
+            rest, units = rest.replace(found[0], " ", 1), [*units, inside]
+    for pattern in (_LEVEL, _DEGREES, _RADIANS):
+        if found_mark := pattern.search(rest):
+            rest, units = rest.replace(found_mark[0], " ", 1), [*units, found_mark[0]]
+    for word in rest.split():
+        if _says_unit(word):
+            rest, units = rest.replace(word, " ", 1), [*units, word]
+    return rest, " ".join(units)
+
+
+def _says_unit(text: str) -> bool:
+    """Whether it is a motion over a force or another motion, a level or an angle, and nothing else."""
+    bare = _LEVEL.sub("", text).strip(" ,()")
+    return _ratio(bare) is not None if bare else bare != text
+
+
+def _angle(unit: str) -> bool:
+    return any(p.search(unit) for p in (_DEGREES, _RADIANS))
 
 
 def _points(text: str) -> bool:
@@ -147,9 +220,8 @@ def _complex(columns: Mapping[str, Float], title: Mapping[str, str], key: Sequen
         return np.asarray(columns["re"] + 1j * columns["im"])
     if {"size", "phase"} <= set(columns):
         size, phase = columns["size"], columns["phase"]
-        size = 10 ** (size / 20) if re.search(r"\bdB\b", title["size"], re.IGNORECASE) else size
-        radians = re.search(r"\brad", title["phase"], re.IGNORECASE) is not None
-        degrees = re.search(r"\bdeg|°", title["phase"], re.IGNORECASE) is not None
+        size = 10 ** (size / 20) if _LEVEL.search(title["size"]) else size
+        radians, degrees = (p.search(title["phase"]) is not None for p in (_RADIANS, _DEGREES))
         turn = phase if radians or (not degrees and np.abs(phase).max() <= _TURN) else np.radians(phase)
         return np.asarray(size * np.exp(1j * turn))
     raise DataError(
@@ -157,21 +229,29 @@ def _complex(columns: Mapping[str, Float], title: Mapping[str, str], key: Sequen
     )
 
 
-def _kind(unit: str, path: Path) -> tuple[Quantity, float, bool]:
+def _kind(unit: str, path: Path) -> tuple[Motion, float, bool]:
     """Quantity of the response, the factor to SI of a unit such as `dB re 1 g/N`, and whether it is over a base."""
     level = _LEVEL.search(unit)
     one = float(level["one"] or 1) if level else 1.0
-    text = _LEVEL.sub("", unit).strip(" ,()")
-    if not text or text.lower() in ("deg", "rad", "°", "-"):
+    text = _RADIANS.sub("", _DEGREES.sub("", _LEVEL.sub("", unit))).strip(" ,()-")
+    if not text:
         return "acceleration", one, False
-    over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
-    quantity, factor, _ = to_si(over) if known(over) else ("unknown", 1.0, "")
-    if quantity not in FRF_KIND or not known(under) or to_si(under)[0] not in ("force", quantity):
+    found = _ratio(text)
+    if found is None:
         raise DataError(
             f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, mm/N, or over the same "
             "motion of the base, g/g"
         )
-    based = to_si(under)[0] == quantity
-    if based:  # like the accelerations of a held base for a force of inertia, constants apart
-        quantity = "acceleration"
-    return quantity, one * factor / to_si(under)[1], based
+    return found[0], one * found[1], found[2]
+
+
+def _ratio(text: str) -> tuple[Motion, float, bool] | None:
+    """Quantity and factor to SI of a motion over a force or over the same motion of a base; else None."""
+    over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
+    if not (over and under and known(over) and known(under)):
+        return None
+    (quantity, factor, _), (other, size, _) = to_si(over), to_si(under)
+    if quantity not in FRF_KIND or other not in ("force", quantity):
+        return None
+    based = other == quantity  # like the accelerations of a held base for a force of inertia, constants apart
+    return "acceleration" if based else cast(Motion, quantity), factor / size, based

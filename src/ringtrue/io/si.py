@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import get_args
 
+import numpy as np
+
 from ringtrue.core.motions import SI_UNIT
 from ringtrue.core.signals import Quantity
 from ringtrue.errors import DataError, did_you_mean
@@ -62,6 +64,15 @@ _SAME = {
     "m/m": "strain",
     **dict.fromkeys(("um/m", "uε", "ue", "ustr", "uepsilon", "microstrain"), "ustrain"),
 }
+_AXES = {  # to Hz or s
+    **dict.fromkeys(("rad/s", "rad/sec", "rads/s", "rad/second"), 0.5 / np.pi),
+    **dict.fromkeys(("rpm", "1/min", "cpm"), 1 / 60),
+    "khz": 1e3,
+    "ms": 1e-3,
+    "msec": 1e-3,
+    "us": 1e-6,
+    "min": 60.0,
+}
 
 
 def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
@@ -97,3 +108,8 @@ def known(unit: str) -> str:
     except DataError:
         return ""
     return unit
+
+
+def axis_factor(unit: str) -> float:
+    """To Hz of a unit of frequency, to s of one of time; 1 of any other text."""
+    return _AXES.get(unit.strip().lower(), 1.0)

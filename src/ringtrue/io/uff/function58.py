@@ -9,6 +9,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.errors import DataError
+from ringtrue.io.si import axis_factor
 from ringtrue.io.uff.fields import numbers, parse_int, reals, row, words
 from ringtrue.io.uff.scan import LINE, Block
 
@@ -27,16 +28,6 @@ _WIDTHS = {  # ordinate type, even spacing: columns of a line
     (_REAL_DOUBLE, False): (13, 20) * 2,
     (_COMPLEX_DOUBLE, True): (20,) * 4,
     (_COMPLEX_DOUBLE, False): (13, 20, 20),
-}
-_RADIANS, _TURNS = 0.5 / np.pi, 1 / 60
-_ABSCISSA = {  # to Hz or s
-    **dict.fromkeys(("rad/s", "rad/sec", "rads/s", "rad/second"), _RADIANS),
-    **dict.fromkeys(("rpm", "1/min", "cpm"), _TURNS),
-    "khz": 1e3,
-    "ms": 1e-3,
-    "msec": 1e-3,
-    "us": 1e-6,
-    "min": 60.0,
 }
 
 
@@ -104,7 +95,7 @@ def read_function(block: Block) -> Function:
     values = _samples(block, ordinate, count, even)
     x, y = _split(values, ordinate, even, form[3], form[4], count)
     axes = tuple(_axis(words(x_, _AXIS)) for x_ in lines[7:11])
-    x = x * _ABSCISSA.get(axes[0].unit.lower(), 1.0)
+    x = x * axis_factor(axes[0].unit)
     return Function(kind, tuple(x_.strip() for x_ in lines[:5]), rsp, ref, names, x, y, even, axes)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.dofs import NAMES, DofSet
-from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT, base_motion
+from ringtrue.core.motions import FRF_KIND, SI_UNIT, as_motion, base_motion
 from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.atomic import atomic_write
@@ -189,8 +189,11 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     freqs = frfs[0].x
     if other := [e for e, f in zip(ends, frfs, strict=True) if not _same_lines(f.x, freqs)]:
         raise DataError(f"{path}: function {'/'.join(other[0])} has other frequency lines")
-    outputs, inputs = _channels(frfs, ends)
-    data = _place([replace(f, y=f.y * _si(f, units)[1]) for f in frfs], ends, freqs, outputs, inputs)
+    motions, factors = zip(*(_si(f, units) for f in frfs), strict=True)
+    kind = _one_kind(motions, ends, path)
+    outputs, inputs = _channels(ends, kind)
+    scaled = (as_motion(f.y * x, freqs, m, kind) for f, m, x in zip(frfs, motions, factors, strict=True))
+    data = _place([replace(f, y=y) for f, y in zip(frfs, scaled, strict=True)], ends, freqs, outputs, inputs)
     absent = np.isnan(data[-1])
     if absent.any():
         rows, columns = _whole(absent)
@@ -199,14 +202,13 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
         outputs, inputs = tuple(outputs[k] for k in rows), tuple(inputs[k] for k in columns)
     coherences = [f for f in functions if f.kind == COHERENCE and _same_lines(f.x, freqs)]
     coherence = _place(coherences, _ends(coherences), freqs, outputs, inputs).real
-    kind = _one_kind(outputs, path)
     based = {ref for (_, ref), f in zip(ends, frfs, strict=True) if _on_base(f)}
     if freqs[0] == 0 and not np.isfinite(data[0]).all():  # 0/0 at 0 Hz
         freqs, data, coherence = freqs[1:], data[1:], coherence[1:]
     return FrfSet(
-        _as_kind(data, freqs, outputs, kind),
+        data,
         freqs,
-        tuple(replace(c, quantity=kind, unit=_SI.get(kind, "")) for c in outputs),
+        outputs,
         tuple(base_motion(c.id) if c.id in based else c for c in inputs),
         np.ascontiguousarray(coherence),
         np.full(len(inputs), np.nan),
@@ -240,21 +242,11 @@ def _tell_left_out(
     log.warning("%s; left out: %s", why, ", ".join(told))
 
 
-def _one_kind(outputs: Sequence[Channel], path: str | Path) -> Quantity:
-    """The quantity of most responses; a force is none."""
-    if wrong := [c.id for c in outputs if c.quantity == "force"]:
-        raise DataError(f"{path}: the response {' '.join(wrong[:8])} is a force; an FRF here is motion over force")
-    kinds = [c.quantity for c in outputs]
-    return max(dict.fromkeys(kinds), key=lambda k: kinds.count(k))
-
-
-def _as_kind(data: Complex, freqs: Float, outputs: Sequence[Channel], kind: str) -> Complex:
-    """The FRFs (f, out, in) as those of one kind of motion; the line at 0 Hz is lost where that is an integral."""
-    order = np.array([DERIVATIVE.get(kind, 0) - DERIVATIVE.get(c.quantity, DERIVATIVE.get(kind, 0)) for c in outputs])
-    if not order.any():
-        return data
-    s = 2j * np.pi * freqs[:, None]
-    return np.asarray(data * np.where(s == 0, order == 0, np.where(s == 0, 1, s) ** order)[:, :, None])
+def _one_kind(motions: Sequence[Quantity], ends: Sequence[tuple[str, str]], path: str | Path) -> Quantity:
+    """The quantity of most functions; a force is none."""
+    if wrong := dict.fromkeys(out for m, (out, _) in zip(motions, ends, strict=True) if m == "force"):
+        raise DataError(f"{path}: the response {' '.join([*wrong][:8])} is a force; an FRF here is motion over force")
+    return max(dict.fromkeys(motions), key=motions.count)
 
 
 def _si(f: Function, units: Units | None) -> tuple[Quantity, float]:
@@ -316,13 +308,9 @@ def _same_lines(x: Float, freqs: Float) -> bool:
     return x.size == freqs.size and bool(np.abs(x - freqs).max() <= 1e-6 * max(freqs[-1], 1))
 
 
-def _channels(
-    frfs: Sequence[Function], ends: Sequence[tuple[str, str]]
-) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-    out = {name: _si(f, None)[0] for (name, _), f in zip(ends, frfs, strict=True)}
-    outputs = tuple(Channel(name, q, _SI.get(q, "")) for name, q in out.items())
-    inputs = tuple(Channel(name, "force", "N") for name in dict.fromkeys(name for _, name in ends))
-    return outputs, inputs
+def _channels(ends: Sequence[tuple[str, str]], kind: Quantity) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
+    outputs, inputs = (dict.fromkeys(both[k] for both in ends) for k in (0, 1))
+    return tuple(Channel(n, kind, _SI.get(kind, "")) for n in outputs), tuple(Channel(n, "force", "N") for n in inputs)
 
 
 def _place(
