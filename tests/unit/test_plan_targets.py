@@ -15,6 +15,7 @@ from ringtrue.plan.targets import (
     effective_mass,
     in_band,
     kinetic_share,
+    readable,
     telling_modes,
 )
 
@@ -78,3 +79,20 @@ def test_reasons_are_told() -> None:
     assert limited.modes.tolist() == [0, 1]
     with pytest.raises(InputError, match="widen"):
         choose_targets(f, {"nowhere": f > 1e9})
+
+
+def test_modes_that_no_sensor_reads_are_no_targets() -> None:
+    """A line of beams twists without a translation, but for round-off, be it ever so large beside that of no mode."""
+    f = np.array([4.0, 11.0, 12.0])
+    shapes = np.zeros((5, 3, 3))
+    shapes[:, 1, 1] = shapes[:, 2, 2] = np.linspace(0.02, 0.1, 5)
+    shapes[:, :, 0] = 1e-12
+    seen = readable(shapes, 300.0)
+    wanted = choose_targets(f, {"all": f > 0})
+    kept, told = wanted.among(seen)
+    assert kept.modes.tolist() == [1, 2]
+    assert kept.reasons == ("all", "all")
+    assert told[0].endswith("mode 1")
+    assert wanted.among(readable(shapes + 0.01, 300.0))[1] == ()
+    with pytest.raises(InputError, match="no candidate sensor"):
+        choose_targets(f, {"twist": f < 5}).among(readable(shapes[:, :, :1], 300.0).repeat(3))

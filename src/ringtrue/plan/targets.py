@@ -11,6 +11,8 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.errors import InputError
 
+UNREAD = 1e-6
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Targets:
@@ -30,11 +32,41 @@ class Targets:
     def __post_init__(self) -> None:
         freeze_fields(self, modes=np.int64)
 
+    def among(self, readable: Bool) -> tuple[Targets, tuple[str, ...]]:
+        """The targets among the modes (m,) that can be read, and those that are none in words.
+
+        Raises
+        ------
+        InputError
+            If none is left.
+        """
+        lost = " ".join(str(k + 1) for k in self.modes[~readable[self.modes]].tolist())
+        told = (
+            f"no target, as no candidate sensor reads it, which turns nodes or moves across the sensors: mode {lost}",
+        )
+        kept = np.flatnonzero(readable[self.modes])
+        if not kept.size:
+            raise InputError(told[0])
+        return Targets(self.modes[kept], tuple(self.reasons[i] for i in kept.tolist())), told if lost else ()
+
 
 def in_band(frequencies: Float, low: float, high: float) -> Bool:
     """Modes (m,) with low < f < high, Hz."""
     f = np.asarray(frequencies, dtype=np.float64)
     return np.asarray((f > low) & (f < high))
+
+
+def readable(shapes: Float, mass: float) -> Bool:
+    """Modes (m,) that a sensor reads: more than 1e-6 of what a rigid shift of the whole makes; below, it is round-off.
+
+    Parameters
+    ----------
+    shapes : (s, d, m) float64, mass-normalised
+        At the candidate sensors.
+    mass : float
+        Of the structure, in the unit of the shapes.
+    """
+    return np.asarray(np.abs(shapes).max(axis=(0, 1), initial=0.0) * np.sqrt(mass) > UNREAD)
 
 
 def effective_mass(shapes: Float, mass: Any, rigid: Float) -> Float:

@@ -20,7 +20,15 @@ from ringtrue.plan.layout import lower_auto_mac, reached, select_points, select_
 from ringtrue.plan.resolution import resolution
 from ringtrue.plan.selection import auto_mac_points, kinetic_weighted, make_redundant, qr_points, worst_loss
 from ringtrue.plan.suspension import loaded_frequencies, suspension_points
-from ringtrue.plan.targets import Targets, choose_targets, effective_mass, in_band, kinetic_share, telling_modes
+from ringtrue.plan.targets import (
+    Targets,
+    choose_targets,
+    effective_mass,
+    in_band,
+    kinetic_share,
+    readable,
+    telling_modes,
+)
 from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.arrangement import AXES, Arrangement, arranged
@@ -162,13 +170,14 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     model: ModelStage = desk.get("model")
     f = model.modes.frequencies
     edge = elastic_edge(f, desk.config)
-    wanted = _targets(desk, plan, f, edge)
-    targets = wanted.modes
     able, motion = _able(desk, plan, model)
     shapes = able.seen(motion)
+    seen = readable(shapes, model.mass)
+    wanted, unseen = _targets(desk, plan, f, edge).among(seen)
+    targets = wanted.modes
     elastic = f > RIGID * f.max()
     timed = targets[elastic[targets]] if elastic[targets].any() else targets  # what decays; rigid bodies do not
-    first = np.concatenate([np.flatnonzero(elastic & (f <= edge)), timed[: plan.ambient_sensors]])
+    first = np.concatenate([np.flatnonzero(elastic & seen & (f <= edge)), timed[: plan.ambient_sensors]])
     apart = _apart(plan, able.apart, plan.sensors)
     ambient_at = _ambient(plan, able, shapes[:, :, first], apart) if plan.ambient else np.zeros(0, dtype=np.int64)
     fixed = np.isin(np.arange(able.at.size), ambient_at) | np.isin(able.node, plan.fixed)
@@ -217,7 +226,7 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         lost=lost,
         averages=need.averages,
         segments=int(every.record // need.block),
-        notes=_in_vain(desk, plan, able),
+        notes=(*unseen, *_in_vain(desk, plan, able)),
         indicator=values,
         forces=forces,
     )
