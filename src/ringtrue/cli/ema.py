@@ -17,7 +17,6 @@ from ringtrue.cli.identify import (
     Fmax,
     Fmin,
     Group,
-    Json,
     LeaveOut,
     Rate,
     Sensors,
@@ -31,7 +30,7 @@ from ringtrue.cli.identify import (
     write_pages,
 )
 from ringtrue.cli.levels import check_levels, levels_json, print_levels
-from ringtrue.cli.show import file_target, progress, tell, write_json
+from ringtrue.cli.show import Json, file_target, progress, tell, write_json
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.show import file_target, json_target, progress, rows, tell, write_json
+from ringtrue.cli.show import Json, file_target, progress, rows, tell, write_json
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
@@ -58,9 +58,6 @@ class Removal(StrEnum):
     CEPSTRUM = "cepstrum"
 
 
-Json = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
-]
 Fmin = Annotated[float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")]
 Fmax = Annotated[float | None, typer.Option("--fmax", metavar="HZ", help="Highest frequency of interest.")]
 Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file has none.")]

@@ -10,7 +10,7 @@ import typer
 from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedAnalysis
-from ringtrue.cli.show import IN_SECONDS, json_target, out, progress, rows, tell, unit_length, write_json
+from ringtrue.cli.show import IN_SECONDS, Json, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
@@ -48,10 +48,7 @@ def localise(
         int,
         typer.Option(help="Candidates that are looked at closely: those that explain most of the misfit.", min=1),
     ] = POOL,
-    json: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
-    ] = None,
+    json: Json = None,
 ) -> int:
     """Which parameters to update: candidates from the deck, ranked and explained, and what cannot be told from them.
 

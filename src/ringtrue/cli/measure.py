@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args
 import numpy as np
 import typer
 
-from ringtrue.cli.show import IN_SECONDS, json_target, listed, out, progress, rows, tell, unit_length, write_json
+from ringtrue.cli.show import IN_SECONDS, Json, listed, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import part
@@ -35,10 +35,6 @@ MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
 LOWEST, RIGID = 26, 1e-3  # modes of a deck in the place of a test; of their highest frequency
 ABOVE = 1.5  # modes of a deck up to here over the highest test mode
 CHOICES = {"match": get_args(Method), "align": ("points", "nearest"), "tam": get_args(Tam)}
-
-Json = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
-]
 
 
 def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, ModeSet]:

@@ -19,7 +19,7 @@ from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
 from ringtrue.checks.mass import mass_properties, unconstrained
 from ringtrue.checks.units import UNIT_SYSTEMS
 from ringtrue.cli.convert import writable
-from ringtrue.cli.show import json_file, json_target, out, progress, rows, write_json
+from ringtrue.cli.show import Json, json_file, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import part
 from ringtrue.errors import ConfigError, DeckError, RingtrueError, did_you_mean
@@ -32,9 +32,6 @@ from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
 ROUNDING = 1e-12  # of the largest value: below is 0
 
 Deck = Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")]
-Json = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
-]
 
 
 def modes(

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.cli.show import json_target, progress, rows, tell, write_json
+from ringtrue.cli.show import Json, progress, rows, tell, write_json
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.nastran.reader import read_deck
@@ -31,10 +31,6 @@ METHODS, STRIKES, DIRECTIONS = (get_args(kind) for kind in (Method, Strike, Dire
 MISSED = 0.1  # of the best driving-point residue
 RIGID = 1e-3  # of the highest frequency
 ABOVE = 1.3  # modes up to here over the band take part in the virtual test
-
-Json = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
-]
 
 
 def plan(

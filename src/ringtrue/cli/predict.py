@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.show import err, json_target, out, progress, rows, write_json
+from ringtrue.cli.show import Json, err, out, progress, rows, write_json
 from ringtrue.errors import ConfigError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.study.config import PredictSection, StudyConfig, read_config
@@ -41,10 +41,7 @@ def run(
     level: Annotated[float | None, typer.Option(help="Of the bands.", min=0.5, max=0.95)] = None,
     seed: Annotated[int | None, typer.Option(help="Of the draws.", min=0)] = None,
     table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write every line.")] = None,
-    json: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
-    ] = None,
+    json: Json = None,
 ) -> int:
     """Unbalance run-up of the rotor on the validated model: response, bearing and support forces, with bands.
 

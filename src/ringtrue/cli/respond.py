@@ -11,8 +11,8 @@ import typer
 
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.ema import Motion
-from ringtrue.cli.model import Deck, Json
-from ringtrue.cli.show import IN_SECONDS, err, file_target, progress, rows, unit_length, unit_mass, write_json
+from ringtrue.cli.model import Deck
+from ringtrue.cli.show import IN_SECONDS, Json, err, file_target, progress, rows, unit_length, unit_mass, write_json
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.motions import FRF_KIND, SI_UNIT

@@ -7,8 +7,9 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Annotated, Any, TextIO
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
@@ -85,6 +86,11 @@ def json_target(value: str | None) -> str | None:
     if value not in (None, "-") and not Path(str(value)).parent.is_dir():
         raise ConfigError(f"--json {value}: no folder {Path(str(value)).parent}")
     return value
+
+
+Json = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
+]
 
 
 def file_target(option: str, *endings: str) -> object:

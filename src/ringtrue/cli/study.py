@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ringtrue.cli.show import err, json_target, out, progress, rows, tell, write_json
+from ringtrue.cli.show import Json, err, out, progress, rows, tell, write_json
 from ringtrue.errors import ConfigError
 from ringtrue.report.deliver import deliver, report_from_store
 from ringtrue.study.acceptance import Check, limits, missed_words
@@ -16,11 +16,6 @@ from ringtrue.study.results import UpdateStage
 from ringtrue.study.run import StudyRun, load_study, run_study
 from ringtrue.study.summary import finite, summarise
 from ringtrue.study.words import told
-
-Json = Annotated[
-    str | None,
-    typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
-]
 
 
 def _verdict(checks: tuple[Check, ...]) -> int:

@@ -13,8 +13,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.identify import Fmax, Fmin, Json, LeaveOut, Rate, check_band
-from ringtrue.cli.show import file_target, progress, rows, tell, write_json
+from ringtrue.cli.identify import Fmax, Fmin, LeaveOut, Rate, check_band
+from ringtrue.cli.show import Json, file_target, progress, rows, tell, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory

@@ -12,7 +12,7 @@ import typer
 
 from ringtrue.backends.observed import PRINTED, UNTOLD, FullModel, reduced
 from ringtrue.backends.registry import EMBEDDED, solver
-from ringtrue.cli.show import err, json_target, progress, write_json
+from ringtrue.cli.show import Json, err, progress, write_json
 from ringtrue.cli.updated import show_summary, summary_of
 from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
@@ -70,11 +70,6 @@ DISCREPANCIES = get_args(Discrepancy)
 WORDS = {"step": [*KINDS], "prior": ["study", *RULES], "loss": [*LOSSES], "discrepancy": DISCREPANCIES}
 
 
-Json = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
-]
-
-
 @dataclass(frozen=True, slots=True)
 class Asked:
     """Where the command looks beside the study."""
@@ -127,10 +122,7 @@ def update(
             "--solver", help="That of the study, or embedded, mystran, nastran, slepc, a plug-in: solved at each point."
         ),
     ] = None,
-    json: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target),
-    ] = None,
+    json: Json = None,
 ) -> int:
     """Update a model to test modes: factors with their uncertainty, deviations before and after, the deck edited.
 
