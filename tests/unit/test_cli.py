@@ -435,6 +435,19 @@ def test_correlating_what_cannot_be(tmp_path: Path, capsys: Capture) -> None:
     assert parsed(capsys, "correlate", a, far, status=1)["pairs"] == []
 
 
+def test_frequencies_without_shapes_are_paired_by_frequency(tmp_path: Path, capsys: Capture) -> None:
+    told = tmp_path / "told.json"
+    told.write_text('{"modes": [{"frequency_hz": 3.2}, {"frequency_hz": 4.6}, {"frequency_hz": 30}]}')
+    b = _modes(tmp_path / "b.json", [3.0, 5.0, 9.0])
+    found = parsed(capsys, "correlate", told, b)
+    assert [(p["test_mode"], p["fe_mode"], p["mac_percent"]) for p in found["pairs"]] == [(1, 1, None), (2, 2, None)]
+    assert found["mean_mac_percent"] is None
+    locked = parsed(capsys, "correlate", told, b, "--lock", "1:2")["pairs"]
+    assert (locked[0]["test_mode"], locked[0]["fe_mode"]) == (1, 2)
+    assert "paired by frequency alone" in call(capsys, "correlate", told, b)[1]
+    assert "told.json has none" in refused(capsys, "correlate", told, b, "--complete")
+
+
 # --- studies
 
 

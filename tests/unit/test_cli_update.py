@@ -230,3 +230,53 @@ def test_test_channels_that_are_no_dofs_are_refused(capsys: Capture, folder: Pat
     assert "9999+X" in err
     (folder / "study.toml").write_text('[model]\ndeck = "frame.bdf"\n')
     assert "at least one [[candidate]]" in call(capsys, folder)[2]
+
+
+def frequencies_alone(folder: Path) -> list[float]:
+    """The test without its shapes; the three storeys' modes, which are well apart."""
+    found = read_modes(folder / "test.json").frequencies[:3].tolist()
+    (folder / "test.json").write_text(json.dumps({"modes": [{"frequency_hz": f} for f in found]}))
+    return found
+
+
+def test_frequencies_without_shapes_update_what_they_tell(capsys: Capture, folder: Path) -> None:
+    frequencies_alone(folder)
+    assert call(capsys, folder, "--json", "-")[0] == 0
+    found = json.loads(call(capsys, folder, "--json", "-")[1])
+    assert [p["factor"] for p in found["parameters"]] == pytest.approx([*small_study.TRUTH.values()], rel=0.03)
+    assert max(abs(m["deviation_percent"]) for m in found["modes"]) < 0.1
+    assert "by frequency" in found["notes"][0]
+
+
+def test_a_study_decides_which_mode_a_frequency_is(capsys: Capture, folder: Path) -> None:
+    frequencies_alone(folder)
+    with (folder / "study.toml").open("a") as f:
+        f.write('[correlate]\nlock = ["1:2"]\nforbid = ["2:1"]\n')
+    assert "mode 1 for 2," in json.loads(call(capsys, folder, "--json", "-")[1])["notes"][0]
+
+
+def free_beam(half: float) -> str:
+    """A beam of 20 m on no supports, the modulus of one half scaled."""
+    cards = ["SOL 103", "CEND", "METHOD=1", "BEGIN BULK", "EIGRL,1,,,14"]
+    cards += [f"PBAR,{i},{i},.01,1-4,2-4,2-4" for i in (1, 2)]
+    cards += [f"MAT1,{i},{2.1e11 * a:.6E},,.3,7850." for i, a in ((1, 1.0), (2, half))]
+    cards += [f"GRID,{i},,{0.1 * i:.1f}" for i in range(1, 202)]
+    cards += [f"CBAR,{i},{1 + (i > 100)},{i},{i + 1},0.,0.,1." for i in range(1, 201)]
+    return "\n".join([*cards, "ENDDATA", ""])
+
+
+def test_rigid_body_modes_of_a_free_structure_are_no_error_of_the_basis(capsys: Capture, folder: Path) -> None:
+    (folder / "frame.bdf").write_text(free_beam(1.0))
+    (folder / "study.toml").write_text(
+        '[model]\ndeck = "frame.bdf"\n[[candidate]]\nname = "half"\ntargets = ["MAT1 2 E"]\n'
+    )
+    (folder / "truth.bdf").write_text(free_beam(1.3))
+    with EmbeddedSolver().open(read_deck(folder / "truth.bdf")) as analysis:
+        modes = analysis.modes(ModesRequest(12)).modes
+    seen = modes.take(np.arange(6, 12)).rows([f"{i}+{a}" for i in range(1, 202, 20) for a in "XYZ"])
+    write_modes(folder / "test.json", replace(seen, damping=np.full(6, 0.01)))
+    status, out, err = call(capsys, folder, "--json", "-")
+    found = json.loads(out)
+    assert status == 0, err
+    assert found["basis_error"] < update.AGREE
+    assert found["parameters"][0]["factor"] == pytest.approx(1.3, rel=1e-3)

@@ -12,6 +12,7 @@ from scipy import sparse
 from ringtrue.backends.embedded import EmbeddedAnalysis
 from ringtrue.cli.show import IN_SECONDS, Json, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.errors import DataError
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
@@ -58,6 +59,8 @@ def localise(
     with progress("localise") as show:
         show(0.0, f"reading {deck}")
         model, seen = read_deck(deck), realise_modes(read_modes(test))
+        if not seen.channels:
+            raise DataError(f"{test}: frequencies without shapes cannot be localised; `ringtrue update` takes them")
         seen = seen.take(np.flatnonzero(seen.frequencies > 0))
         opened = Opened(model, metres)
         analysis, bridge = opened.analysis, placed(opened, seen.channels, sensors, tolerance=tolerance)

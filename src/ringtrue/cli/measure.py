@@ -34,14 +34,15 @@ from ringtrue.study.summary import correlation_json
 MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
 LOWEST, RIGID = 26, 1e-3  # modes of a deck in the place of a test; of their highest frequency
 ABOVE = 1.5  # modes of a deck up to here over the highest test mode
+BY_FREQUENCY = "no shapes: modes are paired by frequency alone; --lock and --forbid decide otherwise"
 CHOICES = {"match": get_args(Method), "align": ("points", "nearest"), "tam": get_args(Tam)}
 
 
 def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, ModeSet]:
-    """Both sets on the channels that they share."""
+    """Both sets on the channels that they share; on none where one tells frequencies alone."""
     here = set(two.channels)
     common = [c for c in one.channels if c in here]
-    if not common:
+    if not common and one.channels and here:
         raise DataError(f"{a} and {b} have no channel in common: {one.channels[:5]} against {two.channels[:5]}")
     return one.rows(common), two.rows(common)
 
@@ -131,7 +132,7 @@ def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
             f"{p['frequency_test_hz']:.4g}",
             f"{p['frequency_fe_hz']:.4g}",
             f"{p['deviation_percent']:+.2f}",
-            f"{p['mac_percent']:.1f}",
+            "-" if p["mac_percent"] is None else f"{p['mac_percent']:.1f}",
         )
         for p in pairs
     ]
@@ -231,6 +232,10 @@ def correlate(
         _of_deck(b, test, points, units, tolerance, asked) if deck else (read_modes(b), (), ChannelMass)
     )
     one, two = _common(test, there, a, b)
+    if not one.channels:
+        if everything or mass is not None:
+            raise ConfigError(f"--complete and --mass compare shapes; {a if not test.channels else b} has none")
+        notes = (*notes, BY_FREQUENCY)
     names = ("A", "B")
     table = correlation_table(one, two, pair_modes(one, two, settings, names=names, locks=locks), names=names)
     value: dict[str, Any] = correlation_json(table)

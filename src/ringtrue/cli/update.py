@@ -39,6 +39,7 @@ from ringtrue.study.config_update import (
     UpdateSection,
 )
 from ringtrue.study.course import course_of, further, settled
+from ringtrue.study.lent import compared_alone, lent
 from ringtrue.study.measured import (
     LENGTH,
     Data,
@@ -146,19 +147,24 @@ def update(
         )
     with progress("updating") as show:
         show(0.0, "reading")
-        model, (target, modes) = read_deck(study.parent / config.model.deck), _target(config, test, leave_out)
+        opened = Opened(read_deck(study.parent / config.model.deck), LENGTH[config.model.units])
+        config, target, modes, notes = _target(config, opened, test, leave_out)
+        model = opened.model
         if folder is not None:
             refuse_unwritable(model, config.candidates())
         show(0.1, f"first runs of {solver_name}" if anew else "reduced basis")
         if anew:
-            problem = _by_runs(model, config, target, modes, engine, study.parent)
+            problem = _by_runs(opened, config, target, modes, engine, study.parent)
             extra: tuple[Data, ...] = ()
         else:
-            problem, extra = _problem(model, config, target, modes, study.parent)
+            problem, extra = _problem(opened, config, target, modes, study.parent)
         problem = replace(problem, loss=LOSSES[config.update.loss])
         done = _solved(problem, config.update, asked, part(show, 0.3, 1.0))
     written = _edited(model, config, done, folder)
-    summary = summary_of(config, problem, done, extra, asked.solver) | {"deck": [str(p) for p in written]}
+    summary = summary_of(config, problem, done, extra, asked.solver) | {
+        "deck": [str(p) for p in written],
+        "notes": notes,
+    }
     if json:
         write_json(summary, json)
     if json != "-":
@@ -217,9 +223,16 @@ def _settings(
     return config.model_copy(update={"update": config.update.model_copy(update=change), "residual": extra})
 
 
-def _target(config: StudyConfig, test: Path, leave_out: str) -> tuple[Target, ModeSet]:
-    """What the file says, less the channels that the study leaves out, and its modes."""
-    whole, (spread, _) = read_modes(test), read_std(test)
+def _target(
+    config: StudyConfig, opened: Opened, test: Path, leave_out: str
+) -> tuple[StudyConfig, Target, ModeSet, tuple[str, ...]]:
+    """What the file says, less the channels that the study leaves out, and its modes; the study, which compares
+    frequencies alone where the file has no shapes, and what there is to say.
+    """
+    whole, (spread, _), notes = read_modes(test), read_std(test), tuple[str, ...]()
+    if not whole.channels and len(whole):
+        whole, at, notes = lent(whole, opened, config)
+        spread, config = spread[at], compared_alone(config)
     if config.test and config.test.leave_out:
         whole = whole.rows([c for c in whole.channels if c not in config.test.leave_out])
     kept, channels = measured_part(whole)
@@ -232,20 +245,19 @@ def _target(config: StudyConfig, test: Path, leave_out: str) -> tuple[Target, Mo
     u = config.update
     weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
     shapes = np.asarray(modes.shapes.real, dtype=np.float64)
-    return Target(modes.frequencies, shapes, relative, used, weights, gates), modes
+    return config, Target(modes.frequencies, shapes, relative, used, weights, gates), modes, notes
 
 
 def _problem(
-    model: Model, config: StudyConfig, target: Target, modes: ModeSet, base: Path
+    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, base: Path
 ) -> tuple[Problem, tuple[Data, ...]]:
     """The objective on the reduced model of the deck, and what was measured beside the modes."""
     assert config.model is not None
-    parameters, units = config.candidates(), config.model.units
+    model, parameters, units = opened.model, config.candidates(), config.model.units
     found = [measured(s, base, modes) for s in config.residual]
     named = tuple(dict.fromkeys((*modes.channels, *channels_of(found))))
     at = {c: i for i, c in enumerate(named)}
     loaded = excited(found, at)
-    opened = Opened(model, LENGTH[units])
     dofs, more = opened.analysis.dofs, named[len(modes.channels) :]
     observation = _observation(opened, config, modes.channels, base)
     observation = observation.and_also(at_dofs(more, dofs)) if more else observation
@@ -271,11 +283,10 @@ def _observation(
 
 
 def _by_runs(
-    model: Model, config: StudyConfig, target: Target, modes: ModeSet, engine: ModalSolver, base: Path
+    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, engine: ModalSolver, base: Path
 ) -> Problem:
     """The objective on the modes that a solver finds anew at each point."""
-    assert config.model is not None
-    parameters, opened = config.candidates(), Opened(model, LENGTH[config.model.units])
+    model, parameters = opened.model, config.candidates()
     with engine.open(model) as analysis:
         observation = _observation(opened, config, modes.channels, base, analysis.dofs)
     full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)

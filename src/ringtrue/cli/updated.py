@@ -102,7 +102,14 @@ def show_summary(study: Path, summary: dict[str, Any]) -> None:
     weighed = weighed_by([(v or 0.0) / 100 for v in summary["discrepancy_percent"].values()])
     both = [m for m in summary["modes"] if m["used"] and None not in m.values()]
     worsened = worse(*(np.array([m[f"deviation{when}_percent"] for m in both]) for when in ("_before", "")))
-    lines = (summary["why"], weighed, worsened, *summary["flags"], *(f"deck: {p}" for p in summary["deck"]))
+    lines = (
+        *summary["notes"],
+        summary["why"],
+        weighed,
+        worsened,
+        *summary["flags"],
+        *(f"deck: {p}" for p in summary["deck"]),
+    )
     tell(line for line in lines if line)
     if summary["solver"] == EMBEDDED:
         error = summary["basis_error"]

@@ -143,7 +143,7 @@ class Scores:
     Attributes
     ----------
     mac : (ma, mb) float64
-        Of the single shapes.
+        Of the single shapes; NaN where none were measured.
     merged : (ma, mb) float64
         With shapes of a close group rotated towards A; equal to `mac` elsewhere.
     error : (ma, mb) float64
@@ -165,10 +165,13 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
     ----------
     fa, fb : (ma,), (mb,) float64, Hz
     a, b : (n, ma), (n, mb) float64 or complex128
+        Without channels, n = 0, frequencies alone tell which modes belong together.
     """
-    single = mac(a, b)
     scale = np.maximum(np.abs(fa), np.finfo(float).tiny)[:, None]
     error = (fb[None, :] - fa[:, None]) / scale
+    if not len(a):
+        return Scores(np.full(error.shape, np.nan), np.full(error.shape, np.nan), error, ())
+    single = mac(a, b)
     merged = single.copy()
     groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
     groups_b = close_groups(fb, settings.close, settings.largest_group)
@@ -241,15 +244,17 @@ def assign(
 
     The worth of a pair is log((1 − gate)/(1 − MAC)), lowered with the square of the frequency error: two poor pairs
     never outvote a good one, which a sum of MACs allows. Forced pairs come before all others, forbidden ones never.
+    Without shapes every MAC counts as 1.
 
     Returns
     -------
     rows, columns : (k,) int64, ascending rows
     """
-    value = np.log((1 - settings.mac_gate + SOFT) / (1 - score.merged + SOFT)) + SOFT
+    merged, single = (np.nan_to_num(x, nan=1.0) for x in (score.merged, score.mac))
+    value = np.log((1 - settings.mac_gate + SOFT) / (1 - merged + SOFT)) + SOFT
     worth = value * (1 - 0.5 * (score.error / settings.frequency_gate) ** 2)
-    worth += TIE * score.mac  # decides between the members of a rotated group
-    allowed = (score.merged >= settings.mac_gate) & (np.abs(score.error) <= settings.frequency_gate)
+    worth += TIE * single  # decides between the members of a rotated group
+    allowed = (merged >= settings.mac_gate) & (np.abs(score.error) <= settings.frequency_gate)
     allowed &= usable_a[:, None] & usable_b[None, :]
     forced, free = locks.mask((allowed.shape[0], allowed.shape[1]))
     allowed = (allowed & free) | forced

@@ -46,7 +46,7 @@ def pair_modes(
     Parameters
     ----------
     a, b : ModeSet
-        B must hold the channels of A.
+        B must hold the channels of A. Where A has none, frequencies alone decide, and `mac` is NaN.
     settings : PairingSettings
     visible_b : (mb,) float64, optional
         Share of each mode's motion that takes place where sensors sit, 0..1.
@@ -180,6 +180,11 @@ class _Reasons:
     locks: Locks
     sure: Bool
 
+    @property
+    def seen(self) -> bool:
+        """Whether shapes tell the modes apart."""
+        return not np.isnan(self.score.mac).all()
+
     def of_a(self, i: int) -> str:
         macs, errors, barred = self.score.merged[i], self.score.error[i], [q for p, q in self.locks.forbidden if p == i]
         return self._of(macs, errors, barred, self.names[1], self.cols, self.rows, self.names[0], self.first_b, 0)
@@ -213,21 +218,20 @@ class _Reasons:
         near = np.flatnonzero(np.abs(errors) <= gate)
         if not near.size:
             return f"no {theirs} mode within {100 * gate:.3g} %"
-        best = int(near[np.argmax(macs[near])])
+        best = int(near[np.argmax(macs[near] if self.seen else -np.abs(errors[near]))])
         if macs[best] < least:
             return (
                 f"no {theirs} mode within {100 * gate:.3g} % has MAC >= {100 * least:.3g} %: "
                 f"best {theirs} {best + 1 + their_first} with {100 * macs[best]:.0f} %"
             )
+        told = f" (MAC {100 * macs[best]:.0f} %)" if self.seen else ""
         if best in barred:
-            return f"{theirs} {best + 1 + their_first} (MAC {100 * macs[best]:.0f} %) is forbidden by the user"
+            return f"{theirs} {best + 1 + their_first}{told} is forbidden by the user"
         owner = np.flatnonzero(taken == best)
         if owner.size:
             number = int(by[owner[0]]) + 1 + my_first
-            return (
-                f"{theirs} {best + 1 + their_first} (MAC {100 * macs[best]:.0f} %) is already taken by {mine} {number}"
-            )
-        return f"{theirs} {best + 1 + their_first} (MAC {100 * macs[best]:.0f} %) was set aside for another reason"
+            return f"{theirs} {best + 1 + their_first}{told} is already taken by {mine} {number}"
+        return f"{theirs} {best + 1 + their_first}{told} was set aside for another reason"
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,7 +85,7 @@ def dump_modes(
 
 
 def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
-    """The modes of `modes_to_json`.
+    """The modes of `modes_to_json`; without channels they have frequencies and damping alone.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
         If a key is missing or the numbers do not fit together.
     """
     try:
-        rows, channels = table["modes"], tuple(str(c) for c in table["channels"])
+        rows, channels = table["modes"], tuple(str(c) for c in table.get("channels", ()))
         shapes = np.array([_shape(row) for row in rows], dtype=np.complex128)
         frequency, damping = (_column(rows, key) for key in ("frequency_hz", "damping"))
         confidence = _column(rows, "confidence", 1.0)
@@ -112,7 +112,7 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
 
 def _shape(row: Mapping[str, Any]) -> Complex:
     """(channel,) complex128; null is not a number."""
-    re = np.array(row["shape_re"], dtype=np.float64)
+    re = np.array(row.get("shape_re", ()), dtype=np.float64)
     im = np.array(row.get("shape_im") or np.zeros(re.size), dtype=np.float64)
     if re.shape != im.shape:
         raise ValueError(f"shape_re has {re.size} components, shape_im {im.size}")

@@ -8,8 +8,8 @@ interrupted updating goes on from, `words` and `summary` what it tells, `accepta
 stage is a module of `stages`, its result a type of `results`.
 
 What several stages need of the test: `blows` and `forced` FRFs of records, `placing` and `arrangement` its
-geometry, `reference` the modes judged by, `measured` data beside modes, `evidence` what a correlation rests
-on, `expansion` its shapes.
+geometry, `reference` the modes judged by, `lent` shapes where it tells frequencies alone, `measured` data
+beside modes, `evidence` what a correlation rests on, `expansion` its shapes.
 
 Of the model: `opened`, `parametric`, `loads`, `scene`. Of the plan: `virtual_test`. Of the updating: `objective`,
 `course`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -194,6 +195,11 @@ def rigid_settings(config: StudyConfig) -> PairingSettings:
     return replace(settings(config), mac_gate=min(0.5, config.correlate.mac_gate), close=0.08, distinct=0.95)
 
 
+def positions(pairs: Sequence[str]) -> tuple[tuple[int, int], ...]:
+    """Pairs such as 3:7, modes from one, as positions from zero."""
+    return tuple((int(a) - 1, int(b) - 1) for a, b in (pair.split(":") for pair in pairs))
+
+
 def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Followed | None:
     """The pairs that the study decides, by the shapes of the deck as delivered at the channels of the test modes.
 
@@ -207,8 +213,7 @@ def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Follo
         return None
     shapes = np.asarray(initial.rows(reference.channels).shapes.real, dtype=np.float64)
     sides = []
-    for name, texts in (("lock", c.lock), ("forbid", c.forbid)):
-        pairs = [(int(a) - 1, int(b) - 1) for a, b in (t.split(":") for t in texts)]
+    for name, pairs in (("lock", positions(c.lock)), ("forbid", positions(c.forbid))):
         for t, j in pairs:
             if t >= len(reference) or j >= shapes.shape[1]:
                 n = f"{len(reference)} elastic test modes and {shapes.shape[1]} of the deck below fmax"

@@ -45,7 +45,7 @@ def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
             "frequency_fe_hz": r.fe_hz,
             "deviation_percent": r.deviation_percent,
             "deviation_hz": r.deviation_hz,
-            "mac_percent": r.mac_percent,
+            "mac_percent": _number(r.mac_percent),
             "used": r.used,
             "subspace": r.subspace,
             "deviation_std": _number(z),

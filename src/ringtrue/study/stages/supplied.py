@@ -44,13 +44,15 @@ def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> Identif
     Raises
     ------
     DataError
-        If it holds no mode, or a channel is not on the sensor sheet.
+        If it holds no mode or no shapes, or a channel is not on the sensor sheet.
     """
     modes, (spread, damping) = read_modes(path), read_std(path)
     modes = modes.rows([c for c in modes.channels if c not in set(lost)]) if lost else modes
     on_sheet(modes.channels, sheet, path)
     if not len(modes):
         raise DataError(f"{path}: no mode in the file")
+    if not modes.channels:
+        raise DataError(f"{path}: frequencies without shapes; a study needs shapes, `ringtrue update` does not")
     std = Uncertainty.independent(spread, damping, np.zeros(modes.shapes.shape))
     return IdentifyStage(
         test=sheet,
