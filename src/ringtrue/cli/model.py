@@ -17,6 +17,7 @@ from ringtrue.checks.edges import free_edges_in_words, shell_edges
 from ringtrue.checks.findings import Finding
 from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
 from ringtrue.checks.mass import mass_properties, unconstrained
+from ringtrue.checks.mesh import MeshErrors, mesh_errors
 from ringtrue.checks.units import UNIT_SYSTEMS
 from ringtrue.cli.convert import writable
 from ringtrue.cli.show import Json, json_file, out, progress, rows, write_json
@@ -47,6 +48,9 @@ def modes(
     damped: Annotated[
         bool, typer.Option("--complex", help="Complex modes, by the dashpots, GE, PARAM G and DMIG of the deck.")
     ] = False,
+    mesh: Annotated[
+        bool, typer.Option("--mesh-error", help="How far the mesh puts each frequency off, by refining it once.")
+    ] = False,
     target: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="Write the modes: .h5, .json or .uff.")
     ] = None,
@@ -60,8 +64,10 @@ def modes(
         raise ConfigError(f"--band {band[0]} {band[1]}: must be F0 < F1")
     if damped and solver_name != EMBEDDED:
         raise ConfigError(f"--complex with --solver {solver_name}: only the embedded engine has complex modes")
+    if mesh and (damped or solver_name != EMBEDDED):
+        raise ConfigError("--mesh-error is for natural modes of the embedded engine: leave out --complex and --solver")
     with progress("modes") as show:
-        engine = solver(solver_name, ranks=ranks, progress=part(show, 0.2, 1.0))
+        engine = solver(solver_name, ranks=ranks, progress=part(show, 0.2, 0.6 if mesh else 1.0))
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
         show(0.2, "solving")
@@ -70,13 +76,15 @@ def modes(
             solve = _complex(analysis) if damped else analysis.modes
             result = asked.of(solve) if asked else solve(ModesRequest(n or 20, band))
             loose = analysis.system.loose().labels() if isinstance(analysis, EmbeddedAnalysis) else ()
+        errors = mesh_errors(model, result.modes, solver(EMBEDDED, progress=part(show, 0.6, 1.0))) if mesh else None
     if json:
+        told = {"mesh_error": [None if np.isnan(e) else e for e in errors.relative.tolist()]} if errors else {}
         with json_file(json) as file:
-            dump_modes(file, result.modes, more={"complete": result.complete, "proof": result.proof})
+            dump_modes(file, result.modes, more={"complete": result.complete, "proof": result.proof, **told})
     if target:
         write_modes(target, writable(result.modes, target))
     if json != "-":
-        _print_modes(deck, result, damped)
+        _print_modes(deck, result, damped, errors)
         if loose:
             more = f" and {len(loose) - 6} more" if len(loose) > 6 else ""
             out.print(f"held by AUTOSPC, without stiffness: {' '.join(loose[:6])}{more}")
@@ -91,18 +99,21 @@ def _complex(analysis: Analysis) -> Callable[[ModesRequest], ModesResult]:
     return partial(analysis.damped_modes, problem="full")
 
 
-def _print_modes(deck: Path, result: ModesResult, damped: bool) -> None:
-    """A line a mode, of complex ones with the damping ratio."""
-    made = zip(result.modes.frequencies, result.modes.damping, result.residuals, strict=True)
-    body = [
-        (i + 1, f"{f:.5g}", *([f"{100 * z:.4g}"] if damped else []), "-" if np.isnan(r) else f"{r:.1e}")
-        for i, (f, z, r) in enumerate(made)
-    ]
-    heads = ("#", "f [Hz]", *(["damping [%]"] if damped else []), "residual")
-    rows(f"{deck}: {len(body)} {'complex ' if damped else ''}modes", heads, body)
+def _print_modes(deck: Path, result: ModesResult, damped: bool, errors: MeshErrors | None) -> None:
+    """A line a mode, of complex ones with the damping ratio, and with the error of the mesh where it was asked for."""
+    columns = {"f [Hz]": [f"{f:.5g}" for f in result.modes.frequencies]}
+    if damped:
+        columns["damping [%]"] = [f"{100 * z:.4g}" for z in result.modes.damping]
+    if errors:
+        columns["mesh error [%]"] = ["-" if np.isnan(e) else f"{100 * e:+.2f}" for e in errors.relative]
+    columns["residual"] = ["-" if np.isnan(r) else f"{r:.1e}" for r in result.residuals]
+    body = [(i + 1, *row) for i, row in enumerate(zip(*columns.values(), strict=True))]
+    rows(f"{deck}: {len(body)} {'complex ' if damped else ''}modes", ("#", *columns), body)
     out.print(result.proof)
     if damped:
         out.print("motions that do not oscillate, rigid-body ones among them, are not listed")
+    if errors:
+        out.print(errors.in_words())
 
 
 def check(

@@ -1,0 +1,95 @@
+"""How far the frequencies of a deck are from those of an endlessly fine mesh, by refining its mesh once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet
+from ringtrue.correlate.pairing import pair_modes
+from ringtrue.model.model import Model
+from ringtrue.model.ports import ModalSolver, ModesRequest
+from ringtrue.model.refine import refined
+
+ORDER = 2  # of the frequency error in the size of elements: linear shapes, and lumped masses of any
+LOWER, HIGHER = 0.6, 1.25  # of the band of the modes: where those of the refined mesh are sought
+WORTH = 0.02  # of a frequency: mesh errors worth telling
+NAMED = 8  # modes named
+STILL = 1e-4  # of the highest frequency: rigid-body modes, which no mesh changes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshErrors:
+    """Modes of a mesh and of the same refined once.
+
+    Attributes
+    ----------
+    frequencies, refined : (m,) float64, Hz
+        NaN in `refined` for a rigid-body mode, and where no mode of the refined mesh has the shape.
+    nodes : tuple of int
+        Of the two meshes.
+    """
+
+    frequencies: Float
+    refined: Float
+    nodes: tuple[int, int]
+
+    @property
+    def relative(self) -> Float:
+        """(m,) float64, f / f_fine - 1, positive where the mesh is too stiff; extrapolated (Richardson 1911)."""
+        fine = self.refined - (self.frequencies - self.refined) / (2**ORDER - 1)
+        return np.asarray(self.frequencies / fine - 1)
+
+    def in_words(self) -> str:
+        """What was refined, and the modes that the mesh puts off by more than `WORTH`."""
+        size = "mesh refined once, {} nodes to {}: ".format(*self.nodes)
+        e = np.nan_to_num(self.relative)
+        off = np.flatnonzero(np.abs(e) > WORTH)
+        if not off.size:
+            return f"{size}no mode is off by more than {WORTH:.0%} for it"
+        names = ", ".join(f"{i + 1} ({e[i]:+.0%})" for i in off[:NAMED].tolist()) + (" ..." if off.size > NAMED else "")
+        return (
+            f"{size}for its mesh the deck puts off mode{'s' * (off.size > 1)} {names}; refine it before parameters are "
+            "updated, which would take that up"
+        )
+
+
+def mesh_errors(model: Model, modes: ModeSet, solver: ModalSolver) -> MeshErrors:
+    """Refine the mesh once, solve, and pair the modes by their shapes at the nodes that both have.
+
+    Parameters
+    ----------
+    model : Model
+    modes : ModeSet
+        Some of its modes, at DOFs, ascending.
+    solver : ModalSolver
+        One that takes a model as it stands: embedded.
+
+    Raises
+    ------
+    UnsupportedError
+        If the mesh cannot be refined; see `model.refine.refined`.
+    """
+    fine = refined(model)
+    f = modes.frequencies
+    out, moving = np.full(f.size, np.nan), np.flatnonzero(f > STILL * f.max(initial=0.0))
+    if moving.size:
+        own = modes.take(moving)
+        band = (LOWER * float(own.frequencies[0]), HIGHER * float(own.frequencies[-1]))
+        with solver.open(fine) as analysis:
+            found = analysis.modes(ModesRequest(band=band)).modes
+        nodes = model["GRID"].ids
+        pairs = pair_modes(_translations(own, nodes), _translations(found, nodes))
+        out[moving[pairs.a]] = found.frequencies[pairs.b]
+    return MeshErrors(f, out, (len(model["GRID"]), len(fine["GRID"])))
+
+
+def _translations(modes: ModeSet, nodes: Int) -> ModeSet:
+    """The modes at X, Y and Z of some nodes, in order."""
+    every = DofSet(np.repeat(nodes, 3), np.tile([1, 2, 3], nodes.size))
+    assert isinstance(modes.labels, DofSet)
+    at, sign = modes.labels.align(every)
+    return ModeSet(modes.frequencies, modes.damping, modes.shapes[at] * sign[:, None], every, modes.norm, modes.source)

@@ -1,0 +1,289 @@
+"""A model with its mesh refined once: every element in halves along each of its sides, on the same geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.core.arrays import Bool, Int, frozen
+from ringtrue.errors import UnsupportedError
+from ringtrue.model.cards import NONSTRUCTURAL
+from ringtrue.model.edit import BOTH_ENDS
+from ringtrue.model.frames import axes, positions
+from ringtrue.model.model import Model, Ragged, Table, stacked, table
+
+Corners = tuple[int, ...]  # whose middle a node of a part is; one where it is that corner
+Part = tuple[Corners, ...]
+
+LINES, RODS = ("CBAR", "CBEAM"), ("CROD", "CTUBE", "CONROD")
+SECOND = {"CTETRA": 5, "CPENTA": 7, "CHEXA": 9}  # first midside node
+_WHOLE = ("CTRIA6", "CQUAD8", "CPYRAM")
+_TRIANGLE = ("0 01 02", "01 1 12", "02 12 2", "12 02 01")
+_TETRA = ("0 01 02 03", "01 1 12 13", "02 12 2 23", "03 13 23 3",
+          "13 02 01 03", "13 02 03 23", "13 02 23 12", "13 02 12 01")  # fmt: skip
+_SQUARE = ((0, 0), (1, 0), (1, 1), (0, 1))
+_HALVES = ((0,), (0, 1), (1,))
+NODES = {
+    **dict.fromkeys(LINES, ("GA", "GB")),
+    **dict.fromkeys(RODS, ("G1", "G2")),
+    **dict.fromkeys(("CTRIA3", "CTRIAR"), ("G1", "G2", "G3")),
+    **dict.fromkeys(("CQUAD4", "CQUADR", "CTETRA"), ("G1", "G2", "G3", "G4")),
+    "CPENTA": tuple(f"G{k}" for k in range(1, 7)),
+    "CHEXA": tuple(f"G{k}" for k in range(1, 9)),
+}
+
+
+@cache
+def parts(card: str) -> tuple[Part, ...]:
+    """The parts that an element is split into, each by the corners of the whole whose middles its corners are."""
+    if card in ("CTRIA3", "CTRIAR", "CTETRA"):
+        return _read(_TETRA if card == "CTETRA" else _TRIANGLE)
+    if card == "CPENTA":
+        layers = [
+            [tuple(c + 3 * z for z in _HALVES[k] for c in corner) for corner in p]
+            for p in _read(_TRIANGLE)
+            for k in range(3)
+        ]
+        return tuple((*layers[i], *layers[i + 1]) for i in range(len(layers)) if i % 3 < 2)
+    corners = {2: ((0,), (1,)), 4: _SQUARE, 8: tuple((*c, z) for z in (0, 1) for c in _SQUARE)}[len(NODES[card])]
+    return tuple(tuple(_between(corners, o, c) for c in corners) for o in corners)
+
+
+def _read(text: Sequence[str]) -> tuple[Part, ...]:
+    """`"0 01"` as ((0,), (0, 1))."""
+    return tuple(tuple(tuple(int(c) for c in corner) for corner in part.split()) for part in text)
+
+
+def _between(corners: Sequence[Corners], origin: Corners, corner: Corners) -> Corners:
+    """Corners of a brick about the corner of the part that lies at `origin`, in halves of the sides."""
+    allowed = [_HALVES[o + c] for o, c in zip(origin, corner, strict=True)]
+    return tuple(i for i, x in enumerate(corners) if all(v in a for v, a in zip(x, allowed, strict=True)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Middles:
+    """New nodes: ids (n,), and those whose middle they are (n, 8), ascending and padded in front with 0."""
+
+    ids: Int
+    of: Int
+
+    def corners(self, nodes: Int, pieces: Sequence[Part]) -> list[Int]:
+        """Nodes of the parts of elements of nodes (e, c), (e, k) a part; 0 where there is no such middle."""
+        wanted = list(dict.fromkeys(c for part in pieces for c in part if len(c) > 1))
+        keys = [_key(nodes[:, list(c)]) for c in wanted]
+        _, same = np.unique(np.vstack([self.of, *keys]), axis=0, return_inverse=True)
+        ids = np.zeros(same.size, dtype=np.int64)
+        ids[same[: self.ids.size]] = self.ids
+        found = dict(zip(wanted, ids[same[self.ids.size :]].reshape(len(wanted), -1), strict=True))
+        return [np.stack([found.get(c, nodes[:, c[0]]) for c in part], axis=1) for part in pieces]
+
+    def within(self, members: Int) -> Bool:
+        """Which of them (n,) lie between members only."""
+        return np.asarray((np.isin(self.of, members) | (self.of == 0)).all(axis=1))
+
+
+def _key(nodes: Int) -> Int:
+    return np.pad(np.sort(nodes, axis=1), ((0, 0), (8 - nodes.shape[1], 0)))
+
+
+def refined(model: Model) -> Model:
+    """The model with its mesh refined once.
+
+    Bars, beams, shells and solids of the first order are split in halves along each side, rods where they lie along
+    such a side (by itself a rod in halves is a mechanism), tapered beams not. A new node lies midway on straight
+    sides; it is held where all the nodes about it are, and belongs to the RBE2 or RBE3 that all of these belong to.
+    Springs, masses and other connectors stay at their nodes, all of which keep their ids.
+
+    Raises
+    ------
+    UnsupportedError
+        If it has elements of the second order, pyramids, or welds and masses that name elements.
+    """
+    _refuse(model)
+    middles = _middles(model)
+    if not middles.ids.size:
+        return model
+    tables = dict(model.tables)
+    tables["GRID"] = stacked(model["GRID"], _grids(model, middles))
+    first = 1 + max(
+        int(t.ids.max(initial=0)) for c, t in tables.items() if c.startswith(("C", "R")) and "EID" in t.columns
+    )
+    for card in (c for c in NODES if c in model and len(model[c])):
+        tables[card] = _split(model, card, middles, first)
+        first += len(tables[card])
+    tables |= dict(_held(model, middles)) | dict(_rigid(model, middles))
+    return replace(model, tables=tables)
+
+
+def _refuse(model: Model) -> None:
+    """Raise on what is not split."""
+    second = [c for c, k in SECOND.items() if c in model and model[c][f"G{k}"].any()]
+    names = [c for c in _WHOLE if c in model] + second
+    if names:
+        raise UnsupportedError(f"{', '.join(names)}: elements of the second order and pyramids are not refined")
+    if "CWELD" in model and model["CWELD"]["SHIDA"].any():
+        raise UnsupportedError("CWELD by the ids of shells (ELEMID) is not refined: give properties (PARTPAT)")
+    kinds = [str(k) for c in NONSTRUCTURAL if c in model and "TYPE" in model[c].columns for k in model[c]["TYPE"]]
+    if "ELEMENT" in kinds:
+        raise UnsupportedError("non-structural mass by the ids of elements is not refined: give it by properties")
+
+
+def _middles(model: Model) -> _Middles:
+    """The nodes that the parts need beside those that are there; rods make none."""
+    keys = [np.empty((0, 8), dtype=np.int64)]
+    for card, names in NODES.items():
+        if card in model and card not in RODS:
+            nodes = model[card].stack(*names)[~_whole(model, card)]
+            keys += [_key(nodes[:, list(c)]) for c in {c for p in parts(card) for c in p} if len(c) > 1]
+    of = np.unique(np.concatenate(keys), axis=0)
+    last = max(int(model["GRID"].ids.max()), *(_scalars(model) or [0]))
+    return _Middles(last + 1 + np.arange(len(of)), of)
+
+
+def _scalars(model: Model) -> list[int]:
+    points = [model["SPOINT"].ragged("ID").values] if "SPOINT" in model else []
+    points += [t[e] for c, t in model.tables.items() if c[-1] in "34" for e in ("S1", "S2") if e in t.columns]
+    return [int(p.max(initial=0)) for p in points]
+
+
+def _grids(model: Model, middles: _Middles) -> Table:
+    """Rows of GRID for the new nodes, held where all of those about them are."""
+    grid = model["GRID"]
+    at = grid.find(middles.of.ravel()).reshape(middles.of.shape)
+    there = middles.of > 0
+    x = np.where(there[:, :, None], positions(model)[at], 0.0).sum(axis=1) / there.sum(axis=1)[:, None]
+    last = at[:, -1]
+    columns: dict[str, NDArray[Any]] = {n: np.asarray(c)[last] for n, c in grid.columns.items()}
+    held = [set.intersection(*(set(str(p)) for p in grid["PS"][row[ok]])) for row, ok in zip(at, there, strict=True)]
+    columns |= {"ID": middles.ids, "CP": np.zeros_like(last), "X1": x[:, 0], "X2": x[:, 1], "X3": x[:, 2]}
+    columns["PS"] = np.array(["".join(sorted(h)) for h in held], dtype=grid["PS"].dtype)
+    return replace(grid, columns=columns, file=np.full(last.size, -1), line=np.zeros(last.size, dtype=np.int64))
+
+
+def _split(model: Model, card: str, middles: _Middles, first: int) -> Table:
+    """The table of a card with its elements split, the first part with the id of the whole."""
+    whole = model[card]
+    nodes, pieces = whole.stack(*NODES[card]), parts(card)
+    ends = middles.corners(nodes, pieces)
+    able = np.all([(e > 0).all(axis=1) for e in ends], axis=0) & ~_whole(model, card)
+    rows = [np.flatnonzero(able) if k else np.arange(len(whole)) for k in range(len(pieces))]
+    made = [
+        _part(model, card, part, np.where(able[at, None], end[at], nodes[at]), at, able[at])
+        for part, end, at in zip(pieces, ends, rows, strict=True)
+    ]
+    out = made[0]
+    for more in made[1:]:
+        out = stacked(out, more)
+    ids = np.concatenate([whole.ids, first + np.arange(len(out) - len(whole))])
+    return out.with_column("EID", ids)
+
+
+def _part(model: Model, card: str, part: Part, nodes: Int, at: Int, able: Bool) -> Table:
+    """One part of each of the rows `at`; where these are not split, the whole."""
+    t = model[card]
+    columns = {n: np.array(c)[at] for n, c in t.columns.items()}
+    columns |= dict(zip(NODES[card], nodes.T, strict=True))
+    thick = [f"T{k + 1}" for k in range(len(part)) if f"T{k + 1}" in columns]
+    if thick:
+        corners = t.stack(*thick)[at]
+        columns |= {n: corners[:, list(c)].mean(axis=1) for n, c in zip(thick, part, strict=True)}
+    piece = replace(t, columns={n: frozen(c) for n, c in columns.items()}, file=t.file[at], line=t.line[at])
+    return _bars(model, piece, part, at, able) if card in LINES else piece
+
+
+def _bars(model: Model, piece: Table, part: Part, at: Int, able: Bool) -> Table:
+    """Halves of bars: pins at outer ends only, the offset of the middle midway, the orientation in basic."""
+    t, grid = model[piece.card], model["GRID"]
+    row = grid.find(t.stack("GA", "GB")[at])
+    x = positions(model)[row]
+    frame = axes(model, grid["CD"][row].ravel(), x.reshape(-1, 3)).reshape(-1, 2, 3, 3)
+    between = axes(model, grid["CD"][_last(grid, row)], x.mean(axis=1))
+    w = np.einsum("eki,ekij->ekj", t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")[at].reshape(-1, 2, 3), frame)
+    middle = np.einsum("eij,ej->ei", between, w.mean(axis=1))
+    offt = np.char.upper(t["OFFT"][at].astype(str))
+    v = t.stack("X1", "X2", "X3")[at]
+    v = np.where(np.char.startswith(offt, "B")[:, None], v, np.einsum("ei,eij->ej", v, frame[:, 0]))
+    side = "B" if len(part[0]) == 1 else "A"
+    new = {f"W{k + 1}{side}": middle[:, k] for k in range(3)} | {f"X{k + 1}": v[:, k] for k in range(3)}
+    new |= {f"P{side}": np.zeros_like(piece[f"P{side}"]), "OFFT": np.full(at.size, "BGG", dtype=offt.dtype)}
+    changed = {n: frozen(np.where(able, c, piece[n])) for n, c in new.items()}
+    return replace(piece, columns={**piece.columns, **changed})
+
+
+def _last(grid: Table, row: Int) -> Int:
+    """Of rows (e, k) of GRID, those of the highest ids (e,)."""
+    return np.take_along_axis(row, grid.ids[row].argmax(axis=1)[:, None], axis=1)[:, 0]
+
+
+def _whole(model: Model, card: str) -> Bool:
+    """Elements (n,) that stay whole: beams with ends that differ, offsets in the frame of the element."""
+    t = model[card]
+    whole = np.zeros(len(t), dtype=bool)
+    if card in LINES:
+        offt = np.char.ljust(np.char.upper(t["OFFT"].astype(str)), 3)
+        whole |= (np.char.find(offt, "O") >= 0) & (t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B") != 0).any(axis=1)
+    if card == "CBEAM" and "PBEAM" in model:
+        p = model["PBEAM"]
+        tapered = np.any([~np.isclose(p[a], p[b]) for a, b in BOTH_ENDS.items() if a in p.columns], axis=0)
+        whole |= np.isin(t["PID"], p.ids[tapered | (p.ragged("X").sizes > 0)])
+    return whole
+
+
+def _held(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
+    """SPC1 with the new nodes between held ones, one row a set and component more."""
+    held: dict[tuple[int, str], list[Int]] = {}
+    for sid, c, g in _constraints(model):
+        for letter in str(c):
+            held.setdefault((sid, letter), []).append(np.atleast_1d(g))
+    rows = []
+    for (sid, letter), groups in sorted(held.items()):
+        grounded = model["GRID"].ids[np.char.find(model["GRID"]["PS"].astype(str), letter) >= 0]
+        new = middles.ids[middles.within(np.concatenate([*groups, grounded]))]
+        if new.size:
+            rows.append((sid, letter, new))
+    if rows:
+        nodes = Ragged(np.concatenate([r[2] for r in rows]), np.cumsum([0, *(r[2].size for r in rows)]))
+        more = table("SPC1", SID=[r[0] for r in rows], C=np.array([r[1] for r in rows]), G=nodes)
+        yield "SPC1", stacked(model["SPC1"], more) if "SPC1" in model else more
+
+
+def _constraints(model: Model) -> Iterator[tuple[int, str, Any]]:
+    """Set, components and nodes of each row of SPC1 and SPC."""
+    if "SPC1" in model:
+        t = model["SPC1"]
+        yield from zip(t["SID"].tolist(), t["C"].tolist(), map(t.ragged("G").row, range(len(t))), strict=True)
+    if "SPC" in model:
+        t = model["SPC"]
+        yield from zip(t["SID"].tolist(), t["C"].tolist(), t["G"], strict=True)
+
+
+def _rigid(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
+    """RBE2 and RBE3 with the new nodes between those that they join, with the mean of the weights about them."""
+    for card, name, more in (("RBE2", "GM", ()), ("RBE3", "G", ("C", "WT"))):
+        if card not in model:
+            continue
+        t = model[card]
+        lists = {n: [t.ragged(n).row(i) for i in range(len(t))] for n in (name, *more)}
+        for i, nodes in enumerate(lists[name]):
+            hub = [t["GN"][i]] if card == "RBE2" else []
+            new = middles.within(np.concatenate([nodes, np.array(hub, dtype=np.int64)]))
+            lists[name][i] = np.concatenate([nodes, middles.ids[new]])
+            for n in more:
+                lists[n][i] = np.concatenate([lists[n][i], _common(nodes, lists[n][i], middles.of[new])])
+        made = {n: Ragged(np.concatenate(v), np.cumsum([0, *(x.size for x in v)])) for n, v in lists.items()}
+        yield card, replace(t, columns={**t.columns, **made})
+
+
+def _common(nodes: Int, values: NDArray[Any], of: Int) -> NDArray[Any]:
+    """Values (k,) of the middles of nodes: the mean of numbers, else the first."""
+    order = np.argsort(nodes, kind="stable")
+    at = order[np.searchsorted(nodes[order], of).clip(max=nodes.size - 1)]
+    there = of > 0
+    if values.dtype.kind == "f":
+        return np.asarray(np.where(there, values[at], 0.0).sum(axis=1) / there.sum(axis=1))
+    return np.asarray(values[at[:, -1]])
