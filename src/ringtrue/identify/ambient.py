@@ -50,7 +50,7 @@ from ringtrue.identify.choice import chosen
 from ringtrue.identify.forced import without_forced
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.identify.ssi import SsiCov
-from ringtrue.identify.stretches import gathered, steady_sines, with_more_lags, without_strokes_and_sweeps
+from ringtrue.identify.stretches import gathered, steady_sines, with_more_lags, without_strokes_sweeps_and_echoes
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.lines import with_feet, without_lines
@@ -218,7 +218,7 @@ def identify_stretches(
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
     tell(0.0, "filtering into bands")
     # an amplitude that is cut off looks steady
-    good, whole, swept = without_strokes_and_sweeps(good, uncut(good, states))
+    good, whole, swept = without_strokes_sweeps_and_echoes(good, uncut(good, states))
     sines = steady_sines(good, whole, bands, leave, once=second is not None)
     places = [h.frequency for h in sines]
     clean = without_lines(good, places)

@@ -13,6 +13,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.bands import BandSums, begin, joined, of_stretch
 from ringtrue.identify.ssi import SsiCov
+from ringtrue.signal.echoes import without_echo
 from ringtrue.signal.events import NONE, Events, find_events
 from ringtrue.signal.gaps import Gaps, bridged
 from ringtrue.signal.lines import steady_lines, with_feet, without_lines
@@ -25,13 +26,14 @@ MORE_LAGS = 3
 SHORTEST = 0.5  # stretch, over the first: edges of the filters would weigh too much
 
 
-def without_strokes_and_sweeps(
+def without_strokes_sweeps_and_echoes(
     good: TimeHistory, whole: TimeHistory | None
 ) -> tuple[TimeHistory, TimeHistory | None, tuple[str, ...]]:
-    """Both records (`whole`: some channels of `good`) without regular blows and run-ups of machines, and notes."""
+    """Both records (`whole`: some channels of `good`) without regular blows, run-ups and echoes, and notes."""
     heard = mixes(good.data)
     quiet, strokes = without_strokes(good, heard)
-    clean, sweeps = without_sweeps(quiet, heard if quiet is good else None)
+    still, sweeps = without_sweeps(quiet, heard if quiet is good else None)
+    clean, echo = without_echo(still)
     notes: tuple[str, ...] = ()
     if strokes:
         notes += (
@@ -43,6 +45,11 @@ def without_strokes_and_sweeps(
         notes += (
             f"{len(sweeps)} tone{'s' if len(sweeps) > 1 else ''} of changing frequency between {low:.3g} and "
             f"{high:.3g} Hz (run-ups of machines): taken out where and when they stood",
+        )
+    if echo:
+        notes += (
+            f"the force comes again {echo.delay:.3g} s later, times {echo.factor:.2g} (two axles, a reflection): its "
+            "spectrum ripples; taken out as far as noise allows, so frequencies may be farther off than stated",
         )
     return clean, whole if clean is good else whole and clean.pick([c.id for c in whole.channels]), notes
 
@@ -111,7 +118,7 @@ def _one(
     whole, gaps = bridged(part)
     if len(whole.channels) < len(part.channels):
         raise DataError(f"{coming.source}: {gaps.notes[0]}: leave it out of all stretches")
-    part = without_lines(without_strokes_and_sweeps(whole, None)[0], places)
+    part = without_lines(without_strokes_sweeps_and_echoes(whole, None)[0], places)
     events = _events(part, gaps)
     out = of_stretch(sums, part.data, part.rate, events)
     lost = np.asarray(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))

@@ -10,5 +10,5 @@ memory.
 FRFs: `hits` and `earlier` find blows, `frf` their FRFs, `spectra` those of shakers, `periodic` and
 `local_rational` without leakage; `setups` and `reciprocal` join them, `frf_checks` judges them.
 
-Machines and events: `harmonics`, `lines`, `locked`, `sweeps`, `strokes`, `events`.
+Machines and events: `harmonics`, `lines`, `locked`, `sweeps`, `strokes`, `echoes`, `events`.
 """

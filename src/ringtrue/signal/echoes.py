@@ -1,0 +1,101 @@
+"""A force that comes again (a rear axle on the track of the front one, a layer that reflects): found, and taken out.
+
+The spectrum of f(t) + a f(t - τ) ripples over frequency with the period 1/τ, as 1 + a² + 2a cos ωτ; a resonance on the
+flank of a ripple is seen off its place. The power cepstrum has a at τ and -a²/2 at 2τ in all channels alike (Bogert,
+Healy and Tukey 1963). That of resonances differs from channel to channel; lines of machines and resonances at equal
+distances, as of a cable, have peaks of one sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.ndimage import uniform_filter1d
+
+from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.signals import TimeHistory
+from ringtrue.signal.listened import listened_spectrum
+
+SHORTEST, LONGEST = 16, 0.01  # samples, and share of the record
+SURE = 6.0  # standard deviations of a peak; half of them below 0 for that at 2τ
+TIP, AROUND, ABOVE = 2, 1.4, 2.5  # samples to each side; range of τ either way, over whose highest peak it must stand
+ALIKE = 0.2  # scatter over the channels, of the peak
+FEWEST = 3  # channels
+LEAST = 1e-10  # of the mean power: below is the rounding of recorders
+FLOOR, LOUD = 0.05, 0.7  # of the lines: their level is that of noise, which has no echo; share of an echo that tells it
+ORDERS, MOST, TAIL = 4, 0.95, 60  # peaks that tell the factor, the largest factor, delays that its inverse lasts
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """Delay (s) after which the force comes again, and its factor."""
+
+    delay: float
+    factor: float
+
+
+def without_echo(history: TimeHistory) -> tuple[TimeHistory, Echo | None]:
+    """The record as the force makes it that comes once, and the echo; the same object where there is none.
+
+    A factor above 1 has the spectrum of its inverse, but for a level.
+    """
+    spectrum, n = listened_spectrum(history)
+    if len(spectrum) < FEWEST:
+        return history, None
+    power = spectrum.real**2 + spectrum.imag**2
+    log = np.log(np.maximum(power, LEAST * power.mean(axis=1, keepdims=True)))
+    log -= log.mean(axis=1, keepdims=True)
+    if not (at := _peak(irfft(log, n, axis=1)[:, : n // 2])):
+        return history, None
+    echo, share = _measured(log.mean(axis=0, dtype=np.float64), n, at)
+    once = replace(history, data=_once(history.data, echo.delay, echo.factor * share))
+    return once, replace(echo, delay=echo.delay / history.rate)
+
+
+def _measured(log: Float, n: int, at: int) -> tuple[Echo, Float]:
+    """The echo (delay in samples) near the sample `at`, and its share of each line of a logarithmic spectrum (line,).
+
+    The peaks of the factor's cepstrum count by their order: what resonances add to them falls as one over it.
+    """
+    turn = 2 * np.pi / n * np.arange(log.size)
+    near = at + np.linspace(-1, 1, 41)
+    delay = float(near[np.argmax([abs(log @ np.cos(turn * x)) for x in near])])
+    level = uniform_filter1d(log, max(round(n / delay), 1), mode="nearest")
+    floor = np.quantile(level, FLOOR)
+    share = 1 - np.exp(floor - np.maximum(level, floor))
+    loud, order = np.flatnonzero(share > LOUD), np.arange(1, ORDERS + 1)
+    ripple = (log - level)[loud] / max(loud.size, 1)
+    seen = np.array([ripple @ np.cos(turn[loud] * delay * m) for m in order])
+    factors = np.linspace(-MOST, MOST, 381)
+    made = -((-factors[:, None]) ** order) / order
+    best = ((made - seen) ** 2 * order**2).sum(axis=1).argmin()
+    return Echo(delay, float(factors[best])), np.asarray(share)
+
+
+def _peak(cepstra: Any_) -> int:
+    """The sample of the highest peak of an echo in the `cepstra` (ch, sample), 0 if there is none."""
+    mean, most = cepstra.mean(axis=0), int(LONGEST * 2 * cepstra.shape[1])
+    noise, size = float(np.median(np.abs(mean[mean.size // 3 :]))) / 0.6745, np.abs(mean)
+    candidates = SHORTEST + np.flatnonzero(size[SHORTEST:most] > SURE * noise)
+    for k in candidates[np.argsort(-size[candidates])].tolist():
+        around = np.r_[int(k / AROUND) : k - TIP, k + TIP + 1 : int(k * AROUND) + 1]
+        twice = mean[2 * k - TIP : 2 * k + TIP + 1]
+        of_zeros = twice[np.abs(twice).argmax()] < -0.5 * SURE * noise
+        if of_zeros and np.ptp(cepstra[:, k]) < ALIKE * size[k] and size[k] > ABOVE * size[around].max():
+            return int(k)
+    return 0
+
+
+def _once(data: Any_, delay: float, factor: Float) -> Any_:
+    """Each signal (ch, sample) through 1/(1 + a e^-iωτ): τ in samples, a (line,) from 0 to half of the rate."""
+    samples = data.shape[1]
+    n = int(next_fast_len(samples + int(min(TAIL * delay, samples)), real=True))
+    cycles = np.arange(n // 2 + 1) / n
+    a = np.interp(cycles, np.linspace(0, 0.5, factor.size), factor)
+    gain = 1 / (1 + a * np.exp(-2j * np.pi * delay * cycles))
+    out = np.empty_like(data)
+    for y, x in zip(out, data, strict=True):  # channels: one transform is long
+        y[:] = irfft(rfft(x - x.mean(dtype=np.float64), n) * gain, n)[:samples]
+    return out
