@@ -236,13 +236,22 @@ def test_joining_averages_what_was_measured_twice_and_refuses_unlike_sets() -> N
     )
     two = replace(one, data=np.full((4, 1, 1), 4.0 + 0j), averages=np.array([2.0]))
     np.testing.assert_allclose(join_frfs([one, two]).data, 3.0)
-    for other in (
-        replace(one, freqs=np.arange(4.0) * 2),
-        replace(one, kind="mobility"),
-        replace(one, window_decay=1.0),
-    ):
+    for other in (replace(one, freqs=np.arange(4.0) * 2), replace(one, window_decay=1.0)):
         with pytest.raises(DataError):
             join_frfs([one, other])
+
+
+def test_sets_on_other_lines_and_of_other_kinds_become_alike() -> None:
+    """A finer set that ends earlier, measured by a laser: the shared lines, as accelerances."""
+    point, force = Channel("1+Z", "acceleration", "m/s^2"), (Channel("2+Z", "force", "N"),)
+    wide, fine = np.arange(0.0, 41.0), np.arange(0.0, 30.25, 0.5)
+    first = FrfSet((1.0 + wide)[:, None, None], wide, (point,), force)
+    mobility = np.divide(1.0 + fine, 2j * np.pi * fine, out=np.zeros(fine.size, complex), where=fine > 0)
+    laser = (Channel("3+Z", "velocity", "m/s"),)
+    got = join_frfs([first, FrfSet(mobility[:, None, None], fine, laser, force, kind="mobility")])
+    assert (got.kind, got.outputs[1].unit) == ("accelerance", "m/s^2")
+    np.testing.assert_allclose(got.freqs, np.arange(0.0, 31.0))
+    np.testing.assert_allclose(got.data[1:, :, 0], np.outer(2.0 + np.arange(30.0), [1, 1]))
 
 
 def test_estimators_bracket_the_truth() -> None:

@@ -87,7 +87,7 @@ def test_lines_without_any_value_are_left_out_and_others_refused(tmp_path: Path)
     got = read_frfs(write(tmp_path / "h.csv", "Frequency;$ real;$ imag", gap.real, gap.imag))
     np.testing.assert_allclose(got.freqs, np.delete(F, 3))
     gap[5, 1] = np.nan
-    with pytest.raises(DataError, match=r"no value of 2\+Z for in1 at 6.5 Hz"):
+    with pytest.raises(DataError, match=r"3 values are not finite, the first of 2\+Z/in1 at 6.5 Hz"):
         read_frfs(write(tmp_path / "h.csv", "Frequency;$ real;$ imag", gap.real, gap.imag))
     with pytest.raises(DataError, match="the same part"):
         read_frfs(write(tmp_path / "h.csv", "Frequency;real;imag", H.real, H.imag))

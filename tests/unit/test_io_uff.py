@@ -259,10 +259,6 @@ def test_repeated_functions_are_averaged_and_the_line_at_0_may_be_missing(tmp_pa
     got = read_frfs(tmp_path / "f.uff")
     np.testing.assert_allclose(got.data[:, 0, 0], 3 * h[1:])
     assert got.freqs[0] == 0.5
-    h[5] = np.inf
-    (tmp_path / "f.uff").write_bytes(write_function(4, freqs, h, (1, 3), (2, 3), codes=(18, 12, 13)))
-    with pytest.raises(DataError, match=r"1\+Z/2\+Z has values that are not finite"):
-        read_frfs(tmp_path / "f.uff")
     (tmp_path / "f.uff").write_bytes(write_function(9, freqs, freqs, (1, 3), (2, 3), codes=(18, 12, 13)))
     with pytest.raises(DataError, match="its types are 9"):
         read_record(tmp_path / "f.uff")
@@ -285,7 +281,7 @@ def test_what_lacks_a_pair_is_left_out_and_said(tmp_path: Path, caplog: pytest.L
     got = read_frfs(tmp_path / "f.uff")
     assert [c.id for c in got.outputs] == ["1+Z", "2+Z", "3+Z", "5+Z", "6+Z"]
     np.testing.assert_allclose(got.data[0].real, 10 * np.array([1, 2, 3, 5, 6])[:, None] + [1, 2])
-    assert "no function from 102+Z to 4+Z (1 pairs are absent); left out: response 4+Z" in caplog.text
+    assert "no values from 102+Z to 4+Z (1 pairs are absent); left out: response 4+Z" in caplog.text
     _grid(tmp_path / "g.uff", [(o, 3) for o in range(2, 7)], inputs=3)  # a single function from a third reference
     got = read_frfs(tmp_path / "g.uff")
     assert ([c.id for c in got.inputs], len(got.outputs)) == (["101+Z", "102+Z"], 6)
@@ -296,14 +292,18 @@ def test_what_lacks_a_pair_is_left_out_and_said(tmp_path: Path, caplog: pytest.L
 
 
 def test_what_is_left_out_may_be_at_fault(tmp_path: Path) -> None:
-    """A response that is not finite, and one of other lines."""
+    """A response with a value that is not finite, and one of other lines."""
     freqs, path = np.arange(1, 9) * 0.5, tmp_path / "f.uff"
     _grid(path, [], outputs=2, inputs=1)
-    bad = write_function(4, freqs, np.full(8, np.inf + 0j), (3, 3), (101, 3), codes=(18, 12, 13))
+    bad = write_function(4, freqs, np.where(freqs == 2, np.inf, freqs + 0j), (3, 3), (101, 3), codes=(18, 12, 13))
     other = write_function(4, 2 * freqs, freqs + 0j, (4, 3), (101, 3), codes=(18, 12, 13))
-    path.write_bytes(path.read_bytes() + bad + other)
+    sound = path.read_bytes()
+    path.write_bytes(sound + bad)
+    with pytest.raises(DataError, match=r"1 values are not finite, the first of 3\+Z/101\+Z at 2 Hz"):
+        read_frfs(path)
+    path.write_bytes(sound + bad + other)
     assert frf_ids(path) == ("1+Z", "101+Z", "2+Z", "3+Z", "4+Z")
-    with pytest.raises(DataError, match="not finite"):
+    with pytest.raises(DataError, match="other frequency lines"):
         read_frfs(path)
     assert [c.id for c in read_frfs(path, ["3+Z", "4+Z", "9+Z"]).outputs] == ["1+Z", "2+Z"]
     with pytest.raises(DataError, match="no function is left"):
@@ -383,3 +383,44 @@ def test_the_rate_of_times_that_stand_beside_the_samples(tmp_path: Path) -> None
     text = function58(lines(np.column_stack([t, np.sin(t)]).ravel(), (13,) * 6), 2, 0, count=t.size)
     (tmp_path / "t.uff").write_text(text)
     assert read_record(tmp_path / "t.uff").rate == pytest.approx(512, rel=5e-6)
+
+
+def frf58(x: np.ndarray, y: np.ndarray, point: int, code: int = 12) -> bytes:
+    return write_function(4, x, y, (point, 3), (1, 3), codes=(18, code, 13))
+
+
+def test_functions_on_other_lines_are_read_at_those_they_share(tmp_path: Path) -> None:
+    x = np.arange(1.0, 60.5, 0.5)
+    y = x + 1j
+    parts = [frf58(x, y, 1), frf58(x[1::2], y[1::2], 2), frf58(x[:100], y[:100], 3)]
+    (tmp_path / "f.uff").write_bytes(b"".join(parts))
+    got = read_frfs(tmp_path / "f.uff")
+    np.testing.assert_allclose(got.freqs, np.arange(1.5, 51.0))
+    np.testing.assert_allclose(got.data[:, :, 0], np.repeat((got.freqs + 1j)[:, None], 3, axis=1))
+    (tmp_path / "f.uff").write_bytes(b"".join([*parts, frf58(x[:20], y[:20], 4)]))
+    with pytest.raises(DataError, match=r"4\+Z/1\+Z has other frequency lines"):
+        read_frfs(tmp_path / "f.uff")
+
+
+def test_lines_without_values_are_left_out_and_functions_without_any(tmp_path: Path) -> None:
+    x = np.arange(1.0, 31.0)
+    y = np.array(x + 1j)
+    y[4] = np.nan
+    (tmp_path / "f.uff").write_bytes(b"".join(frf58(x, y, k) for k in (1, 2, 3)) + frf58(x, y * np.nan, 4))
+    got = read_frfs(tmp_path / "f.uff")
+    np.testing.assert_allclose(got.freqs, np.delete(x, 4))
+    assert [c.id for c in got.outputs] == ["1+Z", "2+Z", "3+Z"]
+    (tmp_path / "f.uff").write_bytes(frf58(x, y, 1) + frf58(x, x + 1j, 2))
+    with pytest.raises(DataError, match=r"1 values are not finite, the first of 1\+Z/1\+Z at 5 Hz"):
+        read_frfs(tmp_path / "f.uff")
+
+
+def test_a_response_measured_by_an_accelerometer_and_a_laser(tmp_path: Path) -> None:
+    """The same pair as accelerance and as mobility: one mean, of the kind of most."""
+    x = np.arange(1.0, 31.0)
+    y = x + 1j
+    parts = [frf58(x, y, 1), frf58(x, y, 2), frf58(x, y / (2j * np.pi * x), 2, code=11)]
+    (tmp_path / "f.uff").write_bytes(b"".join(parts))
+    got = read_frfs(tmp_path / "f.uff")
+    assert got.kind == "accelerance"
+    np.testing.assert_allclose(got.data[:, :, 0], np.repeat(y[:, None], 2, axis=1))

@@ -43,7 +43,7 @@ from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.hits import HammerSettings, HitReport
-from ringtrue.signal.setups import join_frfs, setups_of
+from ringtrue.signal.setups import alike, join_frfs, setups_of
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
 from ringtrue.study.forced import Forced, forced_frfs
 
@@ -268,8 +268,8 @@ def _measured(
         if how.leave_out:
             known = dict.fromkeys(c for f in files for c in frf_ids(f))
             kept_channels(files[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
-        found = [read_frfs(f, how.leave_out) for f in files]
-        return _Measured(join_frfs(found), batches=tuple(found)) if len(found) > 1 else _Measured(found[0])
+        found = alike([read_frfs(f, how.leave_out) for f in files])
+        return _Measured(join_frfs(found), batches=found) if len(found) > 1 else _Measured(found[0])
     records, ranges, notes = read_blows(files, how)
     forced = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(forced.columns)

@@ -23,8 +23,8 @@ def base_motion(name: str) -> Channel:
     return Channel(BASE + name, "acceleration", SI_UNIT["acceleration"])
 
 
-def as_motion(h: Complex, freqs: Float, motion: str, wanted: str) -> Complex:
-    """FRFs of one motion as those of another; the line at 0 Hz becomes 0.
+def as_motion(h: Complex, freqs: Float, motion: str, wanted: str, decay: float = 0.0) -> Complex:
+    """FRFs of one motion as those of another; the line at 0 Hz becomes 0 without a window.
 
     Parameters
     ----------
@@ -32,9 +32,11 @@ def as_motion(h: Complex, freqs: Float, motion: str, wanted: str) -> Complex:
     freqs : (f,) float64, Hz
     motion, wanted : str
         Quantities; what is no motion stays what it is.
+    decay : float, 1/s
+        Of an exponential window that is in the FRFs: they stand at iω + decay.
     """
     if motion == wanted or not {motion, wanted} <= set(DERIVATIVE):
         return h
-    s = 2j * np.pi * freqs.reshape(-1, *(1,) * (h.ndim - 1))
+    s = decay + 2j * np.pi * freqs.reshape(-1, *(1,) * (h.ndim - 1))
     factor = np.where(s == 0, 1, s) ** (DERIVATIVE[wanted] - DERIVATIVE[motion])
     return np.asarray(h * np.where(s == 0, 0, factor))

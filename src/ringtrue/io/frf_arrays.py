@@ -14,6 +14,7 @@ from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.motions import FRF_KIND, SI_UNIT, Motion
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
+from ringtrue.io.frf_lines import known_lines
 from ringtrue.io.matfile import mat_values, texts
 from ringtrue.io.plain import check_stored, h5_values
 from ringtrue.io.uff.functions import label
@@ -67,7 +68,7 @@ def read_frf_arrays(path: Path) -> FrfSet:
     Raises
     ------
     DataError
-        If there is no such array.
+        If there is no such array, or it lacks a value.
     """
     values = _values(path)
     found = _find(values)
@@ -83,12 +84,13 @@ def read_frf_arrays(path: Path) -> FrfSet:
     text = " ".join([found.name, *(str(v) for k, v in values.items() if _short(k) in ("kind", "type", "frf_type"))])
     motion: Motion = next((m for k, m in _CALLED.items() if k in text.lower()), "acceleration")
     order = np.argsort(found.freqs, kind="stable")
+    order = order[known_lines(h[order], found.freqs[order], outputs, inputs, path)]
     return FrfSet(
         np.ascontiguousarray(h[order], dtype=np.complex128),
         found.freqs[order],
         tuple(Channel(n, motion, SI_UNIT[motion]) for n in outputs),
         tuple(Channel(n, "force", "N") for n in inputs),
-        np.full(h.shape, np.nan),
+        np.full((order.size, *h.shape[1:]), np.nan),
         np.full(len(inputs), np.nan),
         FRF_KIND[motion],
         source=str(path),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,15 +11,14 @@ from typing import cast
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.motions import BASE, FRF_KIND, SI_UNIT, Motion, as_motion, base_motion
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.delimited import read_columns
+from ringtrue.io.frf_lines import known_lines
 from ringtrue.io.si import axis_factor, known, to_si
-
-log = logging.getLogger(__name__)
 
 _FREQUENCY = re.compile(r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE)
 _AXIS = re.compile(r"(?<![A-Za-z])(k?hz|rad/s(ec)?|rpm|cpm|1/min|omega)(?![A-Za-z])", re.IGNORECASE)
@@ -99,7 +97,7 @@ def read_frf_table(path: Path) -> FrfSet:
     for (out, ref), motion in motions.items():
         at = outputs.index(out), inputs.index(ref)
         h[:, *at] = as_motion(h[:, *at], freqs, motion, kind)
-    known_at = _known_lines(h, freqs, outputs, inputs, path)
+    known_at = known_lines(h, freqs, outputs, inputs, path)
     return FrfSet(
         h[known_at],
         freqs[known_at],
@@ -136,18 +134,6 @@ def _hertz(title: str) -> float:
     """The factor to Hz of the column of frequencies."""
     unit = _AXIS.search(title)
     return axis_factor("rad/s" if unit and unit[1].lower() == "omega" else unit[1] if unit else "Hz")
-
-
-def _known_lines(h: Complex, freqs: Float, outputs: Sequence[str], inputs: Sequence[str], path: Path) -> Bool:
-    """(f,) bool: lines with values; those where no FRF has one are left out."""
-    lost = ~np.isfinite(h)
-    none = np.asarray(lost.all(axis=(1, 2)))
-    if (rest := lost & ~none[:, None, None]).any() or none.all():
-        f, o, i = np.argwhere(rest if rest.any() else lost)[0]
-        raise DataError(f"{path}: no value of {outputs[o]} for {inputs[i]} at {freqs[f]:g} Hz")
-    if (bare := freqs[none & (freqs > 0)]).size:
-        log.warning("%s: lines at which no FRF has a value are left out: %d, from %g Hz", path, bare.size, bare[0])
-    return ~none
 
 
 def write_frf_table(path: Path, frfs: FrfSet) -> None:

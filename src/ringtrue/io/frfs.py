@@ -22,6 +22,7 @@ from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing
 from ringtrue.io.frf_arrays import holds_frf_arrays, read_frf_arrays
+from ringtrue.io.frf_lines import known_lines
 from ringtrue.io.frf_tables import is_frf_table, read_frf_table, write_frf_table
 from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY
 from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions, write_frf_sets
@@ -195,14 +196,18 @@ def _read_npz(path: Path) -> FrfSet:
     if h.ndim != 3 or freq.ndim != 1 or h.shape[2] != freq.size:
         raise DataError(f"{path}: H1 {h.shape} must be (reference, response, f) with f = {freq.size} lines of freq")
     coherence = data.get("coherence", np.full(h.shape, np.nan))
-    keep = slice(1, None) if freq.size and freq[0] == 0 and not np.isfinite(h[:, :, 0]).all() else slice(None)
+    outputs = _channels(data.get("outputs"), h.shape[1], "out", "acceleration", "m/s^2", path)
+    inputs = _channels(data.get("inputs"), h.shape[0], "in", "force", "N", path)
+    averages = np.atleast_1d(data.get("averages", np.full(h.shape[0], np.nan)))
+    h = h.transpose(2, 1, 0)
+    keep = known_lines(h, freq, [c.id for c in outputs], [c.id for c in inputs], path)
     return FrfSet(
-        np.ascontiguousarray(h.transpose(2, 1, 0)[keep]),
+        np.ascontiguousarray(h[keep]),
         freq[keep],
-        _channels(data.get("outputs"), h.shape[1], "out", "acceleration", "m/s^2", path),
-        _channels(data.get("inputs"), h.shape[0], "in", "force", "N", path),
+        outputs,
+        inputs,
         np.ascontiguousarray(coherence.transpose(2, 1, 0)[keep]),
-        np.atleast_1d(data.get("averages", np.full(h.shape[0], np.nan))),
+        averages,
         str(data.get("kind", "accelerance")),  # type: ignore[arg-type]
         float(data.get("window_decay", 0.0)),
         str(path),

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.blows import joined
-from ringtrue.core.signals import FrfSet
+from ringtrue.core.lines import shared_lines
+from ringtrue.core.motions import FRF_KIND, SI_UNIT, Motion, as_motion
+from ringtrue.core.signals import FrfKind, FrfSet
 from ringtrue.errors import DataError
+
+log = logging.getLogger(__name__)
 
 _SAME_END = 2e-3  # of the block, by which pulses of other width move its end
 
 
 def setups_of(columns: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
     """Those with the same responses joined: a set for each place that the sensors had."""
-    alike: dict[tuple[str, ...], list[FrfSet]] = {}
+    same: dict[tuple[str, ...], list[FrfSet]] = {}
     for f in columns:
-        alike.setdefault(tuple(c.id for c in f.outputs), []).append(f)
-    return tuple(join_frfs(some) for some in alike.values())
+        same.setdefault(tuple(c.id for c in f.outputs), []).append(f)
+    return tuple(join_frfs(some) for some in same.values())
 
 
 def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
@@ -30,16 +37,10 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
     Raises
     ------
     DataError
-        If lines, kinds or windows differ, or a pair of response and input was never measured.
+        As `alike` does, or if a pair of response and input was never measured.
     """
-    if not parts:
-        raise DataError("no FRFs to join")
+    parts = alike(parts)
     first = parts[0]
-    for p in parts[1:]:
-        if p.freqs.shape != first.freqs.shape or np.abs(p.freqs - first.freqs).max() > 1e-6 * first.freqs[-1]:
-            raise DataError(f"{p.source}: other frequency lines than {first.source}")
-        if p.kind != first.kind or abs(p.window_decay - first.window_decay) > 1e-9:
-            raise DataError(f"{p.source}: {p.kind}, window {p.window_decay:g} 1/s; {first.source} differs")
     kept = np.array([p.kept for p in parts])
     same = bool(np.isfinite(kept).all()) and np.ptp(kept) < _SAME_END * kept.mean()
     outputs = {c.id: c for p in parts for c in p.outputs}
@@ -74,3 +75,41 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
         blows=joined([p.blows for p in parts], [b / weight for b in blows]),
         source=", ".join(dict.fromkeys(p.source for p in parts if p.source)),
     )
+
+
+def alike(parts: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
+    """Sets on the lines that all of them have, all of the kind of the first.
+
+    Raises
+    ------
+    DataError
+        If there is none, they share no more than half of the lines of the shortest, or windows differ.
+    """
+    if not parts:
+        raise DataError("no FRFs to join")
+    first = parts[0]
+    for p in parts[1:]:
+        if abs(p.window_decay - first.window_decay) > 1e-9:
+            raise DataError(f"{p.source}: window of {p.window_decay:g} 1/s, {first.source} {first.window_decay:g} 1/s")
+    at = shared_lines([p.freqs for p in parts])
+    if at is None:
+        told = ", ".join(f"{p.source} {_axis(p.freqs)}" for p in parts if not np.array_equal(p.freqs, first.freqs))
+        raise DataError(f"{told}: other frequency lines than {first.source}, {_axis(first.freqs)}")
+    if lost := max(p.freqs.size - a.size for p, a in zip(parts, at, strict=True)):
+        told = _axis(first.freqs[at[0]])
+        log.warning("%s: frequency lines differ (%d at most); the shared ones are used, %s", first.source, lost, told)
+    return tuple(_part(p, a, first.kind) for p, a in zip(parts, at, strict=True))
+
+
+def _axis(freqs: Float) -> str:
+    return f"{freqs.size} of {freqs[0]:g} to {freqs[-1]:g} Hz"
+
+
+def _part(p: FrfSet, at: Int, kind: FrfKind) -> FrfSet:
+    """The FRFs at some lines, as those of a kind."""
+    if p.kind == kind and at.size == p.freqs.size:
+        return p
+    motion, wanted = (cast(Motion, next(m for m, k in FRF_KIND.items() if k == x)) for x in (p.kind, kind))
+    data = as_motion(p.data[at], p.freqs[at], motion, wanted, p.window_decay)
+    outputs = tuple(replace(c, quantity=wanted, unit=SI_UNIT[wanted]) for c in p.outputs)
+    return replace(p, data=data, freqs=p.freqs[at], coherence=p.coherence[at], outputs=outputs, kind=kind)

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.dofs import NAMES, DofSet
+from ringtrue.core.lines import shared_lines
 from ringtrue.core.motions import FRF_KIND, SI_UNIT, as_motion, base_motion
 from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.frf_lines import known_lines
 from ringtrue.io.plain import RawTable, even_rate
 from ringtrue.io.si import known, to_si
 from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TRANSMISSIBILITY, Function, read_function, write_function
@@ -170,8 +172,9 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     Raises
     ------
     DataError
-        If there are none, several references have no name, the lines differ, or so many pairs of response and reference
-        are absent that most functions are of no use; where few are, their response or reference is left out, and said.
+        If there are none, several references have no name, they share no more than half of their lines, one lacks
+        values, or so many pairs of response and reference are absent that most functions are of no use; where few are,
+        their response or reference is left out, and said.
     """
     functions, units = _functions(path)
     frfs = [f for f in functions if f.kind in (FRF, TRANSMISSIBILITY)]
@@ -184,33 +187,29 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     frfs, ends = [frfs[k] for k in kept], [ends[k] for k in kept]
     if all(f.reference[0] == 0 for f in frfs) and len(set(ends)) < len(frfs):
         raise DataError(f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}")
-    if bad := [e for e, f in zip(ends, frfs, strict=True) if not np.isfinite(f.y[f.x > 0]).all()]:
-        raise DataError(f"{path}: function {'/'.join(bad[0])} has values that are not finite")
+    frfs = _on_shared_lines(frfs, ends, path)
     freqs = frfs[0].x
-    if other := [e for e, f in zip(ends, frfs, strict=True) if not _same_lines(f.x, freqs)]:
-        raise DataError(f"{path}: function {'/'.join(other[0])} has other frequency lines")
     motions, factors = zip(*(_si(f, units) for f in frfs), strict=True)
     kind = _one_kind(motions, ends, path)
     outputs, inputs = _channels(ends, kind)
-    scaled = (as_motion(f.y * x, freqs, m, kind) for f, m, x in zip(frfs, motions, factors, strict=True))
+    scaled = (as_motion(_finite(f.y) * x, freqs, m, kind) for f, m, x in zip(frfs, motions, factors, strict=True))
     data = _place([replace(f, y=y) for f, y in zip(frfs, scaled, strict=True)], ends, freqs, outputs, inputs)
-    absent = np.isnan(data[-1])
+    absent = np.asarray(np.isnan(data).all(axis=0))
     if absent.any():
         rows, columns = _whole(absent)
         _tell_left_out(absent, rows, columns, outputs, inputs, path)
         data = data[:, rows][:, :, columns]
         outputs, inputs = tuple(outputs[k] for k in rows), tuple(inputs[k] for k in columns)
-    coherences = [f for f in functions if f.kind == COHERENCE and _same_lines(f.x, freqs)]
+    coherences = list(filter(None, (_on_lines(f, freqs) for f in functions if f.kind == COHERENCE)))
     coherence = _place(coherences, _ends(coherences), freqs, outputs, inputs).real
     based = {ref for (_, ref), f in zip(ends, frfs, strict=True) if _on_base(f)}
-    if freqs[0] == 0 and not np.isfinite(data[0]).all():  # 0/0 at 0 Hz
-        freqs, data, coherence = freqs[1:], data[1:], coherence[1:]
+    at = known_lines(data, freqs, [c.id for c in outputs], [c.id for c in inputs], path)
     return FrfSet(
-        data,
-        freqs,
+        data[at],
+        freqs[at],
         outputs,
         tuple(base_motion(c.id) if c.id in based else c for c in inputs),
-        np.ascontiguousarray(coherence),
+        np.ascontiguousarray(coherence[at]),
         np.full(len(inputs), np.nan),
         FRF_KIND.get(kind, "accelerance"),
         source=str(path),
@@ -233,7 +232,7 @@ def _tell_left_out(
     absent: Bool, rows: Int, columns: Int, outputs: Sequence[Channel], inputs: Sequence[Channel], path: str | Path
 ) -> None:
     o, i = (int(k) for k in np.argwhere(absent)[0])
-    why = f"{path}: no function from {inputs[i].id} to {outputs[o].id} ({int(absent.sum())} pairs are absent)"
+    why = f"{path}: no values from {inputs[i].id} to {outputs[o].id} ({int(absent.sum())} pairs are absent)"
     left = [c.id for k, c in enumerate(outputs) if k not in rows]
     without = [c.id for k, c in enumerate(inputs) if k not in columns]
     if rows.size * columns.size < _REST * int((~absent).sum()):
@@ -304,8 +303,32 @@ def _references(functions: Sequence[Function], responses: Sequence[str]) -> list
     return [_NO_REFERENCE] * len(functions)
 
 
-def _same_lines(x: Float, freqs: Float) -> bool:
-    return x.size == freqs.size and bool(np.abs(x - freqs).max() <= 1e-6 * max(freqs[-1], 1))
+def _on_shared_lines(frfs: list[Function], ends: Sequence[tuple[str, str]], path: str | Path) -> list[Function]:
+    """The functions at the lines that all have."""
+    at = shared_lines([f.x for f in frfs])
+    if at is None:
+        sizes = [f.x.size for f in frfs]
+        usual = frfs[sizes.index(max(dict.fromkeys(sizes), key=sizes.count))]
+        other = (k for k, f in enumerate(frfs) if shared_lines([f.x, usual.x]) is None)
+        odd = next(other, sizes.index(min(sizes)))
+        raise DataError(f"{path}: function {'/'.join(ends[odd])} has other frequency lines")
+    if all(a.size == f.x.size for a, f in zip(at, frfs, strict=True)):
+        return frfs
+    out = [replace(f, x=f.x[a], y=f.y[a]) for f, a in zip(frfs, at, strict=True)]
+    told = out[0].x.size, min(f.x.size for f in frfs), max(f.x.size for f in frfs)
+    log.warning("%s: the functions share %d lines of %d to %d, which are used", path, *told)
+    return out
+
+
+def _finite(y: Any_) -> Any_:
+    """NaN where a part is not finite."""
+    return np.where(np.isfinite(y), y, np.nan)
+
+
+def _on_lines(f: Function, freqs: Float) -> Function | None:
+    """The function at some lines; None where it lacks one of them."""
+    at = shared_lines([f.x, freqs])
+    return replace(f, x=freqs, y=f.y[at[0]]) if at and at[0].size == freqs.size else None
 
 
 def _channels(ends: Sequence[tuple[str, str]], kind: Quantity) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
