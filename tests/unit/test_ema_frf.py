@@ -192,6 +192,20 @@ def test_a_record_that_begins_within_the_pulse_says_so() -> None:
     assert "begins within the pulse" in hits[0].reasons[0]
 
 
+@pytest.mark.parametrize("before", range(9))
+def test_a_trigger_with_few_samples_before_the_pulse(before: int) -> None:
+    """The structure was at rest: the FRFs do not depend on what was recorded of that."""
+    parts = []
+    for seed in range(2):
+        whole = record(1, [0, 1, 2], seed, starts=STARTS[:1], noise=1e-6)
+        begin = int(STARTS[0] * RATE) + 1 - before
+        parts.append(replace(whole, data=whole.data[:, begin : begin + 4096]))
+    frfs, _ = estimate_frf(parts, HammerSettings(fmax=60.0))
+    s = frfs.window_decay + 2j * np.pi * frfs.freqs
+    want = s[:, None] ** 2 * receptance(s, [0, 1, 2], 1)
+    assert np.linalg.norm(frfs.data[:, :, 0] - want) < 0.02 * np.linalg.norm(want)
+
+
 def test_roving_responses_and_hammers_become_one_set() -> None:
     parts = [record(i, o, seed=9 * i + k) for i in (1, 7) for k, o in enumerate(([0, 1, 2, 3], [3, 4, 5]))]
     frfs, reports = estimate_frf(parts, HammerSettings(fmax=60.0))

@@ -234,9 +234,14 @@ def _lead(cut: _Cut, hits: Int) -> tuple[int, int]:
 
 
 def _unrest(cut: _Cut, starts: Int) -> float:
-    """Level of the responses before the blows over that after them, at the line that rings on most."""
+    """Level of the responses before the blows over that after them, at the line that rings on most.
+
+    0 where it cannot be told, as too little was recorded before a blow.
+    """
     responses = np.delete(np.arange(len(cut.record.channels)), cut.force)
-    length = max(min(cut.length // 4, int(starts.min())), 4)
+    length = min(cut.length // 4, int(starts.min()))
+    if length < 2 * _SLOW:
+        return 0.0
     taper = np.hanning(length)
     power = np.zeros((2, length // 2 + 1))
     for a in starts.tolist():  # a few dozen blows
