@@ -14,6 +14,7 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
+from ringtrue.eigen import memory
 from ringtrue.eigen.dense import Labels, named_rows, refuse_negative_motion
 from ringtrue.eigen.factor import Factor
 from ringtrue.errors import NotConverged
@@ -22,6 +23,7 @@ BLOCK = 8  # a solve of eight right-hand sides takes MKL 1.3 times that of four 
 TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
 WELL = 1e-8  # condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
 MAX_STEPS = 1000
+PATIENCE = 5  # restarts without a further pair: more roots stand close together than the basis holds
 GROWN = 1e40  # of a basis vector, in motions that the mass does not see: left out before they overflow
 ROWS = 8192  # of the basis that are turned at once
 
@@ -165,6 +167,16 @@ class Krylov:
         self.held = k + b
         self.coupling = self._append(w, floor)
 
+    def grow(self) -> None:
+        """Room for twice as many basis vectors."""
+        rows, n = self.basis.shape[0], self.held + self.ahead
+        self.capacity = min(2 * self.capacity, rows)
+        memory.require(8 * rows * self.capacity, f"the basis of {self.capacity} vectors of {rows} DOFs")
+        basis, projected = np.zeros((rows, self.capacity + 2 * BLOCK), order="F"), self.projected[:n, :n]
+        basis[:, :n], self.basis = self.basis[:, :n], basis
+        self.projected = np.zeros((basis.shape[1],) * 2)
+        self.projected[:n, :n] = projected
+
     def ritz(self) -> tuple[Float, Float, Float]:
         """θ (k,) largest modulus first, y (k, k), error ‖R y_last‖ (k,)."""
         t = self.projected[: self.held, : self.held]
@@ -236,7 +248,7 @@ def solve(
     enough : callable
         Takes the converged leading θ (k,), says whether they suffice.
     expected : int
-        How many pairs that will be, about; sets the size of the basis.
+        How many pairs that will be beside the locked ones, about; sets the size of the basis.
     locked : (theta (k,), vectors (f, k)), optional
         Pairs known already; the start block is orthogonal to them.
     begun : Krylov, optional
@@ -259,7 +271,7 @@ def solve(
         krylov.start(vectors, theta)
     else:
         krylov = begun
-    fresh_needed = known  # a repeated root shows only when the new directions have come down to its θ
+    idle, before = 0, 0
     for step in range(MAX_STEPS):
         if not krylov.ahead:
             return _pairs(krylov, krylov.held, exhausted=True)
@@ -271,13 +283,17 @@ def solve(
         good = error <= TOLERANCE * np.abs(theta)
         count = int(good.size if good.all() else np.argmin(good))
         if progress is not None:
-            progress(min(count / expected, 0.99), f"Lanczos: {count} of about {expected} modes")
-        grown = step + 1 >= 4 if fresh_needed else True
-        if exhausted or (grown and enough(theta[:count])):
+            progress(min(count / (known + expected), 0.99), f"Lanczos: {count} of about {known + expected} modes")
+        if exhausted or enough(theta[:count]):
             return _pairs(krylov, count, exhausted=exhausted)
         if krylov.held + 2 * BLOCK > krylov.capacity:
+            idle, before = (0 if count > before else idle + 1), count
+            if idle > PATIENCE and krylov.capacity < rows:
+                krylov.grow()
+                idle = 0
+                continue
             krylov.restart(min(max(count, expected) + 2 * BLOCK, krylov.held - 2 * BLOCK))
-    raise NotConverged(f"Lanczos stopped after {MAX_STEPS} blocks with {count} of about {expected} modes")
+    raise NotConverged(f"Lanczos stopped after {MAX_STEPS} blocks with {count} of about {known + expected} modes")
 
 
 def capacity(rows: int, expected: int, known: int = 0) -> int:

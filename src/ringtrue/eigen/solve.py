@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.progress import Progress
 from ringtrue.eigen import lanczos
 from ringtrue.eigen.dense import DENSE_SIZE, refuse_negative_mass, spectrum
@@ -187,24 +187,21 @@ def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress 
     )
     del begun
     pairs = _sharp(pencil, pairs, shift)
-    while True:
-        values = np.sort(shift + 1 / pairs.theta)
-        at = _gap_after(values, count, shift)
-        if pairs.exhausted:
-            complete, proof = True, f"the mass has rank {values.size}: all modes were found"
-            break
-        if at is None:
-            complete, proof = _proved_below(pencil, values[:count], values[-1], start)
-            break
+    values = np.sort(shift + 1 / pairs.theta)
+    at = _gap_after(values, count, shift)
+    if pairs.exhausted:
+        complete, proof = True, f"the mass has rank {values.size}: all modes were found"
+    elif at is None:
+        complete, proof = _proved_below(pencil, values[:count], values[-1], start)
+    else:
         mark = float((values[at - 1] + values[at]) / 2) if at < values.size else float(1.01 * values[-1])
-        counted = pencil.at(mark).negatives
-        complete, proof = _judge(counted, at, start, mark)
-        if complete or counted < at or start.below < 0:
-            break
-        more = _again(pencil, shift, pairs, counted - at)
-        if more.theta.size <= pairs.theta.size:
-            break
-        pairs = more
+        top = _Count(pencil.at(mark).negatives, mark)
+        if top.below > at and start.below == 0:
+            if top.below > at + lanczos.BLOCK:  # fewer are found sooner than a lower end
+                top = _lowest_end(pencil, values[:at], count, top, shift)
+            pairs = _filled(pencil, pairs, shift, top)
+            at = int((shift + 1 / pairs.theta < top.shift).sum())
+        complete, proof = _judge(top.below, at, start, top.shift)
     return _finish(pencil, pairs, shift, slice(0, count), complete, proof)
 
 
@@ -235,19 +232,56 @@ def _residual(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> float:
     return float(np.linalg.norm(rest) / max(np.linalg.norm(load[:, 0]), np.finfo(float).tiny))
 
 
-def _again(pencil: Pencil, shift: float, pairs: lanczos.RitzPairs, missing: int) -> lanczos.RitzPairs:
-    """Continue with random directions orthogonal to what is known until `missing` more have come."""
-    want = pairs.theta.size + missing
-    locked = (pairs.theta, pairs.vectors)
-    more = lanczos.solve(
-        pencil.at(shift),
-        pencil.mass,
-        lambda theta: theta.size >= want,
-        expected=missing + EXTRA,
-        locked=locked,
-        labels=pencil.labels,
-    )
-    return _sharp(pencil, more, shift)
+def _lowest_end(pencil: Pencil, values: Float, count: int, top: _Count, shift: float) -> _Count:
+    """The lowest gap between the values (k,) below which `count` eigenvalues stand or more; `top` if there is none."""
+    gaps = np.flatnonzero(_gaps(values, shift))
+    low, high = 0, gaps.size
+    while low < high:
+        middle = (low + high) // 2
+        at = _counted(pencil, float(values[gaps[middle] :][:2].mean()), 1)
+        if at.below >= count:
+            high, top = middle, at
+        else:
+            low = middle + 1
+    return top
+
+
+def _filled(
+    pencil: Pencil,
+    pairs: lanczos.RitzPairs,
+    sigma: float,
+    top: _Count,
+    bottom: _Count | None = None,
+    progress: Progress | None = None,
+) -> lanczos.RitzPairs:
+    """The pairs with all others between `bottom`, or the lowest, and `top`: sought from `sigma` as long as more come.
+
+    A search goes on with random directions orthogonal to what is known: a root repeated more often than a block is
+    wide comes a block at a time.
+    """
+    factor = pencil.at(sigma)
+    low, expected = (-np.inf, top.below) if bottom is None else (bottom.shift, top.below - bottom.below)
+
+    def inside(theta: Float) -> Bool:
+        values = sigma + 1 / theta
+        return np.asarray((values < top.shift) & (values > low))
+
+    found, before = int(inside(pairs.theta).sum()), -1
+    while before < found < expected:
+        keep = inside(pairs.theta)
+        locked, before = (pairs.theta[keep], pairs.vectors[:, keep]), found
+        pairs = lanczos.solve(
+            factor,
+            pencil.mass,
+            lambda theta: inside(theta).sum() >= expected or _beyond(sigma + 1 / theta, top, bottom),
+            expected=expected - found + EXTRA,
+            locked=locked,
+            progress=progress,
+            labels=pencil.labels,
+        )
+        pairs = _sharp(pencil, pairs, sigma)
+        found = int(inside(pairs.theta).sum())
+    return pairs
 
 
 def _gap_after(values: Float, count: int, shift: float) -> int | None:
@@ -314,39 +348,22 @@ def _band(
         empty = np.zeros((pencil.size, 0))
         return EigenModes(np.zeros(0), empty, np.zeros(0), 0.0, True, proof, pencil.shift)
 
-    def inside(theta: Float) -> int:
-        values = sigma + 1 / theta
-        return int(((values < top.shift) & (values > (-np.inf if few else bottom.shift))).sum())
-
     pencil.reserve(lanczos.capacity(pencil.size, expected + EXTRA) + 3 * expected)
-    factor = pencil.at(sigma)
-    pairs = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
-    found, before = 0, -1
-    while before < found < expected:
-        locked, before = (pairs.theta, pairs.vectors), found
-        pairs = lanczos.solve(
-            factor,
-            pencil.mass,
-            lambda theta: inside(theta) >= expected or _beyond(sigma + 1 / theta, top, bottom, few),
-            expected=expected + EXTRA,
-            locked=locked,
-            progress=progress,
-            labels=pencil.labels,
-        )
-        pairs = _sharp(pencil, pairs, sigma)
-        found = inside(pairs.theta)
+    none = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
+    pairs = _filled(pencil, none, sigma, top, None if few else bottom, progress)
     proof = f"{wanted} eigenvalues between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm) at both ends"
     values = sigma + 1 / pairs.theta
     at = np.flatnonzero((values >= low) & (values <= high))
     chosen = lanczos.RitzPairs(pairs.theta[at], pairs.vectors[:, at], pairs.exhausted)
-    complete = found == expected and top.below >= 0
+    inside = values < top.shift if few else (values < top.shift) & (values > bottom.shift)
+    complete = int(inside.sum()) == expected and top.below >= 0
     return _finish(pencil, chosen, sigma, slice(None), complete, proof + f"; {at.size} found")
 
 
-def _beyond(values: Float, top: _Count, bottom: _Count, few: bool) -> bool:
+def _beyond(values: Float, top: _Count, bottom: _Count | None) -> bool:
     """Both ends of the band have been passed by several modes: what is still missing needs new directions."""
     over = (values > top.shift).sum() >= EXTRA
-    return bool(over and (few or (values < bottom.shift).sum() >= EXTRA))
+    return bool(over and (bottom is None or (values < bottom.shift).sum() >= EXTRA))
 
 
 def _counted(pencil: Pencil, value: float, side: int) -> _Count:
