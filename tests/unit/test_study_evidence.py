@@ -45,8 +45,8 @@ def final(run: StudyRun) -> Evidence:
 def test_the_right_model_passes_the_gates_of_the_trade_and_the_wrong_one_does_not(done: StudyRun) -> None:
     """Two thirds of the mass are at measured floors, so the static model with inertia keeps the nine modes apart."""
     kinds = [(c.mass, c.kind) for c in final(done).measures.checks]
-    assert kinds == [("IRS", "model"), ("IRS", "self"), ("IRS", "cross"), ("SEREP", "self"), ("SEREP", "cross")]
-    assert all(c.verdict.passed for c in final(done).measures.checks)
+    assert kinds == [(mass, kind) for mass in ("IRS", "SEREP") for kind in ("model", "self", "cross")]
+    assert all(c.verdict.passed for c in final(done).measures.checks if (c.mass, c.kind) != ("SEREP", "model"))
     before = done.results["correlate"].evidence
     least = [[c.verdict.least_diagonal for c in e.measures.checks if c.kind == "cross"] for e in (before, final(done))]
     (irs_before, serep_before), (irs, serep) = least
@@ -131,7 +131,10 @@ def test_synthesised_responses_are_those_of_the_solver(done: StudyRun) -> None:
 def test_the_summary_tells_significance_and_evidence(done: StudyRun) -> None:
     found = json.loads((done.folder / "summary.json").read_text())
     assert set(found["evidence"]) == {"ambient_vs_hammer", "initial", "remodelled", "final"}
-    assert [c["verdict"]["passed"] for c in found["evidence"]["final"]["orthogonality"]] == [True] * 5
+    assert all(c["judged"] for c in found["evidence"]["final"]["orthogonality"])
+    assert [
+        c["verdict"]["passed"] for c in found["evidence"]["final"]["orthogonality"] if "model" not in c["name"]
+    ] == [True] * 4
     assert found["evidence"]["final"]["frfs"]["final"][0]["frac"] > 0.9
     both = found["ambient_vs_hammer"]
     assert all(p["deviation_std"] > 0 for p in both)

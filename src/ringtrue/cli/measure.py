@@ -141,7 +141,10 @@ def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
 
 def _show_complete(c: CompleteCorrelation) -> None:
     for check in c.checks:
-        out.print(f"{check.name}: {check.verdict}")
+        out.print(f"{check.name}: {'' if c.judges(check) else 'not to be judged, '}{check.verdict}")
+    if unfit := list(dict.fromkeys(k.mass for k in c.checks if not c.judges(k))):
+        other = "" if "Craig-Bampton" in (k.mass for k in c.checks) else "; --tam craig-bampton may"
+        tell([f"the {' and the '.join(unfit)} mass cannot judge it: readings with 2 % error alone fail{other}"])
     out.print(f"largest off-diagonal auto-MAC: A {100 * c.auto_mac[0]:.1f} %, B {100 * c.auto_mac[1]:.1f} %")
     worst = c.comac.argsort(kind="stable")[:5].tolist()
     out.print("lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst))

@@ -58,6 +58,34 @@ def cross_orthogonality(a: Any_, b: Any_, mass: Mass) -> Float:
     return np.asarray(np.abs(mass_normalised(a, mass).conj().T @ right).clip(0.0, 1.0), dtype=np.float64)
 
 
+def read_orthogonality(shapes: Any_, mass: Mass, error: Float, reading: Any_ | None = None) -> Float:
+    """Cross-orthogonality (m, m) to expect of shapes with the same ones read with random errors (columns).
+
+    √(E|φ_iᴴM(φ_j + e)|² / E[(φ_j + e)ᴴM(φ_j + e)]), the errors e of the readings being independent. A mass that weighs
+    patterns which no mode has makes much of them.
+
+    Parameters
+    ----------
+    shapes : (k, m) float64 or complex128
+        Coordinates that the mass is over.
+    mass : (k, k) float64
+    error : (m,) float64
+        Standard deviation of a reading of each shape.
+    reading : (k, n) float64, optional
+        Coordinates of unit readings; the readings are the coordinates if not given.
+    """
+    phi = mass_normalised(shapes, mass)
+    weighed = _weighted(mass, phi)
+    if reading is None:
+        seen, own = weighed, mass.diagonal().sum()
+    else:
+        seen, own = reading.T @ weighed, (reading * _weighted(mass, reading)).sum()
+    scale = modal_mass(shapes, mass)
+    relative = error**2 / np.where(scale > 0, scale, np.inf)
+    square = np.abs(phi.conj().T @ weighed) ** 2 + (np.abs(seen) ** 2).sum(axis=0)[:, None] * relative
+    return np.asarray(np.sqrt(square / (1 + own * relative)).clip(0.0, 1.0))
+
+
 def self_orthogonality(a: Any_, mass: Mass) -> Float:
     """Cross-orthogonality of a set with itself, (m, m), ones on the diagonal."""
     return cross_orthogonality(a, a, mass)

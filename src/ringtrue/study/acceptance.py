@@ -146,8 +146,7 @@ def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]
 def _orthogonal(model: Judged, c: CorrelateSection) -> Check:
     """The cross-orthogonality over the best mass at hand."""
     wanted = f"pairs ≥ {c.accept_orthogonality:g} %, others ≤ {c.accept_off_diagonal:g} %"
-    checks = model.evidence.measures.checks if model.evidence else ()
-    cross = next((k for k in checks if k.kind == "cross"), None)
+    cross = model.evidence.measures.cross if model.evidence else None
     name = f"{model.name}: cross-orthogonality"
     if cross is None:
         return Check(name, wanted, "not known", False)

@@ -179,7 +179,7 @@ def _all_evidence(r: Mapping[str, Any]) -> dict[str, Any]:
 def _evidence(e: Evidence, table: CorrelationTable) -> dict[str, Any]:
     full = complete_json(e.measures, table.pairing)
     out = {k: full[k] for k in BRIEF}
-    out["orthogonality"] = [{"name": k["name"], "verdict": k["verdict"]} for k in full["orthogonality"]]
+    out["orthogonality"] = [{k: v for k, v in c.items() if k != "matrix"} for c in full["orthogonality"]]
     if e.frfs is not None:
         sides = (("initial", e.frfs.initial), ("final", e.frfs.final))
         out["frfs"] = {name: [asdict(x) for x in side.by_input()] for name, side in sides}

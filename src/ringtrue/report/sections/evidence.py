@@ -55,9 +55,11 @@ def orthogonality(e: Evidence, table: CorrelationTable) -> list[Block]:
         f"most {100 * gate.off_diagonal:g} % between different modes. Close modes are turned as they were paired."
     )
     if any(c.kind == "model" for c in checks):
-        caption += " A mass that does not keep the model's own modes apart is not fit to judge the test by."
+        caption += (
+            " A mass that does not keep the model's own modes apart, read with an error of 2 %, is not fit to judge by."
+        )
     heads = ("|Mass", "|Of", "Least pair, %", "Largest other, %", "|Verdict", "|Beyond the gate")
-    out: list[Block] = [Table(heads, [_check(c) for c in checks], caption)]
+    out: list[Block] = [Table(heads, [_check(c, e.measures) for c in checks], caption)]
     auto = plots.matrix(
         e.auto_mac,
         names := plots.labels(table.all_test_hz),
@@ -68,16 +70,18 @@ def orthogonality(e: Evidence, table: CorrelationTable) -> list[Block]:
         diagonal=False,
     )
     left: list[Block] = [Plot(auto, f"Auto-MAC of the {table.names[0]} shapes; numbers from 10 %.")]
-    shown = next(c for c in checks if c.kind == "cross")
+    shown = e.measures.cross or checks[0]
     what = f"{shown.name[:1].upper()}{shown.name[1:]}; outlined: beyond the gate."
     return [*out, Columns([left, [Plot(plots.orthogonality(shown, table, 440), what)]])]
 
 
-def _check(c: Check) -> list[str | Cell]:
+def _check(c: Check, measures: CompleteCorrelation) -> list[str | Cell]:
     v = c.verdict
     verdict = Cell("passed", "good") if v.passed else Cell("failed", "bad")
+    if not measures.judges(c):
+        verdict = Cell("no verdict", "warn")
     least, most = 100 * v.least_diagonal, 100 * v.largest_off_diagonal
-    shown = fixed(least, 1) if c.kind == "cross" else "–"
+    shown = fixed(least, 1) if c.kind != "self" else "–"
     return [c.mass, WHOSE[c.kind], shown, fixed(most, 1), verdict, _beyond(c.kind, v.failures)]
 
 

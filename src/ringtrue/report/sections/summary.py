@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from ringtrue.correlate.complete import Check
+from ringtrue.correlate.complete import Check, CompleteCorrelation
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
@@ -106,7 +104,7 @@ def _evidence(data: Stages) -> list[Block]:
     rows: list[tuple[str, str, str | Cell]] = [
         (f"Pairs with {data.acceptance.words()}", f"{len(table) - missed} of {len(table)}", BAD if missed else GOOD)
     ]
-    rows += [_orthogonality(c, e.checks) for c in e.checks if c.kind == "cross"][:1]
+    rows += [_orthogonality(e.cross, e)] if e.cross else []
     names = ", ".join(dict.fromkeys(s.channel for s in e.suspects))
     rows.append(("Channels that look faulty", names or "none", Cell("look", "warn") if names else GOOD))
     if (frfs := final.evidence.frfs) is not None:
@@ -116,12 +114,12 @@ def _evidence(data: Stages) -> list[Block]:
     return [Heading("What it rests on"), Table(("|Evidence", "|Found", "|"), rows, caption)]
 
 
-def _orthogonality(cross: Check, checks: Sequence[Check]) -> tuple[str, str, Cell]:
+def _orthogonality(cross: Check, measures: CompleteCorrelation) -> tuple[str, str, Cell]:
     """What the mass at the channels says, if it keeps the model's own modes apart."""
     v = cross.verdict
     name = f"Cross-orthogonality, {cross.mass} mass, gate {v.gate.name}"
-    if any(c.kind == "model" and c.mass == cross.mass and not c.verdict.passed for c in checks):
-        return name, "not to be judged: at these channels the model's own modes are not kept apart", UNFIT
+    if not measures.judges(cross):
+        return name, "not to be judged: at these channels it does not keep the model's own modes apart", UNFIT
     told = f"pairs ≥ {100 * v.least_diagonal:.0f} %, others ≤ {100 * v.largest_off_diagonal:.0f} %"
     return name, told, GOOD if v.passed else BAD
 
