@@ -66,6 +66,8 @@ def test_nearest_points_from_anywhere() -> None:
         assert np.linalg.norm(fit.rotation - turn) < 0.03
         assert fit.rivals == 0
         assert not fit.used[:4].any()
+        assert fit.used[4:].mean() > 0.95
+        assert nearest_fit(nodes[::20], nodes).used.all()
 
 
 def test_symmetric_geometry_has_rivals() -> None:

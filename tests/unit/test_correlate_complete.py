@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -212,3 +213,27 @@ def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
     fit = complete(noisy, b, pair_modes(noisy, b), mass=np.eye(12) / 12, gate=Gate(0.5, 1.0, "wide"))
     assert fit.cross is not None
     assert fit.cross.mass == "given"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["a.json", "b.json", "--units", "SI"], "--units SI: no deck is given"),
+        (["a.json", "b.json", "--tolerance", "1"], "--tolerance 1.0: .* give --sensors"),
+        (["a.json", "b.bdf", "--match", "rigid"], "--match rigid: .* give --sensors"),
+        (["a.bdf", "b.bdf", "--match", "rigid"], "--match rigid"),
+        (["a.json", "b.bdf", "--align", "nearest"], "--align nearest: .* give --sensors"),
+        (["a.json", "b.bdf", "--tam", "guyan"], "--tam guyan: .* --complete"),
+        (["a.json", "b.json", "--complete", "--tam", "guyan"], "--tam guyan: the mass of a deck"),
+        (["a.json", "b.bdf", "--complete", "--mass", "m.mtx", "--tam", "irs"], "without --mass"),
+        (["a.json", "b.json", "--diagonal", "95"], "--diagonal 95.0: .* give --complete or --mass"),
+        (["a.bdf", "b.bdf", "--off-diagonal", "5"], "--off-diagonal 5.0"),
+        (["a.json", "b.json", "--sensors", "s.csv"], "--sensors is for a deck"),
+        (["a.bdf", "b.json"], "against another deck only"),
+    ],
+)
+def test_options_that_would_change_nothing_are_refused(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["correlate", *words]) == 2
+    assert re.search(told, " ".join(capsys.readouterr().err.split()))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -19,7 +20,7 @@ from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_
 from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
-from ringtrue.errors import ConfigError, DataError, did_you_mean
+from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.nastran.reader import read_deck
@@ -77,22 +78,30 @@ def _of_deck(
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
         opened = Opened(read_deck(deck), unit)
-        here, channels = sensors, test.channels
+        here = read_sensor_sheet(sensors).model if isinstance(sensors, Path) else sensors
+        channels = test.channels
         if isinstance(sensors, TestModel):
             here, tolerance = near_mesh(sensors, opened, tolerance)
             channels = here.channels
             count = np.unique(here.at).size
             notes.append(f"{count} of {sensors.points.size} nodes of A are within {tolerance:.3g} m of one of B")
-        look = placed(opened, channels, here, tolerance=tolerance, method=asked.match, align=asked.align)
+        with about(sensors) if isinstance(sensors, Path) else nullcontext():
+            if here is not None and asked.align:
+                found = alignment(here, opened, asked.align)
+                here = found.move(here)
+                notes.append(words(found))
+            look = placed(opened, channels, here, tolerance=tolerance, method=asked.match)
         modes = opened.modes(reach, part(show, 0.3, 1.0)).modes
     there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
-    if isinstance(sensors, Path):
-        sheet = read_sensor_sheet(sensors).model
-        if asked.align:
-            notes.append(words(alignment(sheet, opened, asked.align)))
-        else:
-            notes += shared_places(opened, sheet.pick(channels), modes)
+    if isinstance(sensors, Path) and here is not None:
+        notes += shared_places(opened, here.pick(channels), modes)
     return there, tuple(notes), lambda: channel_mass(opened, look, channels, asked, reach)
+
+
+def _refuse_idle(given: Mapping[str, object], why: str) -> None:
+    """Refuse options that would change nothing."""
+    if idle := [name for name, value in given.items() if value is not None]:
+        raise ConfigError(f"{idle[0]} {given[idle[0]]}: {why}")
 
 
 def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], ...]:
@@ -171,11 +180,17 @@ def correlate(
     sensors: Annotated[
         Path | None, typer.Option(help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z.")
     ] = None,
-    units: Annotated[str, typer.Option(help=f"Unit system of decks: {', '.join(IN_SECONDS)}.")] = "SI",
-    tolerance: Annotated[float, typer.Option(metavar="M", help="Largest distance of a sensor from a node.")] = 0.05,
+    units: Annotated[
+        str | None, typer.Option(help=f"Unit system of decks: {', '.join(IN_SECONDS)}.", show_default="SI")
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Largest distance of a sensor from a node.", min=0, show_default="0.05"),
+    ] = None,
     match: Annotated[
-        str, typer.Option(help=f"What a sensor off the nodes reads: {', '.join(CHOICES['match'])}.")
-    ] = "nearest",
+        str | None,
+        typer.Option(help=f"What a sensor off the nodes reads: {', '.join(CHOICES['match'])}.", show_default="nearest"),
+    ] = None,
     align: Annotated[
         str | None,
         typer.Option(metavar="HOW", help="Lay the sheet onto the deck by points (numbered as nodes) or nearest."),
@@ -192,17 +207,22 @@ def correlate(
         bool, typer.Option("--complete", help="Orthogonality, CoMAC, channels, complexity, significance.")
     ] = False,
     tam: Annotated[
-        str, typer.Option(help=f"Mass of a deck at the channels, with --complete: {', '.join(CHOICES['tam'])}.")
-    ] = "irs",
+        str | None,
+        typer.Option(
+            help=f"Mass of a deck at the channels, with --complete: {', '.join(CHOICES['tam'])}.", show_default="irs"
+        ),
+    ] = None,
     mass: Annotated[
         Path | None, typer.Option("--mass", metavar="FILE", help="Mass at the common channels, in the order of A.")
     ] = None,
     diagonal: Annotated[
-        float, typer.Option("--diagonal", metavar="%", help="Gate: least cross-orthogonality of a pair.")
-    ] = 90.0,
+        float | None,
+        typer.Option("--diagonal", metavar="%", help="Gate: least cross-orthogonality of a pair.", show_default="90"),
+    ] = None,
     off_diagonal: Annotated[
-        float, typer.Option("--off-diagonal", metavar="%", help="Gate: largest between different modes.")
-    ] = 10.0,
+        float | None,
+        typer.Option("--off-diagonal", metavar="%", help="Gate: largest between different modes.", show_default="10"),
+    ] = None,
     json: Json = None,
 ) -> int:
     """Pair two sets of modes on their common channels: deviation, MAC, and why the rest have no partner.
@@ -212,7 +232,6 @@ def correlate(
     for name, choice in (("match", match), ("align", align), ("tam", tam)):
         if choice is not None and choice not in CHOICES[name]:
             raise ConfigError(f"--{name} {choice!r}{did_you_mean(choice, CHOICES[name])}")
-    gate = Gate(diagonal / 100, off_diagonal / 100, f"{diagonal:g} % / {off_diagonal:g} %")
     settings = PairingSettings(mac_gate=mac_gate / 100, frequency_gate=frequency_gate / 100)
     locks = Locks(_pair_list("--lock", lock), _pair_list("--forbid", forbid))
     deck, both = b.suffix.lower() not in MODES, a.suffix.lower() not in MODES
@@ -220,8 +239,22 @@ def correlate(
         raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
     if both and (sensors is not None or align or not deck):
         raise ConfigError(f"{a}: modes of a deck are held against another deck only, at its nodes, in one frame")
-    if align and sensors is None:
-        raise ConfigError(f"--align {align}: lays the places of a sheet onto a deck; give --sensors")
+    gates = {"--diagonal": diagonal, "--off-diagonal": off_diagonal}
+    if not deck:
+        _refuse_idle({"--units": units}, "no deck is given")
+    if not both and sensors is None:
+        _refuse_idle({"--tolerance": tolerance}, "of the places of a sheet from a deck; give --sensors")
+    if sensors is None:
+        _refuse_idle({"--align": align}, "lays the places of a sheet onto a deck; give --sensors")
+        _refuse_idle({"--match": match}, "of the places of a sheet on a deck; give --sensors")
+    if not everything or not deck or mass is not None:
+        _refuse_idle({"--tam": tam}, "the mass of a deck, for --complete without --mass")
+    if not everything and mass is None:
+        _refuse_idle(gates, "gate of the orthogonality; give --complete or --mass")
+    own, other = 90.0 if diagonal is None else diagonal, 10.0 if off_diagonal is None else off_diagonal
+    gate = Gate(own / 100, other / 100, f"{own:g} % / {other:g} %")
+    units, tolerance = units or "SI", 0.05 if tolerance is None else tolerance
+    match, tam = match or "nearest", tam or "irs"
     asked = CorrelateSection.model_validate(
         {
             "match": "rigid" if both else match,

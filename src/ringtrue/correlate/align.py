@@ -18,6 +18,7 @@ MOST_STEPS = 100
 ROUNDS = 6
 TURNS = np.deg2rad([8.0, -8.0, 20.0, -20.0])
 _Motion = tuple[Float, Float]  # rotation and shift
+GROSS = 3.0  # times the rms of the nearest points: another that is farther off is set aside
 RIVAL = 1.2  # a start that ends within this factor of the least error is as good
 
 
@@ -187,7 +188,8 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
         win = best
     reach = diagonal(nodes)
     near = [f for f in found if f.rms <= RIVAL * win.rms + 1e-9 * reach]
-    return replace(win, rivals=_distinct([f(source) for f in near], win(source), 0.02 * reach))
+    used = win.residual <= max(GROSS * win.rms, 1e-9 * reach)
+    return replace(win, used=used, rivals=_distinct([f(source) for f in near], win(source), 0.02 * reach))
 
 
 def _distinct(places: list[Float], first: Float, tolerance: float) -> int:

@@ -98,11 +98,11 @@ def _other_size(times: float) -> str:
 def words(found: Alignment) -> str:
     """The placement in words."""
     angle = np.degrees(np.arccos(np.clip((np.trace(found.rotation) - 1) / 2, -1.0, 1.0)))
-    x, y, z = found.shift.tolist()
+    x, y, z = (np.round(found.shift, 6) + 0.0).tolist()  # to the micrometre
     lost = int((~found.used).sum())
     return (
         f"the points of the test were turned by {angle:.3g}° and moved by ({x:.4g}, {y:.4g}, {z:.4g}) m onto the deck; "
-        f"{int(found.used.sum())} of them fit within {1e3 * found.rms:.3g} mm"
+        f"{int(found.used.sum())} of them fit within {round(1e3 * found.rms, 3):.3g} mm"
         + (f", {lost} do not and were set aside" if lost else "")
     )
 
@@ -189,8 +189,8 @@ def placed(
     known = set(test.channels)
     if lost := [c for c in channels if c not in known]:
         near = did_you_mean(lost[0], test.channels)
-        name = "points" if isinstance(sheet, TestModel) else sheet
-        raise DataError(f"{name}: channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}")
+        name = "" if isinstance(sheet, TestModel) else f"{sheet}: "
+        raise DataError(f"{name}channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}")
     if align:
         test = alignment(test, opened, align).move(test)
     return opened.observation(test.pick(tuple(channels)), tolerance, method, dofs=dofs)
