@@ -19,7 +19,8 @@ ROUNDS = 6
 TURNS = np.deg2rad([8.0, -8.0, 20.0, -20.0])
 _Motion = tuple[Float, Float]  # rotation and shift
 GROSS = 3.0  # times the rms of the nearest points: another that is farther off is set aside
-RIVAL = 1.2  # a start that ends within this factor of the least error is as good
+EXACT = 1e-3  # of the size of the deck: places on a sheet are hardly better
+RIVAL = 3.0  # a placement whose log-likelihood is within this of the best is as good
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +160,7 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
     """The placement that brings points onto their nearest nodes (iterative closest points, Besl and McKay, 1992).
 
     From the given place, from the 24 ways of laying the axes given, and the principal axes, onto each other, and from
-    the best turned a little, to leave shallow minima.
+    the best turned a little, to leave shallow minima, and about the middle of the nodes, for symmetric structures.
 
     Parameters
     ----------
@@ -187,9 +188,17 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
             break
         win = best
     reach = diagonal(nodes)
-    near = [f for f in found if f.rms <= RIVAL * win.rms + 1e-9 * reach]
+    found += [win, *(_icp(source, nodes, tree, start, keep) for start in _about(win, _middle(nodes)))]
+    cost = _costs(found, max(win.rms, EXACT * reach))
+    win = found[int(np.argmin(cost))]
+    near = [f for f, c in zip(found, cost.tolist(), strict=True) if c <= cost.min() + RIVAL]
     used = win.residual <= max(GROSS * win.rms, 1e-9 * reach)
     return replace(win, used=used, rivals=_distinct([f(source) for f in near], win(source), 0.02 * reach))
+
+
+def _costs(fits: list[Alignment], scale: float) -> Float:
+    """Minus the log-likelihood (k,) of the distances of all points, Cauchy: a gross error counts, but not alone."""
+    return np.array([float(np.log1p((f.residual / scale) ** 2).sum()) for f in fits])
 
 
 def _distinct(places: list[Float], first: Float, tolerance: float) -> int:
@@ -199,6 +208,12 @@ def _distinct(places: list[Float], first: Float, tolerance: float) -> int:
         if all(np.linalg.norm(p - q, axis=1).max() > tolerance for q in seen):
             seen.append(p)
     return len(seen) - 1
+
+
+def _about(fit: Alignment, middle: Float) -> list[_Motion]:
+    """The placement turned about the middle of the nodes in the 23 ways that lay the axes onto each other."""
+    turns = [q for q in _axis_turns() if not np.array_equal(q, np.eye(3))]
+    return [(q @ fit.rotation, middle + q @ (fit.shift - middle)) for q in turns]
 
 
 def _turned(fit: Alignment, source: Float) -> list[_Motion]:
@@ -221,12 +236,19 @@ def _starts(source: Float, nodes: Float) -> list[_Motion]:
     out = [(np.eye(3), np.zeros(3))]
     cs, cn = _middle(source), _middle(nodes)
     us, un = (np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2] for x in (source, nodes))
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        flip = np.eye(3)[list(order)] * np.array(signs)[:, None]
-        if np.linalg.det(flip) > 0:
-            both = (flip, _proper(un).T @ flip @ _proper(us))  # of the axes given, and of the principal ones
-            out += [(rotation, cn - rotation @ cs) for rotation in both]
+    for flip in _axis_turns():
+        both = (flip, _proper(un).T @ flip @ _proper(us))  # of the axes given, and of the principal ones
+        out += [(rotation, cn - rotation @ cs) for rotation in both]
     return out
+
+
+def _axis_turns() -> list[Float]:
+    """The 24 rotations that lay the axes onto each other."""
+    every = [
+        np.eye(3)[list(order)] * np.array(signs)[:, None]
+        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
+    ]
+    return [q for q in every if np.linalg.det(q) > 0]
 
 
 def _proper(axes: Float) -> Float:

@@ -27,6 +27,7 @@ MESHED = 400  # points of a deck that is held against another
 BAD, BETTER = 0.01, 0.2  # of the size of the deck: a fit that is looked into; of its error: what explains it
 LARGER = 1.5  # times the deck: a test that cannot lie on it
 SHARED = 0.1  # of the nodes of a deck: with fewer near another it is not of the same structure
+MIRROR = np.array([1.0, 1.0, -1.0])
 UNLIKE = 10.0  # times another in size: in another unit
 
 
@@ -46,10 +47,15 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
     """
     nodes, ids = positions(opened.model) * opened.length, opened.model["GRID"].ids
     if how == "nearest":
-        times = diagonal(test.xyz) / diagonal(nodes)
+        times = diagonal(_nearest_to_all(test.xyz)) / diagonal(nodes)
         if times > LARGER:
             raise DataError(f"correlate.align nearest: {_other_size(times)}")
         found = nearest_fit(test.xyz, nodes)
+        off = _off(found)
+        if off >= BAD * diagonal(nodes):
+            mirrored = _off(nearest_fit(test.xyz * MIRROR, nodes))
+            if mirrored < BETTER * off:
+                raise DataError(f"correlate.align nearest: {_mirrored(off, mirrored)}")
         if found.rivals:
             raise DataError(
                 f"correlate.align nearest: {found.rivals} other placements fit as well, the geometry is symmetric; "
@@ -64,23 +70,32 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
     return found
 
 
+def _nearest_to_all(xyz: Float, keep: float = 0.9) -> Float:
+    """Most of the points (n, 3), the nearest to their median: a wrong place says nothing of the unit."""
+    distance = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1)
+    return np.asarray(xyz[np.argsort(distance, kind="stable")[: int(np.ceil(keep * len(xyz)))]])
+
+
 def _look_into(found: Alignment, points: Float, nodes: Float) -> None:
     """Refuse a poor fit that another unit or a mirror image explains."""
     off = _off(found)
     if off < BAD * diagonal(nodes):
         return
     try:
-        sized, mirrored = best_fit(points, nodes, scale=True), best_fit(points * [1, 1, -1], nodes)
+        sized, mirrored = best_fit(points, nodes, scale=True), best_fit(points * MIRROR, nodes)
     except InputError:  # neither fits
         return
     if _off(sized) < BETTER * off:
         raise DataError(f"correlate.align points: {_other_size(1 / sized.scale)}")
     if _off(mirrored) < BETTER * off:
-        raise DataError(
-            f"correlate.align points: the points are a mirror image of their nodes ({1e3 * off:.3g} mm off, "
-            f"{1e3 * _off(mirrored):.3g} mm when mirrored): the axes of the test are left-handed, turn one of them and "
-            "the directions along it"
-        )
+        raise DataError(f"correlate.align points: {_mirrored(off, _off(mirrored))}")
+
+
+def _mirrored(off: float, mirrored: float) -> str:
+    return (
+        f"the points are a mirror image of their nodes ({1e3 * off:.3g} mm off, {1e3 * mirrored:.3g} mm when "
+        "mirrored): the axes of the test are left-handed, turn one of them and the directions along it"
+    )
 
 
 def _off(fit: Alignment) -> float:
