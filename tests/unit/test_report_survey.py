@@ -26,7 +26,7 @@ def test_notes_stand_below_the_table() -> None:
     assert isinstance(notes, Items)
     assert [row[1] for row in table.rows] == ["a", "b"]
     assert max(len(cell) for row in table.rows for cell in row) < 20
-    assert notes.items == [f"b: {LONG}; short"]
+    assert notes.items == [f"b: {LONG}", "b: short"]
     assert len(_tests((record("a", ()),))) == 1
 
 
@@ -37,5 +37,5 @@ def test_records_of_a_setup_are_one_row() -> None:
     assert isinstance(fold, Fold)
     assert [row[1] for row in table.rows] == ["setup 1, 2 records", "c"]
     assert table.rows[0][-1] == "60.0"
-    assert notes.items == ["setup 1, 2 records: one (2 records); two"]
+    assert notes.items == ["setup 1, 2 records: one (2 records)", "setup 1, 2 records: two"]
     assert len(fold.blocks) == 2

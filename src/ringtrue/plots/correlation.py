@@ -76,7 +76,7 @@ def matrix(
 
 def labels(frequencies: Float) -> list[str]:
     """`1: 13.42` for each mode."""
-    return [f"{i + 1}: {f:.2f}" for i, f in enumerate(frequencies.tolist())]
+    return [f"{i + 1}: {round(f, 2) + 0.0:.2f}" for i, f in enumerate(frequencies.tolist())]  # no -0.00
 
 
 def table_matrix(table: CorrelationTable) -> go.Figure:

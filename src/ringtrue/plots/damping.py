@@ -10,6 +10,7 @@ from ringtrue.plots.style import FINAL, INITIAL, TEST, axis, f32, figure
 from ringtrue.study.results import DampedModes, DampedRegions
 
 LEAST = 0.02  # % of critical: the lower end of the axis
+DECADE = 10.0  # of the largest over the least damping ratio: above, the axis is logarithmic
 
 
 def regions(found: DampedRegions) -> go.Figure:
@@ -38,8 +39,11 @@ def modes(found: DampedModes) -> go.Figure:
     """Damping ratios of the paired modes: test, before and by the regions; those left out are open."""
     order = np.argsort(found.hertz)
     x = [f"{i + 1}: {f:.2f}" for i, f in enumerate(found.hertz[order].tolist())]
-    y = axis("Damping ratio, %", type="log", minor={"ticks": "outside"})
-    y |= {"tickvals": [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20]}
+    y = axis("Damping ratio, %", rangemode="tozero")
+    ratios = np.stack([found.measured, found.before, found.after])
+    if ratios.max(initial=0.0) > DECADE * ratios.min(initial=np.inf):
+        ticks = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20]
+        y |= {"type": "log", "tickvals": ticks, "minor": {"ticks": "outside"}}
     fig = figure(340, xaxis=axis("Mode, Hz of the test", type="category", tickangle=-60), yaxis=y)
     line = {"color": INITIAL, "width": 1.6, "shape": "hvh"}
     fig.add_scatter(x=x, y=f32(100 * found.before[order]), mode="lines", line=line, name="before")

@@ -21,6 +21,7 @@ POLE_COLORS = (
     ("pole taken into a mode", FE),
     ("mode", TEST),
 )
+RIGID = 1e-3  # of the highest frequency: modes below are rigid-body motions
 LIMIT = 3000  # strokes of one kind in one diagram; beyond it every n-th is drawn
 
 
@@ -78,7 +79,7 @@ def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
 
 
 def damping(sets: list[tuple[str, ModeSet, Uncertainty | None]], used: tuple[Float, Float] | None) -> go.Figure:
-    """Damping ratios over frequency with one standard deviation; `used` (f, ζ) is what the model carries."""
+    """Damping ratios over frequency with one standard deviation; `used` (f, ζ) is what the elastic modes carry."""
     x = hertz()
     fig = figure(320, xaxis=x, yaxis=axis("Damping ratio, %", rangemode="tozero"))
     for i, (name, modes, std) in enumerate(sets):
@@ -89,7 +90,8 @@ def damping(sets: list[tuple[str, ModeSet, Uncertainty | None]], used: tuple[Flo
         fig.add_scatter(x=f, y=y, error_y=bar, mode="markers", marker=mark, name=name)
     if used is not None:
         mark = {"size": 9, "color": FINAL, "symbol": "line-ew-open", "line": {"width": 2, "color": FINAL}}
-        f, y = f32(used[0]), f32(100 * used[1])
+        elastic = used[0] > RIGID * used[0].max(initial=0.0)
+        f, y = f32(used[0][elastic]), f32(100 * used[1][elastic])
         fig.add_scatter(x=f, y=y, mode="markers", marker=mark, name="carried by the final model")
     return fig
 

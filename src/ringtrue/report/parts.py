@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -277,8 +278,9 @@ def sentence(text: str) -> str:
 
 
 def signs(text: str) -> str:
-    """Typed relations and arrows as the signs they stand for."""
-    return text.replace(">=", "≥").replace("<=", "≤").replace("->", "→")
+    """Typed relations, arrows and minus signs as what they stand for."""
+    text = text.replace(">=", "≥").replace("<=", "≤").replace("->", "→")
+    return re.sub(r"(?<=[\s(])-(?=\d)", "−", text)
 
 
 def _raised(n: int) -> str:

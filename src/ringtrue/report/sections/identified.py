@@ -78,9 +78,9 @@ def _modes(modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str], capt
             (
                 str(k + 1),
                 fixed(float(modes.frequencies[k]), 3),
-                fixed(sf, 5),
+                number(sf, 2),
                 fixed(100 * float(modes.damping[k]), 2),
-                fixed(100 * sz, 4),
+                number(100 * sz, 2),
                 Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
             )
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.plots import signals as plots
-from ringtrue.report.parts import Block, Items, Plot, Section, Tabs, Text, number, plain, sentence
+from ringtrue.report.parts import Block, Items, Plot, Section, Tabs, Text, number, plain, signs
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import RecordSummary
 
@@ -31,11 +31,8 @@ def _test(records: list[RecordSummary]) -> list[Block]:
 
 
 def _record(r: RecordSummary) -> Block:
-    notes = f" Notes: {sentence('; '.join(r.notes))}" if r.notes else ""
-    return Plot(
-        plots.record(r, r.unit.replace("^2", "²")),
-        f"{r.name}, {r.excitation}: time preview and power spectral density.{notes}",
-    )
+    text = f"{r.name}, {r.excitation}: time preview and power spectral density."
+    return Plot(plots.record(r, r.unit.replace("^2", "²")), text)
 
 
 def functions(data: Stages) -> Section | None:
@@ -61,5 +58,5 @@ def functions(data: Stages) -> Section | None:
         text = f"The FRFs synthesised from the identified modes differ from the measured ones by {100 * middle:.1f} % "
         blocks.append(Text(text + f"in the median and {100 * worst:.1f} % at worst (relative norm over the band)."))
     if ident.rejected_hits:
-        blocks.append(Items(ident.rejected_hits, f"Rejected hits ({len(ident.rejected_hits)})"))
+        blocks.append(Items([signs(h) for h in ident.rejected_hits], f"Rejected hits ({len(ident.rejected_hits)})"))
     return Section("frfs", "Frequency response functions", blocks)

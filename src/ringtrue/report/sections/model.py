@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ringtrue.core.arrays import Float
@@ -26,9 +27,16 @@ def section(data: Stages) -> Section | None:
         Text(f"Files: {', '.join(Path(f).name for f in m.files)} (units {m.units}). {sentence(m.proof)}", "note")
     )
     if m.findings:
-        blocks.append(Items(m.findings, "Findings of the deck check"))
+        blocks.append(Items([_by_name(f, m.files) for f in m.findings], "Findings of the deck check"))
     title = "Finite element model and sensors" if test is not None else "Finite element model"
     return Section("model", title, blocks)
+
+
+def _by_name(finding: str, files: Sequence[str]) -> str:
+    """A finding with the name of its file in place of the whole path."""
+    for f in files:
+        finding = finding.replace(f"{f}:", f"{Path(f).name}:")
+    return finding
 
 
 def _caption(test: TestModel | None) -> str:

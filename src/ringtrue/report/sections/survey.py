@@ -66,7 +66,7 @@ def _tests(records: tuple[RecordSummary, ...]) -> list[Block]:
 
 def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
     """A row a part, one record or a setup of several, and below what is to be said of each: notes are long."""
-    notes = [f"{_name(mine)}: {told}" for mine in parts if (told := _notes(mine))]
+    notes = [f"{_name(mine)}: {told}" for mine in parts for told in _notes(mine)]
     table = Table(HEADS, [_row(mine) for mine in parts], caption)
     return [table, Items(notes)] if notes else [table]
 
@@ -81,6 +81,6 @@ def _name(mine: list[RecordSummary]) -> str:
     return name.replace("-", "\u2011")
 
 
-def _notes(mine: list[RecordSummary]) -> str:
+def _notes(mine: list[RecordSummary]) -> list[str]:
     notes = Counter(n for r in mine for n in r.notes)
-    return "; ".join(n if k == 1 else f"{n} ({k} records)" for n, k in notes.items())
+    return [n if k == 1 else f"{n} ({k} records)" for n, k in notes.items()]
