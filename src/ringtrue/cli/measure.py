@@ -13,7 +13,7 @@ import typer
 
 from ringtrue.cli.show import IN_SECONDS, Json, listed, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.arrays import Float
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.progress import part
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
@@ -33,7 +33,7 @@ from ringtrue.study.placing import alignment, mesh_points, near_mesh, placed, sh
 from ringtrue.study.summary import correlation_json
 
 MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
-LOWEST, RIGID = 26, 1e-3  # modes of a deck in the place of a test; of their highest frequency
+LOWEST = 26  # modes of a deck in the place of a test
 ABOVE = 1.5  # modes of a deck up to here over the highest test mode
 BY_FREQUENCY = "no shapes: modes are paired by frequency alone; --lock and --forbid decide otherwise"
 CHOICES = {"match": get_args(Method), "align": ("points", "nearest"), "tam": get_args(Tam)}
@@ -54,13 +54,13 @@ def _as_test(deck: Path, units: str) -> tuple[ModeSet, TestModel, str]:
         show(0.0, f"reading {deck}")
         opened = Opened(read_deck(deck), unit_length(units))
         found = opened.analysis.modes(ModesRequest(LOWEST)).modes
-    elastic = np.flatnonzero(found.frequencies > RIGID * found.frequencies.max())
-    if not elastic.size:
+    at = np.flatnonzero(elastic(found.frequencies))
+    if not at.size:
         raise DataError(f"{deck}: none of its {len(found)} lowest modes is elastic")
-    modes, points = found.take(elastic), mesh_points(opened)
+    modes, points = found.take(at), mesh_points(opened)
     shapes = at_dofs(points.channels, opened.analysis.dofs)(modes.shapes)
     there = ModeSet(modes.frequencies, modes.damping, shapes, points.channels, modes.norm, str(deck))
-    return there, points, f"mode 1 of A is mode {elastic[0] + 1} of {deck}" if elastic[0] else ""
+    return there, points, f"mode 1 of A is mode {at[0] + 1} of {deck}" if at[0] else ""
 
 
 def _of_deck(

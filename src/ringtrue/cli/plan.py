@@ -12,6 +12,7 @@ import typer
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.show import Json, progress, rows, tell, write_json
+from ringtrue.core.modes import elastic
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.nastran.reader import read_deck
@@ -28,8 +29,6 @@ from ringtrue.study.words import left_by_loss
 from ringtrue.virtual.sensors import ICP
 
 METHODS, STRIKES, DIRECTIONS = (get_args(kind) for kind in (Method, Strike, Directions))
-MISSED = 0.1  # of the best driving-point residue
-RIGID = 1e-3  # of the highest frequency
 ABOVE = 1.3  # modes up to here over the band take part in the virtual test
 
 
@@ -173,11 +172,11 @@ def _from_deck(deck: Path, band: tuple[float, float] | None, modes: list[int]) -
     if band is None:
         with EmbeddedSolver().open(model) as analysis:
             f = analysis.modes(ModesRequest(max([21, *(m + 1 for m in modes)]))).modes.frequencies
-        elastic = f[f > RIGID * f.max()]
-        if not elastic.size:
+        flexible = f[elastic(f)]
+        if not flexible.size:
             raise ConfigError(f"{deck}: none of the {f.size} lowest modes is elastic; give --band")
-        last = f[max(modes) - 1] if modes and max(modes) <= f.size else elastic[-2 if elastic.size > 1 else -1]
-        band = (0.5 * float(elastic[0]), 1.001 * float(last))
+        last = f[max(modes) - 1] if modes and max(modes) <= f.size else flexible[-2 if flexible.size > 1 else -1]
+        band = (0.5 * float(flexible[0]), 1.001 * float(last))
     return {k: float(f"{v:.6g}") for k, v in zip(("fmin", "fmax"), band, strict=True)}
 
 
@@ -222,7 +221,7 @@ def _told(run: StudyRun) -> dict[str, Any]:
         "reciprocity": [list(p) for p in reciprocity_pairs(stage.references, stage.test.channels)],
         "rule": stage.rule,
         "modes": _modes(stage),
-        "missed": [n for n, r in zip(names, stage.reach.tolist(), strict=True) if r < MISSED],
+        "missed": [names[i] for i in np.flatnonzero(stage.missed).tolist()],
         "worst_auto_mac": stage.worst_off_diagonal,
         "lost_points": stage.lost,
         "left_by_loss": stage.left_by_loss,

@@ -8,9 +8,16 @@ from enum import StrEnum
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
+
+RIGID = 1e-3  # of the highest frequency
+
+
+def elastic(frequencies: Float) -> Bool:
+    """Which natural frequencies (m,), Hz, are not those of rigid-body motions."""
+    return np.asarray(frequencies > RIGID * frequencies.max(initial=0.0))
 
 
 class Norm(StrEnum):

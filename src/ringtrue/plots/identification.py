@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Any_, Bool, Float
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.plots.style import FE, FINAL, MUTED, QUALITATIVE, TEST, axis, f32, figure, hertz, ticks
@@ -21,7 +21,6 @@ POLE_COLORS = (
     ("pole taken into a mode", FE),
     ("mode", TEST),
 )
-RIGID = 1e-3  # of the highest frequency: modes below are rigid-body motions
 LIMIT = 3000  # strokes of one kind in one diagram; beyond it every n-th is drawn
 
 
@@ -90,8 +89,7 @@ def damping(sets: list[tuple[str, ModeSet, Uncertainty | None]], used: tuple[Flo
         fig.add_scatter(x=f, y=y, error_y=bar, mode="markers", marker=mark, name=name)
     if used is not None:
         mark = {"size": 9, "color": FINAL, "symbol": "line-ew-open", "line": {"width": 2, "color": FINAL}}
-        elastic = used[0] > RIGID * used[0].max(initial=0.0)
-        f, y = f32(used[0][elastic]), f32(100 * used[1][elastic])
+        f, y = (f32(x[elastic(used[0])]) for x in (used[0], 100 * used[1]))
         fig.add_scatter(x=f, y=y, mode="markers", marker=mark, name="carried by the final model")
     return fig
 

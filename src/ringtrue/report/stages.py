@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from types import NoneType
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
@@ -36,25 +37,6 @@ from ringtrue.study.summary import Check
 
 DRAWN = 1_000_000  # nodes of all shapes together, eight bytes each in the page
 FEWEST, MOST = 3000, 12_000  # nodes that are drawn of a model
-
-KINDS: dict[str, type] = {
-    "model": ModelStage,
-    "plan": PlanStage,
-    "identify": IdentifyStage,
-    "compare": CompareStage,
-    "correlate": CorrelateStage,
-    "configurations": ConfigurationsStage,
-    "localise": LocaliseStage,
-    "sensitivity": SensitivityStage,
-    "update": UpdateStage,
-    "tune": TuneStage,
-    "final": FinalStage,
-    "configured": ConfiguredStage,
-    "uncertainty": UncertaintyStage,
-    "damping": DampingStage,
-    "predict": PredictStage,
-    "provenance": Provenance,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,3 +111,6 @@ class Stages:
     def reference(self) -> ModeSet | None:
         """The test modes the model is judged by."""
         return self.correlate.reference if self.correlate is not None else None
+
+
+KINDS: dict[str, type] = {n: get_args(h)[0] for n, h in get_type_hints(Stages).items() if NoneType in get_args(h)}

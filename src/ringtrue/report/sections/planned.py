@@ -29,7 +29,6 @@ from ringtrue.study.results import IdentifyStage, PlanStage
 from ringtrue.study.summary import precision
 from ringtrue.study.words import left_by_loss
 
-MISSED = 0.1  # of the best driving-point residue
 SURE = 0.9  # of the virtual tests
 
 
@@ -54,7 +53,7 @@ def section(data: Stages) -> Section | None:
     ]
     blocks += [Text(sentence(n)) for n in plan.notes]
     names = [str(i + 1) for i in plan.target_modes.tolist()]
-    if missed := [names[i] for i in np.flatnonzero(plan.reach < MISSED).tolist()]:
+    if missed := [names[i] for i in np.flatnonzero(plan.missed).tolist()]:
         blocks.append(Text(f"The references miss mode {', '.join(missed)}: strike at more points."))
     auto = correlation.matrix(plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False)
     left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]
@@ -121,7 +120,10 @@ def _targets(plan: PlanStage) -> Table:
     columns: list[list[str | Cell]] = [
         [str(k + 1) for k in plan.target_modes.tolist()],
         [fixed(f, 3) for f in plan.target_frequencies.tolist()],
-        [Cell(fixed(100 * r, 0), "bad" if r < MISSED else "") for r in plan.reach.tolist()],
+        [
+            Cell(fixed(100 * r, 0), "bad" if lost else "")
+            for r, lost in zip(plan.reach.tolist(), plan.missed.tolist(), strict=True)
+        ],
     ]
     if plan.shown.size:
         heads.append("shown, %")

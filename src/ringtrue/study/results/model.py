@@ -6,10 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.plan.rehearsal import Rehearsal
+
+MISSED = 0.1  # of the best driving-point residue: below, the references miss a mode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +93,11 @@ class PlanStage:
     rehearsal: Rehearsal | None = None  # the virtual test
     indicator: Float = field(default_factory=lambda: np.zeros(0))  # (target,) least mode indicator of all references
     forces: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (target, reference) real forces that reach it
+
+    @property
+    def missed(self) -> Bool:
+        """Which target modes no reference excites well."""
+        return np.asarray(self.reach < MISSED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
