@@ -10,7 +10,7 @@ import typer
 from scipy import sparse
 
 from ringtrue.backends.embedded import EmbeddedAnalysis
-from ringtrue.cli.show import IN_SECONDS, Json, out, progress, rows, tell, unit_length, write_json
+from ringtrue.cli.show import Json, Units, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import DataError
 from ringtrue.io.modes_json import read_modes
@@ -42,7 +42,7 @@ def localise(
     sensors: Annotated[
         Path | None, typer.Option(help="Sensor sheet; without it, channels are DOFs of the deck such as 101+Z.")
     ] = None,
-    units: Annotated[str, typer.Option(help=f"Unit system of the deck: {', '.join(IN_SECONDS)}.")] = "SI",
+    units: Units = "SI",
     tolerance: Annotated[float, typer.Option(metavar="M", help="Largest distance of a sensor from a node.")] = 0.05,
     most: Annotated[int, typer.Option(help="Most parameters that are proposed.", min=1)] = 8,
     pool: Annotated[

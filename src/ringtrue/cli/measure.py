@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import numpy as np
 import typer
 
-from ringtrue.cli.show import IN_SECONDS, Json, listed, out, progress, rows, tell, unit_length, write_json
+from ringtrue.cli.show import IN_SECONDS, Json, listed, one_of, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.progress import part
@@ -20,7 +20,7 @@ from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_
 from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
-from ringtrue.errors import ConfigError, DataError, about, did_you_mean
+from ringtrue.errors import ConfigError, DataError, about
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.nastran.reader import read_deck
@@ -36,7 +36,6 @@ MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
 LOWEST = 26  # modes of a deck in the place of a test
 ABOVE = 1.5  # modes of a deck up to here over the highest test mode
 BY_FREQUENCY = "no shapes: modes are paired by frequency alone; --lock and --forbid decide otherwise"
-CHOICES = {"match": get_args(Method), "align": ("points", "nearest"), "tam": get_args(Tam)}
 
 
 def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, ModeSet]:
@@ -180,20 +179,17 @@ def correlate(
     sensors: Annotated[
         Path | None, typer.Option(help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z.")
     ] = None,
-    units: Annotated[
-        str | None, typer.Option(help=f"Unit system of decks: {', '.join(IN_SECONDS)}.", show_default="SI")
-    ] = None,
+    units: Annotated[str | None, one_of("--units", IN_SECONDS, "Unit system of decks", "SI")] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(metavar="M", help="Largest distance of a sensor from a node.", min=0, show_default="0.05"),
     ] = None,
     match: Annotated[
-        str | None,
-        typer.Option(help=f"What a sensor off the nodes reads: {', '.join(CHOICES['match'])}.", show_default="nearest"),
+        str | None, one_of("--match", get_args(Method), "What a sensor off the nodes reads", "nearest")
     ] = None,
     align: Annotated[
         str | None,
-        typer.Option(metavar="HOW", help="Lay the sheet onto the deck by points (numbered as nodes) or nearest."),
+        one_of("--align", ("points", "nearest"), "Lay the sheet onto the deck, by points numbered as nodes or nearest"),
     ] = None,
     mac_gate: Annotated[float, typer.Option(metavar="%", help="Least MAC of a pair.")] = 60.0,
     frequency_gate: Annotated[float, typer.Option(metavar="%", help="Largest deviation of a pair.")] = 40.0,
@@ -207,10 +203,7 @@ def correlate(
         bool, typer.Option("--complete", help="Orthogonality, CoMAC, channels, complexity, significance.")
     ] = False,
     tam: Annotated[
-        str | None,
-        typer.Option(
-            help=f"Mass of a deck at the channels, with --complete: {', '.join(CHOICES['tam'])}.", show_default="irs"
-        ),
+        str | None, one_of("--tam", get_args(Tam), "Mass of a deck at the channels, with --complete", "irs")
     ] = None,
     mass: Annotated[
         Path | None, typer.Option("--mass", metavar="FILE", help="Mass at the common channels, in the order of A.")
@@ -229,9 +222,6 @@ def correlate(
 
     Example: ringtrue correlate test.json wing.bdf --sensors sensors.csv --complete
     """
-    for name, choice in (("match", match), ("align", align), ("tam", tam)):
-        if choice is not None and choice not in CHOICES[name]:
-            raise ConfigError(f"--{name} {choice!r}{did_you_mean(choice, CHOICES[name])}")
     settings = PairingSettings(mac_gate=mac_gate / 100, frequency_gate=frequency_gate / 100)
     locks = Locks(_pair_list("--lock", lock), _pair_list("--forbid", forbid))
     deck, both = b.suffix.lower() not in MODES, a.suffix.lower() not in MODES

@@ -20,10 +20,10 @@ from ringtrue.checks.mass import mass_properties, unconstrained
 from ringtrue.checks.mesh import MeshErrors, mesh_errors
 from ringtrue.checks.units import UNIT_SYSTEMS
 from ringtrue.cli.convert import writable
-from ringtrue.cli.show import Json, json_file, out, progress, rows, write_json
+from ringtrue.cli.show import Json, json_file, one_of, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import part
-from ringtrue.errors import ConfigError, DeckError, RingtrueError, did_you_mean
+from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes_json import dump_modes, write_modes
 from ringtrue.io.nastran.reader import Survey, read_deck, survey
@@ -119,7 +119,7 @@ def _print_modes(deck: Path, result: ModesResult, damped: bool, errors: MeshErro
 def check(
     deck: Deck,
     units: Annotated[
-        str, typer.Option(help=f"Of the deck, to judge moduli, densities and size by: {', '.join(UNIT_SYSTEMS)}.")
+        str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck, to judge moduli, densities and size by")
     ] = "",
     json: Json = None,
 ) -> int:
@@ -127,8 +127,6 @@ def check(
 
     Example: ringtrue check wing.bdf --units mm-t-s
     """
-    if units and units not in UNIT_SYSTEMS:
-        raise ConfigError(f"--units {units}{did_you_mean(units, UNIT_SYSTEMS)}")
     found = survey(deck)
     findings = _findings(found, units)
     sound = not found.unsupported and not any(f.severity == "error" for f in findings)

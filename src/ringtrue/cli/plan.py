@@ -11,9 +11,9 @@ import numpy as np
 import typer
 
 from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.cli.show import Json, progress, rows, tell, write_json
+from ringtrue.cli.show import Json, one_of, progress, rows, tell, write_json
 from ringtrue.core.modes import elastic
-from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.errors import ConfigError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
@@ -38,13 +38,13 @@ def plan(
     band: Annotated[tuple[float, float] | None, typer.Option(help="Target modes from F0 to F1, Hz.")] = None,
     modes: Annotated[str, typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15.")] = "",
     points: Annotated[int, typer.Option(help="Measuring points; sensors, unless triaxial.", min=1)] = 20,
-    directions: Annotated[str, typer.Option(help=f"Of a sensor: {', '.join(DIRECTIONS)}.")] = DIRECTIONS[0],
+    directions: Annotated[str, one_of("--directions", DIRECTIONS, "Of a sensor")] = DIRECTIONS[0],
     references: Annotated[int, typer.Option(help="Points to strike.", min=1)] = 3,
     strike_at: Annotated[
         str, typer.Option(metavar="LIST", help="Nodes that can be struck; any point if not given.")
     ] = "",
-    strike: Annotated[str, typer.Option(help=f"How these are chosen: {', '.join(STRIKES)}.")] = STRIKES[0],
-    method: Annotated[str, typer.Option(help=f"How points are chosen: {', '.join(METHODS)}.")] = METHODS[0],
+    strike: Annotated[str, one_of("--strike", STRIKES, "How points to strike are chosen")] = STRIKES[0],
+    method: Annotated[str, one_of("--method", METHODS, "How measuring points are chosen")] = METHODS[0],
     box: Annotated[
         list[str] | None, typer.Option("--box", metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Points lie in it, m; repeat it.")
     ] = None,
@@ -68,21 +68,13 @@ def plan(
     trials: Annotated[int, typer.Option(help="Virtual tests of the plan.", min=0)] = 0,
     background: Annotated[float, typer.Option(metavar="N/√HZ", help="Noise force at each reference.", min=0)] = 0.0,
     seed: Annotated[int, typer.Option(help="Of the virtual tests.", min=0)] = 0,
-    units: Annotated[str, typer.Option(help=f"Of the deck: {', '.join(LENGTH)}.")] = "SI",
+    units: Annotated[str, one_of("--units", LENGTH, "Unit system of the deck")] = "SI",
     json: Json = None,
 ) -> int:
     """Plan a modal test of a deck: a test sheet as CSV, universal file and HTML.
 
     Example: ringtrue plan frame.bdf --band 5 80 --points 24 --references 3 --trials 10 --out frame-test
     """
-    for name, value, allowed in (
-        ("method", method, METHODS),
-        ("strike", strike, STRIKES),
-        ("directions", directions, DIRECTIONS),
-        ("units", units, tuple(LENGTH)),
-    ):
-        if value not in allowed:
-            raise ConfigError(f"--{name} {value!r}{did_you_mean(value, allowed)}")
     if not deck.is_file():
         raise ConfigError(f"{deck}: no such file")
     folder = folder or deck.with_name(f"{deck.stem}-test")

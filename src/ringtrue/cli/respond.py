@@ -12,7 +12,7 @@ import typer
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.ema import Motion
 from ringtrue.cli.model import Deck
-from ringtrue.cli.show import IN_SECONDS, Json, err, file_target, progress, rows, unit_length, unit_mass, write_json
+from ringtrue.cli.show import Json, Units, err, file_target, progress, rows, unit_length, unit_mass, write_json
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.motions import FRF_KIND, SI_UNIT
@@ -28,8 +28,6 @@ from ringtrue.plots.responses import frf_page
 from ringtrue.study.loads import load_vectors
 
 ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
-
-Units = Annotated[str, typer.Option(help=f"Of the deck: {', '.join(IN_SECONDS)}; results are in SI.")]
 
 
 def frf(

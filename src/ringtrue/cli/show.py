@@ -15,7 +15,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
 
-from ringtrue.checks.units import UNIT_SYSTEMS, UnitSystem
+from ringtrue.checks.units import UNIT_SYSTEMS
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
@@ -106,6 +106,26 @@ def file_target(option: str, *endings: str) -> object:
     return check
 
 
+def one_of(option: str, allowed: Iterable[str], what: str, otherwise: str = "") -> Any:
+    """An option that takes one of some names, refused before any work is done; `what` is its help.
+
+    `otherwise` is what is taken where an option without a default is not given.
+    """
+    names = tuple(allowed)
+
+    def check(value: str | None) -> str | None:
+        if value and value not in names:
+            raise ConfigError(f"{option} {value!r}{did_you_mean(value, names)}")
+        return value
+
+    return typer.Option(
+        option, metavar="NAME", help=f"{what}: {', '.join(names)}.", callback=check, show_default=otherwise or True
+    )
+
+
+Units = Annotated[str, one_of("--units", IN_SECONDS, "Unit system of the deck")]
+
+
 @contextmanager
 def json_file(target: str) -> Iterator[TextIO]:
     """What `--json` names, written whole or not at all; `-` is standard output."""
@@ -125,16 +145,10 @@ def write_json(value: Any, target: str) -> None:
 
 def unit_mass(units: str) -> float:
     """Kilograms a unit of mass of the system that `--units` names."""
-    one = _in_seconds(units)
+    one = UNIT_SYSTEMS[units]
     return one.density * one.length**3
 
 
 def unit_length(units: str) -> float:
     """Metres a unit of length of the system that `--units` names."""
-    return _in_seconds(units).length
-
-
-def _in_seconds(units: str) -> UnitSystem:
-    if units not in IN_SECONDS:
-        raise ConfigError(f"--units {units}{did_you_mean(units, IN_SECONDS)}")
-    return UNIT_SYSTEMS[units]
+    return UNIT_SYSTEMS[units].length

@@ -12,7 +12,7 @@ import typer
 
 from ringtrue.backends.observed import PRINTED, UNTOLD, FullModel, reduced
 from ringtrue.backends.registry import EMBEDDED, solver
-from ringtrue.cli.show import Json, err, progress, write_json
+from ringtrue.cli.show import Json, err, one_of, progress, write_json
 from ringtrue.cli.updated import show_summary, summary_of
 from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
@@ -67,8 +67,6 @@ from ringtrue.update.weights import RULES
 
 ABOVE = 1.5  # modes of the model up to here over the highest test mode
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
-DISCREPANCIES = get_args(Discrepancy)
-WORDS = {"step": [*KINDS], "prior": ["study", *RULES], "loss": [*LOSSES], "discrepancy": DISCREPANCIES}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +86,11 @@ def update(
     ],
     folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where the updated deck goes.")] = None,
     leave_out: Annotated[str, typer.Option(metavar="LIST", help="Test modes to judge by, from 1: 3,7.")] = "",
-    method: Annotated[str | None, typer.Option(help=f"{', '.join(KINDS)}.")] = None,
-    prior: Annotated[str | None, typer.Option(help=f"Weight of the prior: study, {', '.join(RULES)}.")] = None,
-    loss: Annotated[str | None, typer.Option(help=f"Against a wrong mode: {', '.join(LOSSES)}.")] = None,
+    method: Annotated[str | None, one_of("--method", KINDS, "Kind of step")] = None,
+    prior: Annotated[str | None, one_of("--prior", ("study", *RULES), "Weight of the prior")] = None,
+    loss: Annotated[str | None, one_of("--loss", LOSSES, "Against a wrong mode")] = None,
     discrepancy: Annotated[
-        str | None, typer.Option(help=f"Deviations that the best model keeps: {', '.join(DISCREPANCIES)}.")
+        str | None, one_of("--discrepancy", get_args(Discrepancy), "Deviations that the best model keeps")
     ] = None,
     frequency: Annotated[
         float | None, typer.Option(metavar="%", help="Deviation of a frequency that the best model keeps.", min=1e-3)
@@ -201,9 +199,6 @@ def _settings(
 ) -> StudyConfig:
     """The study with what the options say in place of it, and files and a mass beside its [[residual]]s."""
     change: dict[str, Any] = {n: v for n, v in words.items() if v is not None}
-    for name, got in change.items():
-        if name in WORDS and got not in WORDS[name]:
-            raise ConfigError(f"--{'method' if name == 'step' else name} {got!r}{did_you_mean(got, WORDS[name])}")
     if residuals is not None:
         names = [t.strip() for t in residuals.split(",") if t.strip()]
         for name in names:
