@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import json
 import re
 import runpy
@@ -21,6 +22,7 @@ from typer.main import get_command
 
 from ringtrue.cli import show
 from ringtrue.cli.main import COMMANDS, application, run
+from ringtrue.cli.panels import OPTIONS
 from ringtrue.cli.show import listed, rows
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import NotConverged
@@ -108,6 +110,17 @@ def test_help_shows_an_example(command: str, capsys: Capture) -> None:
     said = getattr(importlib.import_module(f"ringtrue.cli.{module}"), function).__doc__
     for name in re.findall(r"\[\[?\w+\]", said):  # of a section of study.toml: markup in a help unless it is escaped
         assert name in out
+
+
+@pytest.mark.parametrize("command", OPTIONS)
+def test_options_in_panels_are_there_and_stand_in_one(command: str, capsys: Capture) -> None:
+    module, function = COMMANDS[command]
+    there = inspect.signature(getattr(importlib.import_module(f"ringtrue.cli.{module}"), function)).parameters
+    grouped = [name for names in OPTIONS[command].values() for name in names]
+    assert set(grouped) <= set(there)
+    assert len(set(grouped)) == len(grouped)
+    _, out, _ = call(capsys, command, "--help")
+    assert all(panel in out for panel in OPTIONS[command])
 
 
 def test_names_in_brackets_are_text(capsys: Capture) -> None:
@@ -470,7 +483,7 @@ def test_run_and_report(tmp_path: Path, capsys: Capture) -> None:
     again = parsed(capsys, "report", out / "study.h5")
     assert again["final"] == found["final"]
     assert "The frame" in Path(again["report"]).read_text(encoding="utf-8")
-    assert call(capsys, "report", out / "study.h5", "--out", tmp_path / "r.html")[0] == 0
+    assert call(capsys, "report", out, "--out", tmp_path / "r.html")[0] == 0
     assert (tmp_path / "r.html").is_file()
     assert "no folder" in refused(capsys, "report", out / "study.h5", "--out", tmp_path / "none/r.html")
 

@@ -3,40 +3,25 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections.abc import Sequence
 from errno import EDQUOT, ENOSPC
 from importlib import import_module
 from importlib.resources import files
 from signal import SIGTERM, default_int_handler, signal
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import typer
 from typer.exceptions import TyperException
 from typer.main import get_command
 
 from ringtrue import __version__
+from ringtrue.cli import panels
 from ringtrue.cli.show import err
 from ringtrue.errors import InputError, RingtrueError, UnsupportedError
 
-COMMANDS = {  # where each stands; in the order of the help
-    "demo": ("study", "demo"),
-    "run": ("study", "run"),
-    "report": ("study", "report"),
-    "modes": ("model", "modes"),
-    "check": ("model", "check"),
-    "frf": ("respond", "frf"),
-    "static": ("respond", "static"),
-    "plan": ("plan", "plan"),
-    "oma": ("identify", "oma"),
-    "ema": ("ema", "ema"),
-    "track": ("track", "track"),
-    "correlate": ("measure", "correlate"),
-    "predict": ("predict", "run"),
-    "convert": ("convert", "convert"),
-    "update": ("update", "update"),
-    "localise": ("localise", "localise"),
-}
+COMMANDS = {name: place for panel in panels.COMMANDS.values() for name, place in panel.items()}
 
 
 def _version(show: bool) -> None:
@@ -62,19 +47,30 @@ def application(arguments: Sequence[str]) -> typer.Typer:
     )
     app.callback()(_root)
     asked = [a for a in arguments if a != "--"][:1]  # behind other options stands none: they show something and end
-    for name, (module, function) in COMMANDS.items():
-        if name in asked:
-            app.command(name)(getattr(import_module(f"ringtrue.cli.{module}"), function))
-        elif not COMMANDS.keys() & asked:
-            app.command(name, help=_words(module, function))(_nothing)
+    known = COMMANDS.keys() & asked
+    for panel, commands in panels.COMMANDS.items():
+        for name, (module, function) in commands.items():
+            if name in known or not known:
+                body = getattr(import_module(f"ringtrue.cli.{module}"), function) if known else _nothing
+                app.command(name, help=_words(module, function), rich_help_panel=panel)(body)
     return app
 
 
 def _words(module: str, function: str) -> str:
-    """The docstring of a function of `ringtrue.cli`, without what its module imports."""
+    """The docstring of a function of `ringtrue.cli`, without what its module imports; a line a paragraph."""
     tree = ast.parse(files("ringtrue.cli").joinpath(f"{module}.py").read_text("utf-8"))
     (found,) = (f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == function)
-    return ast.get_docstring(found) or ""
+    return re.sub(r"(?<!\n)\n(?!\n)", " ", ast.get_docstring(found) or "")
+
+
+def _command(arguments: Sequence[str]) -> Any:
+    """The application with its options in their panels."""
+    command: Any = get_command(application(arguments))
+    for name, groups in panels.OPTIONS.items():
+        panel_of = {parameter: panel for panel, names in groups.items() for parameter in names}
+        for parameter in command.commands[name].params if name in command.commands else ():
+            parameter.rich_help_panel = panel_of.get(parameter.name)
+    return command
 
 
 def _nothing() -> None:
@@ -85,7 +81,7 @@ def run(arguments: list[str] | None = None) -> int:
     """Run a command line; returns the exit status."""
     try:
         given = sys.argv[1:] if arguments is None else arguments
-        status = get_command(application(given)).main(args=given, standalone_mode=False, prog_name="ringtrue")
+        status = _command(given).main(args=given, standalone_mode=False, prog_name="ringtrue")
         return int(status or 0)
     except typer.Exit as e:
         return int(e.exit_code)

@@ -69,7 +69,8 @@ def frf(
 ) -> int:
     """Frequency responses of a deck: its modes with residual vectors, or the full model line by line.
 
-    Directions are those of the basic frame. Without --damping the deck's own counts: dashpots, GE, PARAM G.
+    Directions are those of the basic frame, results in SI. Without --damping that of the deck counts: dashpots, GE,
+    PARAM G.
 
     Example: ringtrue frf wing.bdf --force 101+Z --at 205+Z --fmax 200 --damping 0.01 --out frf.h5 --plot frf.html
     """
@@ -208,7 +209,7 @@ def static(
 ) -> int:
     """Deflections of a deck under its own loads, or under single forces, each a load case of its own.
 
-    Directions are those of the basic frame. Of the deck forces, moments, pressures and GRAV are read.
+    Directions are those of the basic frame, results in SI. Of the deck forces, moments, pressures and GRAV are read.
 
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """

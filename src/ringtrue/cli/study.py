@@ -104,7 +104,7 @@ def _outcome(result: StudyRun) -> str:
 
 
 def report(
-    store: Annotated[Path, typer.Argument(help="study.h5, or the study.toml beside it")],
+    store: Annotated[Path, typer.Argument(help="study.h5, the study.toml beside it, or their folder.")],
     target: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The HTML file.")] = None,
     json: Json = None,
 ) -> int:
@@ -114,6 +114,8 @@ def report(
     """
     if target is not None and not target.parent.is_dir():
         raise ConfigError(f"--out {target}: no folder {target.parent}")
+    if store.is_dir():
+        store = store / "study.h5"
     store = store.with_name("study.h5") if store.suffix.lower() == ".toml" else store
     path = report_from_store(store, target)
     if json:
