@@ -13,7 +13,6 @@ import small_study
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.checks.mass import whole_mass
-from ringtrue.cli import update
 from ringtrue.cli.main import run
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.signals import Channel, FrfSet
@@ -22,6 +21,7 @@ from ringtrue.io.frfs import write_frfs
 from ringtrue.io.modes_json import read_modes, write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
+from ringtrue.study import direct
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.update.several import Problem
 from ringtrue.update.verified import Verified
@@ -87,7 +87,7 @@ def test_options_lead_to_the_same_factors(capsys: Capture, folder: Path, words: 
 def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
     capsys: Capture, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    well = update._on_basis
+    well = direct._on_basis
 
     def poor(problem: Problem, u: UpdateSection, *rest: Any) -> Verified:
         """From the deck alone, as if it had ended there without any pair."""
@@ -99,7 +99,7 @@ def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
         end = replace(problem, configurations=(none,)).evaluate(x)
         return replace(done, solution=replace(done.solution, x=x, y=x, factors=x + 1, history=(end,)))
 
-    monkeypatch.setattr(update, "_on_basis", poor)
+    monkeypatch.setattr(direct, "_on_basis", poor)
     status, out, err = call(capsys, folder, "--json", "-")
     assert status == 0, err
     factors = [p["factor"] for p in json.loads(out)["parameters"]]
@@ -278,5 +278,5 @@ def test_rigid_body_modes_of_a_free_structure_are_no_error_of_the_basis(capsys: 
     status, out, err = call(capsys, folder, "--json", "-")
     found = json.loads(out)
     assert status == 0, err
-    assert found["basis_error"] < update.AGREE
+    assert found["basis_error"] < direct.AGREE
     assert found["parameters"][0]["factor"] == pytest.approx(1.3, rel=1e-3)

@@ -3,32 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import numpy as np
 import typer
 
-from ringtrue.backends.observed import PRINTED, UNTOLD, FullModel, reduced
 from ringtrue.backends.registry import EMBEDDED, solver
 from ringtrue.cli.show import Json, err, one_of, progress, write_json
 from ringtrue.cli.updated import show_summary, summary_of
-from ringtrue.core.arrays import Float
-from ringtrue.core.dofs import DofSet
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
-from ringtrue.core.progress import Progress, part
-from ringtrue.correlate.assign import PairingSettings
-from ringtrue.correlate.observe import at_dofs
-from ringtrue.errors import ConfigError, DataError, NumericalError, did_you_mean
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.core.progress import part
+from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.nastran.edit import edit_fields, refuse_unwritable
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import field_changes
 from ringtrue.model.model import Model
-from ringtrue.model.ports import ModalSolver, ModesRequest
-from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.config_update import (
     DataResidual,
@@ -38,44 +28,14 @@ from ringtrue.study.config_update import (
     StaticResidual,
     UpdateSection,
 )
-from ringtrue.study.course import course_of, further, settled
-from ringtrue.study.lent import compared_alone, lent
-from ringtrue.study.measured import (
-    LENGTH,
-    Data,
-    channels_of,
-    check_moving,
-    excited,
-    flexible,
-    measured,
-    residual_data,
-    rigid_mass,
-)
+from ringtrue.study.direct import AGREE, direct_problem, read_target, solved
+from ringtrue.study.measured import LENGTH
 from ringtrue.study.objective import KINDS as KINDS_OF_MODES
-from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
+from ringtrue.study.objective import LOSSES
 from ringtrue.study.opened import Opened
-from ringtrue.study.parametric import AtChannels
-from ringtrue.study.placing import placed
-from ringtrue.study.reference import measured_part
-from ringtrue.update.objective import Target, Weights
-from ringtrue.update.residuals import Weighted
-from ringtrue.update.settle import displaced, whole_cost
-from ringtrue.update.several import Configuration, Problem
-from ringtrue.update.trust import KINDS, Solution
-from ringtrue.update.verified import Verified, solve_verified
+from ringtrue.update.trust import KINDS
+from ringtrue.update.verified import Verified
 from ringtrue.update.weights import RULES
-
-ABOVE = 1.5  # modes of the model up to here over the highest test mode
-AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """Where the command looks beside the study."""
-
-    solver: str
-    seed: int
-    checkpoint: Path | None
 
 
 def update(
@@ -133,12 +93,11 @@ def update(
     words = {"step": method, "prior": prior, "loss": loss, "discrepancy": discrepancy, "starts": starts}
     config = _settings(read_config(study), words, residuals, frequency, mac_percent, (frf, static, mass))
     solver_name = solver_name or (config.model.solver if config.model else EMBEDDED)
-    asked = Asked(solver_name, config.study.seed if seed is None else seed, checkpoint)
-    engine = solver(solver_name)
-    _check(config.update, asked)
+    anew = solver_name != EMBEDDED
+    engine = solver(solver_name) if anew else None
+    _check(config.update, checkpoint)
     if config.model is None or not config.candidate:
         raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
-    anew = solver_name != EMBEDDED
     if anew and config.residual:
         raise ConfigError(
             f"--solver {solver_name} gives modes alone: FRFs, static tests and a weighed mass need the embedded solver"
@@ -146,20 +105,17 @@ def update(
     with progress("updating") as show:
         show(0.0, "reading")
         opened = Opened(read_deck(study.parent / config.model.deck), LENGTH[config.model.units])
-        config, target, modes, notes = _target(config, opened, test, leave_out)
         model = opened.model
+        config, target, modes, notes = read_target(config, opened, test)
+        target = replace(target, used=~np.isin(np.arange(len(modes)), _left_out(leave_out, len(modes))))
         if folder is not None:
             refuse_unwritable(model, config.candidates())
         show(0.1, f"first runs of {solver_name}" if anew else "reduced basis")
-        if anew:
-            problem = _by_runs(opened, config, target, modes, engine, study.parent)
-            extra: tuple[Data, ...] = ()
-        else:
-            problem, extra = _problem(opened, config, target, modes, study.parent)
-        problem = replace(problem, loss=LOSSES[config.update.loss])
-        done = _solved(problem, config.update, asked, part(show, 0.3, 1.0))
+        problem, extra = direct_problem(opened, config, target, modes, study.parent, engine)
+        seed = config.study.seed if seed is None else seed
+        done = solved(problem, config.update, seed, checkpoint, part(show, 0.3, 1.0))
     written = _edited(model, config, done, folder)
-    summary = summary_of(config, problem, done, extra, asked.solver) | {
+    summary = summary_of(config, problem, done, extra, solver_name) | {
         "deck": [str(p) for p in written],
         "notes": notes,
     }
@@ -173,11 +129,11 @@ def update(
     return 0 if good else 1
 
 
-def _check(u: UpdateSection, asked: Asked) -> None:
+def _check(u: UpdateSection, checkpoint: Path | None) -> None:
     """Options before any work."""
-    if u.starts > 1 and asked.checkpoint is not None:
+    if u.starts > 1 and checkpoint is not None:
         raise ConfigError("--checkpoint keeps one iterate: it does not go with --starts")
-    if u.prior != "study" and asked.checkpoint is not None:
+    if u.prior != "study" and checkpoint is not None:
         raise ConfigError("--checkpoint keeps no weight of the prior: it goes with --prior study only")
 
 
@@ -216,115 +172,6 @@ def _settings(
     extra += [StaticResidual(kind="static", file=str(static.absolute()))] if static else []
     extra += [MassResidual(kind="mass", mass=mass)] if mass else []
     return config.model_copy(update={"update": config.update.model_copy(update=change), "residual": extra})
-
-
-def _target(
-    config: StudyConfig, opened: Opened, test: Path, leave_out: str
-) -> tuple[StudyConfig, Target, ModeSet, tuple[str, ...]]:
-    """What the file says, less the channels that the study leaves out, and its modes; the study, which compares
-    frequencies alone where the file has no shapes, and what there is to say.
-    """
-    whole, (spread, _), notes = read_modes(test), read_std(test), tuple[str, ...]()
-    if not whole.channels and len(whole):
-        whole, at, notes = lent(whole, opened, config)
-        spread, config = spread[at], compared_alone(config)
-    if config.test and config.test.leave_out:
-        whole = whole.rows([c for c in whole.channels if c not in config.test.leave_out])
-    kept, channels = measured_part(whole)
-    modes: ModeSet = realise_modes(whole.take(kept).rows(channels))
-    if not len(modes) or not modes.channels:
-        raise DataError(f"{test}: no mode was measured at a common set of channels")
-    relative = np.nan_to_num(spread[kept] / modes.frequencies, nan=0.0)
-    used = ~np.isin(np.arange(len(modes)), _left_out(leave_out, len(modes)))
-    gates = PairingSettings(mac_gate=config.correlate.mac_gate, frequency_gate=config.correlate.frequency_gate)
-    u = config.update
-    weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
-    shapes = np.asarray(modes.shapes.real, dtype=np.float64)
-    return config, Target(modes.frequencies, shapes, relative, used, weights, gates), modes, notes
-
-
-def _problem(
-    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, base: Path
-) -> tuple[Problem, tuple[Data, ...]]:
-    """The objective on the reduced model of the deck, and what was measured beside the modes."""
-    assert config.model is not None
-    model, parameters, units = opened.model, config.candidates(), config.model.units
-    found = [measured(s, base, modes) for s in config.residual]
-    named = tuple(dict.fromkeys((*modes.channels, *channels_of(found))))
-    at = {c: i for i, c in enumerate(named)}
-    loaded = excited(found, at)
-    dofs, more = opened.analysis.dofs, named[len(modes.channels) :]
-    observation = _observation(opened, config, modes.channels, base)
-    observation = observation.and_also(at_dofs(more, dofs)) if more else observation
-    top = ABOVE * float(target.frequencies.max())
-    count = len(opened.modes(top).modes)
-    basis = reduced(model, parameters, observation, count)
-    check_moving(found, at, basis.basis.observe)
-    seen = AtChannels(flexible(basis, found, loaded), np.arange(len(modes.channels)), loaded)
-    every = tuple(range(len(parameters)))
-    data = tuple(residual_data(m, at, units, lambda: rigid_mass(model, parameters), every) for m in found)
-    modal = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
-    terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
-    rows, limits = constraints(config, parameters)
-    return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data
-
-
-def _observation(
-    opened: Opened, config: StudyConfig, channels: tuple[str, ...], base: Path, dofs: DofSet | None = None
-) -> Observation:
-    """The channels of the test modes: on the sheet of the study, if it has one."""
-    sheet, c = base / config.test.sheet if config.test else None, config.correlate
-    return placed(opened, channels, sheet, tolerance=c.tolerance, method=c.match, align=c.align, dofs=dofs)
-
-
-def _by_runs(
-    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, engine: ModalSolver, base: Path
-) -> Problem:
-    """The objective on the modes that a solver finds anew at each point."""
-    model, parameters = opened.model, config.candidates()
-    with engine.open(model) as analysis:
-        observation = _observation(opened, config, modes.channels, base, analysis.dofs)
-    full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)
-    top = ABOVE * float(target.frequencies.max())
-    full = full.reaching(top)
-    terms = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
-    rows, limits = constraints(config, parameters)
-    return Problem((Configuration(full, target, terms),), rows=rows, limits=limits)
-
-
-def _solved(problem: Problem, u: UpdateSection, asked: Asked, show: Progress) -> Verified:
-    """As a study updates a set of parameters, on a basis verified by full solutions.
-
-    From further starts, too, where used modes that the model has are left without partner; the end of lower J.
-    """
-    if isinstance(problem.configurations[0].model, FullModel):
-        return _on_full(problem, u, asked, show)
-    done, more = _on_basis(problem, u, asked, show), further(u)
-    if more is None or asked.checkpoint is not None or not displaced(problem, done.solution.end):
-        return done
-    show(0.5, "modes without partner: further starts")
-    try:
-        other = _on_basis(problem, more, asked, show)
-    except NumericalError:  # the end from the deck stands
-        return done
-    return min(done, other, key=lambda d: whole_cost(problem, d.solution.end))
-
-
-def _on_full(problem: Problem, u: UpdateSection, asked: Asked, show: Progress) -> Verified:
-    """On modes that a solver finds anew at each point."""
-    model, course = problem.configurations[0].model, course_of(u)
-    assert isinstance(model, FullModel)
-    course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
-    end = settled(problem, u, asked.seed, show, course=course, told=show, checkpoint=asked.checkpoint)
-    return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
-
-
-def _on_basis(problem: Problem, u: UpdateSection, asked: Asked, show: Progress) -> Verified:
-    def solved(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
-        end = settled(p, u, asked.seed, show, start=y, checkpoint=asked.checkpoint)
-        return end.solution, end.problem
-
-    return solve_verified(problem, solved=solved, tolerance=AGREE, progress=show)
 
 
 def _edited(model: Model, config: StudyConfig, done: Verified, folder: Path | None) -> list[Path]:

@@ -1,0 +1,185 @@
+"""Candidates of a study fitted to a file of test modes, without its stages: what `ringtrue update` does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.backends.observed import PRINTED, UNTOLD, FullModel, reduced
+from ringtrue.core.arrays import Float
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.observation import Observation
+from ringtrue.core.progress import Progress
+from ringtrue.correlate.assign import PairingSettings
+from ringtrue.correlate.observe import at_dofs
+from ringtrue.errors import DataError, NumericalError
+from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.model.ports import ModalSolver, ModesRequest
+from ringtrue.shapes.scale import realise_modes
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.config_update import UpdateSection
+from ringtrue.study.course import course_of, further, settled
+from ringtrue.study.lent import compared_alone, lent
+from ringtrue.study.measured import (
+    Data,
+    channels_of,
+    check_moving,
+    excited,
+    flexible,
+    measured,
+    residual_data,
+    rigid_mass,
+)
+from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
+from ringtrue.study.opened import Opened
+from ringtrue.study.parametric import AtChannels
+from ringtrue.study.placing import placed
+from ringtrue.study.reference import measured_part
+from ringtrue.update.objective import Target, Weights
+from ringtrue.update.residuals import Weighted
+from ringtrue.update.settle import displaced, whole_cost
+from ringtrue.update.several import Configuration, Problem
+from ringtrue.update.trust import Solution
+from ringtrue.update.verified import Verified, solve_verified
+
+ABOVE = 1.5  # modes of the model up to here over the highest test mode
+AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
+
+
+def read_target(
+    config: StudyConfig, opened: Opened, test: Path
+) -> tuple[StudyConfig, Target, ModeSet, tuple[str, ...]]:
+    """What a file of test modes says, less the channels that the study leaves out, and its modes; all are used.
+
+    Returns
+    -------
+    config : StudyConfig
+        The study; where the file has no shapes, comparing frequencies alone.
+    target : Target
+    modes : ModeSet
+    notes : tuple of str
+        What is to be said of them.
+
+    Raises
+    ------
+    DataError
+        If no mode was measured at a common set of channels.
+    """
+    whole, (spread, _), notes = read_modes(test), read_std(test), tuple[str, ...]()
+    if len(whole) and not whole.channels:
+        whole, at, notes = lent(whole, opened, config)
+        spread, config = spread[at], compared_alone(config)
+    if config.test and config.test.leave_out:
+        whole = whole.rows([c for c in whole.channels if c not in config.test.leave_out])
+    kept, channels = measured_part(whole)
+    modes: ModeSet = realise_modes(whole.take(kept).rows(channels))
+    if not len(modes) or not modes.channels:
+        raise DataError(f"{test}: no mode was measured at a common set of channels")
+    relative = np.nan_to_num(spread[kept] / modes.frequencies, nan=0.0)
+    gates = PairingSettings(mac_gate=config.correlate.mac_gate, frequency_gate=config.correlate.frequency_gate)
+    u = config.update
+    weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
+    shapes = np.asarray(modes.shapes.real, dtype=np.float64)
+    used = np.ones(len(modes), dtype=bool)
+    return config, Target(modes.frequencies, shapes, relative, used, weights, gates), modes, notes
+
+
+def direct_problem(
+    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, base: Path, engine: ModalSolver | None
+) -> tuple[Problem, tuple[Data, ...]]:
+    """The objective on a deck, and what was measured beside the modes.
+
+    On a reduced model, or on the modes that `engine` finds anew at each point; `base` is the folder of the study.
+    """
+    if engine is None:
+        problem, data = _reduced(opened, config, target, modes, base)
+    else:
+        problem, data = _by_runs(opened, config, target, modes, engine, base), ()
+    return replace(problem, loss=LOSSES[config.update.loss]), data
+
+
+def _reduced(
+    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, base: Path
+) -> tuple[Problem, tuple[Data, ...]]:
+    """The objective on the reduced model of the deck, and what was measured beside the modes."""
+    assert config.model is not None
+    model, parameters, units = opened.model, config.candidates(), config.model.units
+    found = [measured(s, base, modes) for s in config.residual]
+    named = tuple(dict.fromkeys((*modes.channels, *channels_of(found))))
+    at = {c: i for i, c in enumerate(named)}
+    loaded = excited(found, at)
+    dofs, more = opened.analysis.dofs, named[len(modes.channels) :]
+    observation = _observation(opened, config, modes.channels, base)
+    observation = observation.and_also(at_dofs(more, dofs)) if more else observation
+    top = ABOVE * float(target.frequencies.max())
+    count = len(opened.modes(top).modes)
+    basis = reduced(model, parameters, observation, count)
+    check_moving(found, at, basis.basis.observe)
+    seen = AtChannels(flexible(basis, found, loaded), np.arange(len(modes.channels)), loaded)
+    every = tuple(range(len(parameters)))
+    data = tuple(residual_data(m, at, units, lambda: rigid_mass(model, parameters), every) for m in found)
+    modal = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
+    terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
+    rows, limits = constraints(config, parameters)
+    return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data
+
+
+def _observation(
+    opened: Opened, config: StudyConfig, channels: tuple[str, ...], base: Path, dofs: DofSet | None = None
+) -> Observation:
+    """The channels of the test modes: on the sheet of the study, if it has one."""
+    sheet, c = base / config.test.sheet if config.test else None, config.correlate
+    return placed(opened, channels, sheet, tolerance=c.tolerance, method=c.match, align=c.align, dofs=dofs)
+
+
+def _by_runs(
+    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, engine: ModalSolver, base: Path
+) -> Problem:
+    """The objective on the modes that a solver finds anew at each point."""
+    model, parameters = opened.model, config.candidates()
+    with engine.open(model) as analysis:
+        observation = _observation(opened, config, modes.channels, base, analysis.dofs)
+    full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)
+    top = ABOVE * float(target.frequencies.max())
+    full = full.reaching(top)
+    terms = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
+    rows, limits = constraints(config, parameters)
+    return Problem((Configuration(full, target, terms),), rows=rows, limits=limits)
+
+
+def solved(problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress) -> Verified:
+    """As a study updates a set of parameters, on a basis verified by full solutions.
+
+    From further starts, too, where used modes that the model has are left without partner; the end of lower J.
+    """
+    if isinstance(problem.configurations[0].model, FullModel):
+        return _on_full(problem, u, seed, checkpoint, show)
+    done, more = _on_basis(problem, u, seed, checkpoint, show), further(u)
+    if more is None or checkpoint is not None or not displaced(problem, done.solution.end):
+        return done
+    show(0.5, "modes without partner: further starts")
+    try:
+        other = _on_basis(problem, more, seed, checkpoint, show)
+    except NumericalError:  # the end from the deck stands
+        return done
+    return min(done, other, key=lambda d: whole_cost(problem, d.solution.end))
+
+
+def _on_full(problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress) -> Verified:
+    """On modes that a solver finds anew at each point."""
+    model, course = problem.configurations[0].model, course_of(u)
+    assert isinstance(model, FullModel)
+    course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
+    end = settled(problem, u, seed, show, course=course, told=show, checkpoint=checkpoint)
+    return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
+
+
+def _on_basis(problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress) -> Verified:
+    def at(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
+        end = settled(p, u, seed, show, start=y, checkpoint=checkpoint)
+        return end.solution, end.problem
+
+    return solve_verified(problem, solved=at, tolerance=AGREE, progress=show)
