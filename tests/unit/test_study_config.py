@@ -18,7 +18,7 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
     [
         (
             MODEL + "fmx = 3.0\n",
-            "unknown key 'model.fmx'; did you mean 'fmax'? Allowed: deck, fmax, regions, solver, units",
+            "unknown key 'model.fmx'; did you mean 'fmax'? Allowed: deck, fmax, refine, regions, solver, units",
         ),
         (MODEL + "[modl]\n", "unknown key 'modl'; did you mean 'model'?"),
         (

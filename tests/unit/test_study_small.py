@@ -12,7 +12,9 @@ import small_study
 
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.nastran.edit import unified_diff
+from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
+from ringtrue.study.reference import beyond
 from ringtrue.study.run import StudyRun, run_study
 
 # the signals have 1 % noise; three records of blows and 400 s of ambient motion tell a modulus to some percent
@@ -230,7 +232,31 @@ def test_modes_of_the_deck_reach_well_above_the_test_where_nothing_is_said(tmp_p
     found = run.results["correlate"]
     assert run.desk.fmax == pytest.approx(1.5 * found.reference.frequencies.max())
     assert (found.fe_initial.frequencies <= run.desk.fmax).all()
-    assert not found.gaps  # which would say that the modes of the deck end too low
+    assert not beyond(found.reference, run.desk.fmax)
+    assert len(found.gaps) == 1  # none that the modes of the deck end too low, and that the floors are coarse
+    assert "the mesh puts frequencies of the deck off" in found.gaps[0]
+    assert "`refine = 1` under [model]" in found.gaps[0]
+
+
+def test_a_study_on_a_refined_mesh_edits_the_deck_as_it_is(tmp_path: Path) -> None:
+    toml = small_study.FULL.replace("[model]\n", "[plan]\nsensors = 4\n[model]\nrefine = 1\n")
+    run = run_study(small_study.write_study(tmp_path, toml, ambient=False))
+    ids = read_deck(tmp_path / "deck" / "frame.bdf")["GRID"].ids
+    assert run.results["model"].nodes > 2 * ids.size
+    assert np.isin(run.results["plan"].test.points, ids).all()
+    written = read_deck(run.results["final"].files[0])
+    np.testing.assert_array_equal(written["GRID"].ids, ids)
+    assert any("MAT1 1 E" in c for c in run.results["final"].changes)
+    deliver(run)
+
+
+def test_a_mesh_is_not_refined_for_another_solver_or_under_a_candidate(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="solves decks as they are"):
+        run_study(small_study.write_study(tmp_path, '[model]\ndeck = "x"\nrefine = 1\nsolver = "mystran"\n'))
+    text = small_study.FULL.replace("[model]\n", "[model]\nrefine = 1\n")
+    text += '[[candidate]]\nname = "plate"\ntargets = ["CQUAD4 110 T1"]\n'
+    with pytest.raises(ConfigError, match="splits every CQUAD4"):
+        run_study(small_study.write_study(tmp_path, text))
 
 
 def test_nothing_is_written_when_an_input_is_wrong(tmp_path: Path) -> None:

@@ -43,18 +43,21 @@ class MeshErrors:
         fine = self.refined - (self.frequencies - self.refined) / (2**ORDER - 1)
         return np.asarray(self.frequencies / fine - 1)
 
-    def in_words(self) -> str:
-        """What was refined, and the modes that the mesh puts off by more than `WORTH`."""
-        size = "mesh refined once, {} nodes to {}: ".format(*self.nodes)
-        e = np.nan_to_num(self.relative)
-        off = np.flatnonzero(np.abs(e) > WORTH)
-        if not off.size:
-            return f"{size}no mode is off by more than {WORTH:.0%} for it"
-        names = ", ".join(f"{i + 1} ({e[i]:+.0%})" for i in off[:NAMED].tolist()) + (" ..." if off.size > NAMED else "")
-        return (
-            f"{size}for its mesh the deck puts off mode{'s' * (off.size > 1)} {names}; refine it before parameters are "
-            "updated, which would take that up"
-        )
+    @property
+    def off(self) -> Int:
+        """Positions of the modes that the mesh puts off by more than `WORTH`."""
+        return np.flatnonzero(np.abs(np.nan_to_num(self.relative)) > WORTH)
+
+    def in_words(self, numbers: Int | None = None) -> str:
+        """What was refined, and the modes that the mesh puts off, by their numbers (m,) if not 1, 2, ..."""
+        how = "by refining it once ({} nodes to {})".format(*self.nodes)
+        if not self.off.size:
+            return f"the mesh puts no frequency off by more than {WORTH:.0%}, {how}"
+        number = np.arange(1, self.frequencies.size + 1) if numbers is None else numbers
+        names = ", ".join(f"{number[i]} ({self.relative[i]:+.0%})" for i in self.off[:NAMED].tolist())
+        more = f" and {self.off.size - NAMED} more" if self.off.size > NAMED else ""
+        which = f"mode{'s' * (self.off.size > 1)} {names}{more}"
+        return f"the mesh puts frequencies of the deck off, {how}: {which}; parameters that are updated take that up"
 
 
 def mesh_errors(model: Model, modes: ModeSet, solver: ModalSolver) -> MeshErrors:

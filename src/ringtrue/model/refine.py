@@ -20,7 +20,7 @@ from ringtrue.model.model import Model, Ragged, Table, stacked, table
 Corners = tuple[int, ...]  # whose middle a node of a part is; one where it is that corner
 Part = tuple[Corners, ...]
 
-LINES, RODS = ("CBAR", "CBEAM"), ("CROD", "CTUBE", "CONROD")
+LINES, RODS = ("CBAR", "CBEAM"), ("CROD", "CTUBE")
 SECOND = {"CTETRA": 5, "CPENTA": 7, "CHEXA": 9}  # first midside node
 _WHOLE = ("CTRIA6", "CQUAD8", "CPYRAM")
 _TRIANGLE = ("0 01 02", "01 1 12", "02 12 2", "12 02 01")

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from ringtrue.backends.registry import EMBEDDED
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.model.refine import NODES
 from ringtrue.study.config_errors import explain
 from ringtrue.study.config_plan import PlanSection, rising
 from ringtrue.study.config_update import (
@@ -45,6 +46,7 @@ class ModelSection(_Section):
     units: Literal["SI", "mm-t-s"] = "SI"
     fmax: float | None = Field(default=None, gt=0)  # Hz, modes are computed up to here; None: as high as a pair may be
     solver: str = EMBEDDED  # of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in
+    refine: int = Field(default=0, ge=0, le=3)  # how often the mesh is refined before anything is computed
     regions: dict[str, list[int]] = {}  # name -> property numbers, for drawing and naming
 
 
@@ -310,7 +312,16 @@ class StudyConfig(_Section):
             )
         if self.configuration and (self.model is None or self.test is None):
             raise ValueError("configurations need a [model] and a [test] that they are others of")
+        if self.model is not None and self.model.refine:
+            self._refinable(self.model.solver)
         return self
+
+    def _refinable(self, solver: str) -> None:
+        if solver != EMBEDDED:
+            raise ValueError(f"[model] refine: solver {solver!r} solves decks as they are; leave one of the two out")
+        targets = [parse_target(t)[0] for c in (*self.candidate, *self.suspension) for t in c.targets]
+        if split := next((t.card for t in targets if t.card in NODES), None):
+            raise ValueError(f"[model] refine splits every {split}: a candidate may target its property instead")
 
     def _known(self, names: list[str], where: str) -> None:
         given = [c.name for c in self.candidate]

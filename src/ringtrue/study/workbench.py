@@ -24,6 +24,7 @@ from ringtrue.io.nastran.edit import add_cards
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import carried
 from ringtrue.model.ports import ModalSolver
+from ringtrue.model.refine import refined
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
 from ringtrue.study.evidence import on_sheet
@@ -110,7 +111,10 @@ class Workbench:
 
     def opened(self, main: Path) -> Opened:
         """A deck in the solver of the study."""
-        return Opened(read_deck(main), self.length, self.engine)
+        model = read_deck(main)
+        for _ in range(self.deck.refine):
+            model = refined(model)
+        return Opened(model, self.length, self.engine)
 
     @property
     def parameters(self) -> ParameterSet:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.checks.mesh import mesh_errors
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.errors import RingtrueError
 from ringtrue.io.nastran.edit import unified_diff
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.evidence import channel_mass, evidence
@@ -18,6 +24,9 @@ from ringtrue.study.placing import shared_places, words
 from ringtrue.study.reference import Reference, beyond, elastic_table, left_out, reference_modes, rigid_table
 from ringtrue.study.results import CorrelateStage, Evidence, Expansion, RemodelStep
 from ringtrue.study.workbench import Workbench
+
+_log = logging.getLogger(__name__)
+SOON = 2000  # nodes of a deck up to which its mesh error is looked at without being asked
 
 
 def seen(desk: Workbench, opened: Opened, progress: Progress | None = None) -> ModeSet:
@@ -66,8 +75,22 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         words(desk.placed[0]) if config.correlate.align else "",
         _history(desk, reference, out, initial, tables),
         _expanded(desk, reference, progress),
-        (*reference.gaps, *beyond(reference.elastic, desk.fmax), *_shared(desk)),
+        (*reference.gaps, *beyond(reference.elastic, desk.fmax), *_shared(desk), *_mesh(desk, tables[1])),
     )
+
+
+def _mesh(desk: Workbench, table: CorrelationTable) -> tuple[str, ...]:
+    """Which modes with a partner the mesh puts off, where that is soon known."""
+    opened, paired = desk.remodelled, np.unique(table.pairing.b)
+    if desk.engine is not None or len(opened.model["GRID"]) > SOON:
+        return ()
+    try:
+        errors = mesh_errors(opened.model, opened.modes(desk.fmax).modes.take(paired), EmbeddedSolver())
+    except RingtrueError as e:  # a check is no reason for a study to end
+        _log.info("mesh error: %s", e)
+        return ()
+    more = f": with `refine = {desk.deck.refine + 1}` under [model] the study refines it first"
+    return (errors.in_words(paired + 1) + more,) if errors.off.size else ()
 
 
 def _shared(desk: Workbench) -> tuple[str, ...]:

@@ -152,9 +152,11 @@ def _able(desk: Workbench, plan: PlanSection, model: ModelStage) -> tuple[Arrang
     nodes, region = _within(desk, plan, *_candidates(plan, model))
     motion = _shapes(desk, nodes, np.arange(model.modes.frequencies.size))
     moves = np.abs(motion).max(axis=(1, 2)) > STILL * np.abs(motion).max(initial=0.0)
-    keep = np.flatnonzero(moves | np.isin(nodes, plan.fixed))
+    rows = desk.initial.model["GRID"].find(nodes)
+    read = desk.initial.model["GRID"].file[rows] >= 0  # not made by refining the mesh
+    keep = np.flatnonzero(read & (moves | np.isin(nodes, plan.fixed)))
     nodes, region, motion = nodes[keep], tuple(region[i] for i in keep.tolist()), motion[keep]
-    xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(nodes)] * desk.length
+    xyz = positions(desk.initial.model)[rows[keep]] * desk.length
     return arranged(nodes, region, xyz, plan.directions, model.scene), motion
 
 
