@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import fem_cases
@@ -18,7 +19,7 @@ from ringtrue.fem.assembly import assemble
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Table, stacked
 from ringtrue.model.ports import ModesRequest
-from ringtrue.model.refine import NODES, refined
+from ringtrue.model.refine import refined
 
 SAME = 1e-8  # of frequencies of one mesh with its nodes in another order
 
@@ -57,14 +58,29 @@ def test_solids_refined_are_those_of_twice_the_elements(name: str) -> None:
     np.testing.assert_allclose(frequencies(refined(solid(name, 1))), frequencies(solid(name, 2)), rtol=SAME)
 
 
-def test_tetrahedra_fill_the_same_space_and_grow_softer() -> None:
-    coarse = solid("CTETRA4", 2)
+@pytest.mark.parametrize("name", ["CTETRA4", "CTETRA10"])
+def test_tetrahedra_fill_the_same_space_and_come_nearer(name: str) -> None:
+    coarse = solid(name, 1)
     fine = refined(coarse)
     assert len(fine["CTETRA"]) == 8 * len(coarse["CTETRA"])
-    x = positions(fine)[fine["GRID"].find(fine["CTETRA"].stack(*NODES["CTETRA"]))]
+    x = positions(fine)[fine["GRID"].find(fine["CTETRA"].stack("G1", "G2", "G3", "G4"))]
     volumes = np.linalg.det(x[:, 1:] - x[:, :1]) / 6
     np.testing.assert_allclose(volumes, 0.03 / len(volumes), rtol=1e-9)
-    assert (frequencies(fine, 5) < frequencies(coarse, 5)).all()
+    exact = frequencies(solid("CTETRA10", 4), 3)
+    off, less = (np.abs(frequencies(m, 3) / exact - 1) for m in (coarse, fine))
+    assert (less < 0.9 * off).all()
+
+
+def test_midside_nodes_of_curved_tetrahedra_lie_on_their_curves() -> None:
+    m = solid("CTETRA10", 1)
+    bent = m["GRID"]
+    for axis, slope in (("X2", 0.3), ("X3", -0.2)):
+        bent = bent.with_column(axis, bent[axis] + slope * bent["X1"] ** 2)  # within the shape functions
+    fine, straight = refined(replace(m, tables={**m.tables, "GRID": bent})), positions(refined(m))
+    x = positions(fine)
+    np.testing.assert_allclose(x[:, 0], straight[:, 0], atol=1e-12)
+    np.testing.assert_allclose(x[:, 1], straight[:, 1] + 0.3 * x[:, 0] ** 2, atol=1e-12)
+    np.testing.assert_allclose(x[:, 2], straight[:, 2] - 0.2 * x[:, 0] ** 2, atol=1e-12)
 
 
 def frame(**bars: object) -> Model:
@@ -137,9 +153,13 @@ def test_new_nodes_are_in_the_rigid_elements_of_those_about_them() -> None:
     np.testing.assert_allclose(weights, [1 + y[i] / 0.35 for i in joined.tolist()])
 
 
-def test_elements_of_the_second_order_are_refused() -> None:
-    with pytest.raises(UnsupportedError, match="CTETRA: elements of the second order"):
-        refined(solid("CTETRA10", 1))
+def test_what_is_not_split_is_refused() -> None:
+    with pytest.raises(UnsupportedError, match="CHEXA: of the second order CTETRA alone"):
+        refined(solid("CHEXA20", 1))
+    m = solid("CTETRA10", 1)
+    holed = m["CTETRA"].with_column("G7", 0 * m["CTETRA"]["G7"])
+    with pytest.raises(UnsupportedError, match="CTETRA without some midside nodes"):
+        refined(replace(m, tables={**m.tables, "CTETRA": holed}))
 
 
 @pytest.mark.parametrize("kind", ["quadrilaterals", "triangles", "bricks"])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ringtrue.core.arrays import Bool, Int, frozen
+from ringtrue.core.arrays import Bool, Float, Int, frozen
 from ringtrue.errors import UnsupportedError
 from ringtrue.model.cards import NONSTRUCTURAL
 from ringtrue.model.edit import BOTH_ENDS
@@ -21,7 +21,9 @@ Corners = tuple[int, ...]  # whose middle a node of a part is; one where it is t
 Part = tuple[Corners, ...]
 
 LINES, RODS = ("CBAR", "CBEAM"), ("CROD", "CTUBE")
-SECOND = {"CTETRA": 5, "CPENTA": 7, "CHEXA": 9}  # first midside node
+SECOND = {"CPENTA": 7, "CHEXA": 9}  # first midside node
+CURVED = "CTETRA10"  # tetrahedra with all their midside nodes
+_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 _WHOLE = ("CTRIA6", "CQUAD8", "CPYRAM")
 _TRIANGLE = ("0 01 02", "01 1 12", "02 12 2", "12 02 01")
 _TETRA = ("0 01 02 03", "01 1 12 13", "02 12 2 23", "03 13 23 3",
@@ -35,12 +37,15 @@ NODES = {
     **dict.fromkeys(("CQUAD4", "CQUADR", "CTETRA"), ("G1", "G2", "G3", "G4")),
     "CPENTA": tuple(f"G{k}" for k in range(1, 7)),
     "CHEXA": tuple(f"G{k}" for k in range(1, 9)),
+    CURVED: tuple(f"G{k}" for k in range(1, 11)),
 }
 
 
 @cache
 def parts(card: str) -> tuple[Part, ...]:
-    """The parts that an element is split into, each by the corners of the whole whose middles its corners are."""
+    """The parts that an element is split into, each by the nodes of the whole between which its nodes are midway."""
+    if card == CURVED:
+        return tuple(_with_midsides(part) for part in parts("CTETRA"))
     if card in ("CTRIA3", "CTRIAR", "CTETRA"):
         return _read(_TETRA if card == "CTETRA" else _TRIANGLE)
     if card == "CPENTA":
@@ -50,8 +55,36 @@ def parts(card: str) -> tuple[Part, ...]:
             for k in range(3)
         ]
         return tuple((*layers[i], *layers[i + 1]) for i in range(len(layers)) if i % 3 < 2)
-    corners = {2: ((0,), (1,)), 4: _SQUARE, 8: tuple((*c, z) for z in (0, 1) for c in _SQUARE)}[len(NODES[card])]
+    corners = {
+        2: ((0,), (1,)),
+        4: _SQUARE,
+        8: tuple((*c, z) for z in (0, 1) for c in _SQUARE),
+    }[len(NODES[card])]
     return tuple(tuple(_between(corners, o, c) for c in corners) for o in corners)
+
+
+def _with_midsides(part: Part) -> Part:
+    """A part of a CTETRA of ten nodes, whose corners are all nodes of the whole."""
+    corners = [c if len(c) == 1 else (4 + _EDGES.index(c),) for c in part]
+    return (*corners, *((*corners[i], *corners[j]) for i, j in _EDGES))
+
+
+def _weights(card: str, between: Corners) -> Float:
+    """Of the nodes of an element (n,), for the place midway between some: by its shape functions, straight or not."""
+    count = len(NODES[card])
+    if card != CURVED:
+        return np.asarray(np.isin(np.arange(count), between) / len(between))
+    at = np.array([*np.eye(4), *(np.eye(4)[list(e)].mean(axis=0) for e in _EDGES)])[list(between)].mean(axis=0)
+    return np.array([*(at * (2 * at - 1)), *(4 * at[i] * at[j] for i, j in _EDGES)])
+
+
+def _rows(model: Model, kind: str) -> tuple[str, Int]:
+    """The card of a kind of `NODES`, and the rows of it that are of this kind."""
+    card = "CTETRA" if kind == CURVED else kind
+    if card not in model:
+        return card, np.empty(0, dtype=np.int64)
+    curved = model[card]["G5"] > 0 if card == "CTETRA" else np.zeros(len(model[card]), dtype=bool)
+    return card, np.flatnonzero(curved == (kind == CURVED))
 
 
 def _read(text: Sequence[str]) -> tuple[Part, ...]:
@@ -67,10 +100,11 @@ def _between(corners: Sequence[Corners], origin: Corners, corner: Corners) -> Co
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Middles:
-    """New nodes: ids (n,), and those whose middle they are (n, 8), ascending and padded in front with 0."""
+    """New nodes: ids (n,), those between which they are (n, 8), ascending and padded in front with 0; places (n, 3)."""
 
     ids: Int
     of: Int
+    xyz: Float
 
     def corners(self, nodes: Int, pieces: Sequence[Part]) -> list[Int]:
         """Nodes of the parts of elements of nodes (e, c), (e, k) a part; 0 where there is no such middle."""
@@ -94,15 +128,15 @@ def _key(nodes: Int) -> Int:
 def refined(model: Model) -> Model:
     """The model with its mesh refined once.
 
-    Bars, beams, shells and solids of the first order are split in halves along each side, rods where they lie along
-    such a side (by itself a rod in halves is a mechanism), tapered beams not. A new node lies midway on straight
-    sides; it is held where all the nodes about it are, and belongs to the RBE2 or RBE3 that all of these belong to.
-    Springs, masses and other connectors stay at their nodes, all of which keep their ids.
+    Bars, beams, shells and solids of the first order, and tetrahedra of the second, are split in halves along each
+    side, rods where they lie along such a side (by itself a rod in halves is a mechanism), tapered beams not. A new
+    node lies midway on a side; it is held where all the nodes about it are, and belongs to the RBE2 or RBE3 that all
+    of these belong to. Springs, masses and other connectors stay at their nodes, all of which keep their ids.
 
     Raises
     ------
     UnsupportedError
-        If it has elements of the second order, pyramids, or welds and masses that name elements.
+        If it has other elements of the second order, pyramids, or welds and masses that name elements.
     """
     _refuse(model)
     middles = _middles(model)
@@ -122,10 +156,13 @@ def refined(model: Model) -> Model:
 
 def _refuse(model: Model) -> None:
     """Raise on what is not split."""
-    second = [c for c, k in SECOND.items() if c in model and model[c][f"G{k}"].any()]
-    names = [c for c in _WHOLE if c in model] + second
+    names = [c for c in _WHOLE if c in model]
+    names += [c for c, k in SECOND.items() if c in model and model[c][f"G{k}"].any()]
+    if "CTETRA" in model:
+        midsides = model["CTETRA"].stack(*NODES[CURVED][4:]) > 0
+        names += ["CTETRA without some midside nodes"] * bool((midsides.any(axis=1) & ~midsides.all(axis=1)).any())
     if names:
-        raise UnsupportedError(f"{', '.join(names)}: elements of the second order and pyramids are not refined")
+        raise UnsupportedError(f"{', '.join(names)}: of the second order CTETRA alone are refined, and no pyramids")
     if "CWELD" in model and model["CWELD"]["SHIDA"].any():
         raise UnsupportedError("CWELD by the ids of shells (ELEMID) is not refined: give properties (PARTPAT)")
     kinds = [str(k) for c in NONSTRUCTURAL if c in model and "TYPE" in model[c].columns for k in model[c]["TYPE"]]
@@ -135,14 +172,18 @@ def _refuse(model: Model) -> None:
 
 def _middles(model: Model) -> _Middles:
     """The nodes that the parts need beside those that are there; rods make none."""
-    keys = [np.empty((0, 8), dtype=np.int64)]
-    for card, names in NODES.items():
-        if card in model and card not in RODS:
-            nodes = model[card].stack(*names)[~_whole(model, card)]
-            keys += [_key(nodes[:, list(c)]) for c in {c for p in parts(card) for c in p} if len(c) > 1]
-    of = np.unique(np.concatenate(keys), axis=0)
-    last = max(int(model["GRID"].ids.max()), *(_scalars(model) or [0]))
-    return _Middles(last + 1 + np.arange(len(of)), of)
+    grid, x = model["GRID"], positions(model)
+    keys, places = [np.empty((0, 8), dtype=np.int64)], [np.empty((0, 3))]
+    for kind, names in NODES.items():
+        card, rows = _rows(model, kind)
+        if rows.size and card not in RODS:
+            nodes = model[card].stack(*names)[rows[~_whole(model, card)[rows]]]
+            for c in {c for p in parts(kind) for c in p if len(c) > 1}:
+                keys.append(_key(nodes[:, list(c)]))
+                places.append(np.einsum("k,ekj->ej", _weights(kind, c), x[grid.find(nodes)]))
+    of, first = np.unique(np.concatenate(keys), axis=0, return_index=True)
+    last = max(int(grid.ids.max()), *(_scalars(model) or [0]))
+    return _Middles(last + 1 + np.arange(len(of)), of, np.concatenate(places)[first])
 
 
 def _scalars(model: Model) -> list[int]:
@@ -156,43 +197,66 @@ def _grids(model: Model, middles: _Middles) -> Table:
     grid = model["GRID"]
     at = grid.find(middles.of.ravel()).reshape(middles.of.shape)
     there = middles.of > 0
-    x = np.where(there[:, :, None], positions(model)[at], 0.0).sum(axis=1) / there.sum(axis=1)[:, None]
-    last = at[:, -1]
+    x, last = middles.xyz, at[:, -1]
     columns: dict[str, NDArray[Any]] = {n: np.asarray(c)[last] for n, c in grid.columns.items()}
     held = [set.intersection(*(set(str(p)) for p in grid["PS"][row[ok]])) for row, ok in zip(at, there, strict=True)]
-    columns |= {"ID": middles.ids, "CP": np.zeros_like(last), "X1": x[:, 0], "X2": x[:, 1], "X3": x[:, 2]}
+    columns |= {
+        "ID": middles.ids,
+        "CP": np.zeros_like(last),
+        "X1": x[:, 0],
+        "X2": x[:, 1],
+        "X3": x[:, 2],
+    }
     columns["PS"] = np.array(["".join(sorted(h)) for h in held], dtype=grid["PS"].dtype)
-    return replace(grid, columns=columns, file=np.full(last.size, -1), line=np.zeros(last.size, dtype=np.int64))
+    return replace(
+        grid,
+        columns=columns,
+        file=np.full(last.size, -1),
+        line=np.zeros(last.size, dtype=np.int64),
+    )
 
 
 def _split(model: Model, card: str, middles: _Middles, first: int) -> Table:
     """The table of a card with its elements split, the first part with the id of the whole."""
-    whole = model[card]
-    nodes, pieces = whole.stack(*NODES[card]), parts(card)
-    ends = middles.corners(nodes, pieces)
-    able = np.all([(e > 0).all(axis=1) for e in ends], axis=0) & ~_whole(model, card)
-    rows = [np.flatnonzero(able) if k else np.arange(len(whole)) for k in range(len(pieces))]
-    made = [
-        _part(model, card, part, np.where(able[at, None], end[at], nodes[at]), at, able[at])
-        for part, end, at in zip(pieces, ends, rows, strict=True)
-    ]
-    out = made[0]
-    for more in made[1:]:
-        out = stacked(out, more)
-    ids = np.concatenate([whole.ids, first + np.arange(len(out) - len(whole))])
-    return out.with_column("EID", ids)
+    whole, firsts, others = model[card], list[Table](), list[Table]()
+    for kind in (k for k in NODES if _rows(model, k)[0] == card):
+        rows, pieces = _rows(model, kind)[1], parts(kind)
+        nodes = whole.stack(*NODES[kind])[rows]
+        ends = middles.corners(nodes, pieces)
+        able = np.all([(e > 0).all(axis=1) for e in ends], axis=0) & ~_whole(model, card)[rows]
+        firsts.append(
+            _part(
+                model,
+                kind,
+                pieces[0],
+                np.where(able[:, None], ends[0], nodes),
+                rows,
+                able,
+            )
+        )
+        at = np.flatnonzero(able)
+        others += [_part(model, kind, p, e[at], rows[at], able[at]) for p, e in zip(pieces[1:], ends[1:], strict=True)]
+    out = reduce(stacked, firsts + others)
+    made = len(out) - len(whole)
+    return out.with_column("EID", np.concatenate([out.ids[: len(whole)], first + np.arange(made)]))
 
 
-def _part(model: Model, card: str, part: Part, nodes: Int, at: Int, able: Bool) -> Table:
+def _part(model: Model, kind: str, part: Part, nodes: Int, at: Int, able: Bool) -> Table:
     """One part of each of the rows `at`; where these are not split, the whole."""
+    card, _ = _rows(model, kind)
     t = model[card]
     columns = {n: np.array(c)[at] for n, c in t.columns.items()}
-    columns |= dict(zip(NODES[card], nodes.T, strict=True))
+    columns |= dict(zip(NODES[kind], nodes.T, strict=True))
     thick = [f"T{k + 1}" for k in range(len(part)) if f"T{k + 1}" in columns]
     if thick:
         corners = t.stack(*thick)[at]
         columns |= {n: corners[:, list(c)].mean(axis=1) for n, c in zip(thick, part, strict=True)}
-    piece = replace(t, columns={n: frozen(c) for n, c in columns.items()}, file=t.file[at], line=t.line[at])
+    piece = replace(
+        t,
+        columns={n: frozen(c) for n, c in columns.items()},
+        file=t.file[at],
+        line=t.line[at],
+    )
     return _bars(model, piece, part, at, able) if card in LINES else piece
 
 
@@ -203,14 +267,25 @@ def _bars(model: Model, piece: Table, part: Part, at: Int, able: Bool) -> Table:
     x = positions(model)[row]
     frame = axes(model, grid["CD"][row].ravel(), x.reshape(-1, 3)).reshape(-1, 2, 3, 3)
     between = axes(model, grid["CD"][_last(grid, row)], x.mean(axis=1))
-    w = np.einsum("eki,ekij->ekj", t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")[at].reshape(-1, 2, 3), frame)
+    w = np.einsum(
+        "eki,ekij->ekj",
+        t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")[at].reshape(-1, 2, 3),
+        frame,
+    )
     middle = np.einsum("eij,ej->ei", between, w.mean(axis=1))
     offt = np.char.upper(t["OFFT"][at].astype(str))
     v = t.stack("X1", "X2", "X3")[at]
-    v = np.where(np.char.startswith(offt, "B")[:, None], v, np.einsum("ei,eij->ej", v, frame[:, 0]))
+    v = np.where(
+        np.char.startswith(offt, "B")[:, None],
+        v,
+        np.einsum("ei,eij->ej", v, frame[:, 0]),
+    )
     side = "B" if len(part[0]) == 1 else "A"
     new = {f"W{k + 1}{side}": middle[:, k] for k in range(3)} | {f"X{k + 1}": v[:, k] for k in range(3)}
-    new |= {f"P{side}": np.zeros_like(piece[f"P{side}"]), "OFFT": np.full(at.size, "BGG", dtype=offt.dtype)}
+    new |= {
+        f"P{side}": np.zeros_like(piece[f"P{side}"]),
+        "OFFT": np.full(at.size, "BGG", dtype=offt.dtype),
+    }
     changed = {n: frozen(np.where(able, c, piece[n])) for n, c in new.items()}
     return replace(piece, columns={**piece.columns, **changed})
 
@@ -229,7 +304,10 @@ def _whole(model: Model, card: str) -> Bool:
         whole |= (np.char.find(offt, "O") >= 0) & (t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B") != 0).any(axis=1)
     if card == "CBEAM" and "PBEAM" in model:
         p = model["PBEAM"]
-        tapered = np.any([~np.isclose(p[a], p[b]) for a, b in BOTH_ENDS.items() if a in p.columns], axis=0)
+        tapered = np.any(
+            [~np.isclose(p[a], p[b]) for a, b in BOTH_ENDS.items() if a in p.columns],
+            axis=0,
+        )
         whole |= np.isin(t["PID"], p.ids[tapered | (p.ragged("X").sizes > 0)])
     return whole
 
@@ -247,7 +325,10 @@ def _held(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
         if new.size:
             rows.append((sid, letter, new))
     if rows:
-        nodes = Ragged(np.concatenate([r[2] for r in rows]), np.cumsum([0, *(r[2].size for r in rows)]))
+        nodes = Ragged(
+            np.concatenate([r[2] for r in rows]),
+            np.cumsum([0, *(r[2].size for r in rows)]),
+        )
         more = table("SPC1", SID=[r[0] for r in rows], C=np.array([r[1] for r in rows]), G=nodes)
         yield "SPC1", stacked(model["SPC1"], more) if "SPC1" in model else more
 
@@ -256,7 +337,12 @@ def _constraints(model: Model) -> Iterator[tuple[int, str, Any]]:
     """Set, components and nodes of each row of SPC1 and SPC."""
     if "SPC1" in model:
         t = model["SPC1"]
-        yield from zip(t["SID"].tolist(), t["C"].tolist(), map(t.ragged("G").row, range(len(t))), strict=True)
+        yield from zip(
+            t["SID"].tolist(),
+            t["C"].tolist(),
+            map(t.ragged("G").row, range(len(t))),
+            strict=True,
+        )
     if "SPC" in model:
         t = model["SPC"]
         yield from zip(t["SID"].tolist(), t["C"].tolist(), t["G"], strict=True)
