@@ -73,6 +73,14 @@ def test_a_press_moves_no_mode() -> None:
     assert any("1.7 s apart" in n for n in r.notes)
 
 
+def test_modes_at_twice_a_frequency_are_not_laid_to_clipping_where_a_press_is_taken_out() -> None:
+    f = np.array([2.2, 3.7, 4.4, 6.9, 9.4])
+    r = identify_ambient(record(forces() + stamps(1.7 * (1 + 0.02 * np.random.default_rng(2).standard_normal(600))), f))
+    assert any("1.7 s apart" in n for n in r.notes)
+    assert len(r.modes) == f.size
+    assert not any("clipping" in why for why in r.reasons)
+
+
 def test_regular_blows_are_taken_out_and_others_left() -> None:
     rng = np.random.default_rng(2)
     struck = forces() + stamps(1.7 * (1 + 0.003 * rng.standard_normal(600)))

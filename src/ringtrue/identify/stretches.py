@@ -51,7 +51,11 @@ def without_strokes_sweeps_and_echoes(
             f"the force comes again {echo.delay:.3g} s later, times {echo.factor:.2g} (two axles, a reflection): its "
             "spectrum ripples; taken out as far as noise allows, so frequencies may be farther off than stated",
         )
-    return clean, whole if clean is good else whole and clean.pick([c.id for c in whole.channels]), notes
+    if whole is good:
+        whole = clean
+    elif whole and clean is not good:
+        whole = clean.pick([c.id for c in whole.channels])
+    return clean, whole, notes
 
 
 def steady_sines(
