@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
@@ -22,7 +22,7 @@ SHORTEST, LONGEST = 16, 0.01  # samples, and share of the record
 SURE = 6.0  # standard deviations of a peak; half of them below 0 for that at 2τ
 TIP, AROUND, ABOVE = 2, 1.4, 2.5  # samples to each side; range of τ either way, over whose highest peak it must stand
 ALIKE = 0.2  # scatter over the channels, of the peak
-FEWEST = 3  # channels
+FEWEST, SAMPLES, JOIN = 3, 1 << 18, 8  # channels; samples that are looked at; lines of their transform in one
 LEAST = 1e-10  # of the mean power: below is the rounding of recorders
 FLOOR, LOUD = 0.05, 0.7  # of the lines: their level is that of noise, which has no echo; share of an echo that tells it
 ORDERS, MOST, TAIL = 4, 0.95, 60  # peaks that tell the factor, the largest factor, delays that its inverse lasts
@@ -41,28 +41,31 @@ def without_echo(history: TimeHistory) -> tuple[TimeHistory, Echo | None]:
 
     A factor above 1 has the spectrum of its inverse, but for a level.
     """
-    spectrum, n = listened_spectrum(history)
+    spectrum, n = listened_spectrum(replace(history, data=history.data[:, :SAMPLES]))
     if len(spectrum) < FEWEST:
         return history, None
-    power = spectrum.real**2 + spectrum.imag**2
+    lines = spectrum[:, : n // 2 // JOIN * JOIN].view(np.float32).reshape(len(spectrum), -1, 2 * JOIN)
+    power = np.einsum("cfk,cfk->cf", lines, lines)
     log = np.log(np.maximum(power, LEAST * power.mean(axis=1, keepdims=True)))
     log -= log.mean(axis=1, keepdims=True)
-    if not (at := _peak(irfft(log, n, axis=1)[:, : n // 2])):
+    if not (at := _peak(irfft(log, 2 * log.shape[1], axis=1)[:, : log.shape[1]], int(LONGEST * n))):
         return history, None
-    echo, share = _measured(log.mean(axis=0, dtype=np.float64), n, at)
+    turn = 2 * np.pi / n * (JOIN * np.arange(log.shape[1]) + 0.5 * (JOIN - 1))
+    echo, share = _measured(log.mean(axis=0, dtype=np.float64), turn, at)
     once = replace(history, data=_once(history.data, echo.delay, echo.factor * share))
     return once, replace(echo, delay=echo.delay / history.rate)
 
 
-def _measured(log: Float, n: int, at: int) -> tuple[Echo, Float]:
+def _measured(log: Float, turn: Float, at: int) -> tuple[Echo, Float]:
     """The echo (delay in samples) near the sample `at`, and its share of each line of a logarithmic spectrum (line,).
+
+    `turn` (line,) are the frequencies, radians a sample.
 
     The peaks of the factor's cepstrum count by their order: what resonances add to them falls as one over it.
     """
-    turn = 2 * np.pi / n * np.arange(log.size)
     near = at + np.linspace(-1, 1, 41)
     delay = float(near[np.argmax([abs(log @ np.cos(turn * x)) for x in near])])
-    level = uniform_filter1d(log, max(round(n / delay), 1), mode="nearest")
+    level = uniform_filter1d(log, max(round(2 * log.size / delay), 1), mode="nearest")
     floor = np.quantile(level, FLOOR)
     share = 1 - np.exp(floor - np.maximum(level, floor))
     loud, order = np.flatnonzero(share > LOUD), np.arange(1, ORDERS + 1)
@@ -74,11 +77,12 @@ def _measured(log: Float, n: int, at: int) -> tuple[Echo, Float]:
     return Echo(delay, float(factors[best])), np.asarray(share)
 
 
-def _peak(cepstra: Any_) -> int:
-    """The sample of the highest peak of an echo in the `cepstra` (ch, sample), 0 if there is none."""
-    mean, most = cepstra.mean(axis=0), int(LONGEST * 2 * cepstra.shape[1])
+def _peak(cepstra: Any_, most: int) -> int:
+    """The sample, up to `most`, of the highest peak of an echo in the `cepstra` (ch, sample), 0 if there is none."""
+    mean = cepstra.mean(axis=0)
     noise, size = float(np.median(np.abs(mean[mean.size // 3 :]))) / 0.6745, np.abs(mean)
-    candidates = SHORTEST + np.flatnonzero(size[SHORTEST:most] > SURE * noise)
+    tip = (size > SURE * noise) & (size >= maximum_filter1d(size, 2 * TIP + 1))
+    candidates = SHORTEST + np.flatnonzero(tip[SHORTEST:most])
     for k in candidates[np.argsort(-size[candidates])].tolist():
         around = np.r_[int(k / AROUND) : k - TIP, k + TIP + 1 : int(k * AROUND) + 1]
         twice = mean[2 * k - TIP : 2 * k + TIP + 1]
