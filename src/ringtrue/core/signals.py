@@ -105,6 +105,8 @@ class FrfSet:
         Known to be free of leakage, however few lines a mode has: of a periodic force, or with transients estimated.
     blows : Blows, optional
         The blows behind the FRFs, where they are known.
+    hann : float, s
+        Length of the blocks of noise under a Hann window that the FRFs are of; 0 for none, or unknown.
     """
 
     data: Complex
@@ -119,6 +121,7 @@ class FrfSet:
     kept: float = float("inf")
     sharp: bool = False
     blows: Blows | None = None
+    hann: float = 0.0
 
     def __post_init__(self) -> None:
         put = object.__setattr__

@@ -33,9 +33,10 @@ def condensed(lines: Lines, poles: Complex, reach: Float) -> Lines:
     Returns
     -------
     Lines
-        The same ones where they are few, or hold a response that the block cuts off: that ripples from line to line.
+        The same ones where they are few, or hold a response that the block cuts off, or its window: that ripples
+        from line to line.
     """
-    if np.isfinite(lines.kept):
+    if np.isfinite(lines.kept) or lines.hann:
         return lines
     x = lines.s.imag
     stretches = [(a, b, b - a > NODES) for a, b in _stretches(x, _room(lines, poles, reach))]

@@ -30,6 +30,7 @@ from ringtrue.identify.frf_input import (
     sound_pairs,
 )
 from ringtrue.identify.judge import Candidates, Verdict, judge
+from ringtrue.identify.leakage import block_of_noise, hann_note
 from ringtrue.identify.lsfd import (
     Lines,
     blow_factors,
@@ -51,6 +52,7 @@ from ringtrue.signal.reciprocal import exchanged
 
 TURNS = 6
 LAST_ITERATIONS = 60
+TRIAL, FADED = 2, 0.95  # iterations of a fit as blocks under a Hann window, and its share of the misfit, if they are
 RINGING_TURNS = 6  # of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
 MOST_NEW = 6
 MOST_BYTES = 2e9
@@ -184,6 +186,7 @@ def identify_hammer(
         prepare(used, sigma), sound_pairs(used), settings, [d.poles for d in diagrams], used.window_decay, frfs.source
     )
     fit, rejected = _fit(search, candidates, tell)
+    used, search, fit, faded = _of_blocks(used, search, fit)
     tell(0.95, "confidence and standard deviations of the modes")
     for _ in range(1 if np.isinf(used.kept) else RINGING_TURNS):
         before = fit.refined.poles
@@ -197,7 +200,7 @@ def identify_hammer(
     reported = lines_between(used, low, high)
     said = fit_notes(reported, result.modes, result.synthesis_error)
     late = late_channels(result.modes)
-    told = tuple(filter(None, (roving, end_note(frfs, settings.fmax, high))))
+    told = tuple(filter(None, (roving, end_note(frfs, settings.fmax, high), faded)))
     odd = tuple(filter(None, (split, odd_channel(used, fit.refined.poles), parted_modes(result.model))))
     told = (*told, *frf_notes(reported, search.pairs), *result.notes, *said, *late, *odd, *notes)
     return replace(result, notes=told)
@@ -271,6 +274,16 @@ def _fit(search: _Search, start: Candidates, tell: Progress) -> tuple[_Fit, list
         best = replace(best, refined=united(lines, last, search.pairs))
     best, why = search.settle(best, best.refined.poles.size + 1, strict=True)  # every turn but the last drops a mode
     return best, rejected + why
+
+
+def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Search, _Fit, str]:
+    """The fit of FRFs that blocks of noise under a Hann window explain better, with a note; else as it is."""
+    length = block_of_noise(frfs)
+    r, trial = fit.refined, replace(search, lines=replace(search.lines, hann=length))
+    if not length or refine(trial.lines, r.poles, r.participation, iterations=TRIAL).cost > FADED * r.cost:
+        return frfs, search, fit, ""
+    new = trial.refined(replace(fit.candidates, pole=r.poles, participation=r.participation))
+    return replace(frfs, hann=length), trial, trial.judged(new, strict=True), hann_note(r.poles, new.refined.poles)
 
 
 def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit, list[str]]:
