@@ -11,6 +11,7 @@ from scipy import linalg, sparse
 
 from ringtrue.eigen import lanczos, solve
 from ringtrue.eigen.factor import Pencil
+from ringtrue.eigen.problem import rounding
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, SingularModel
 from ringtrue.fem.assembly import assemble
@@ -230,6 +231,21 @@ def test_a_band_from_zero_has_the_rigid_modes(mesh):
     assert np.allclose(got.values[:3] / elastic, -1e-7, atol=2e-8)
     assert got.values[3] == pytest.approx(elastic, rel=1e-6)
     assert got.complete
+
+
+@pytest.mark.parametrize("held_at", [0.0, 1.0])
+@pytest.mark.parametrize("digits", [11, 12, 14, 15])
+def test_a_stiffness_that_leaves_no_digits_is_told(digits, held_at):
+    """Two of three masses on a spring 10^digits times as stiff as the others, against a rigid link."""
+    big, soft = 0.7 * 10.0**digits, 1 / 3
+    k = np.array([[big + soft, -big, 0], [-big, big + soft + 1, -1], [0, -1, 1 + held_at]])
+    got = solve_modes(Pencil(sparse.csr_array(k), sparse.csr_array(np.diag([1.0, 2.0, 1.0]))), 2)
+    one = linalg.eigh([[1 + 2 * soft, -1], [-1, 1 + held_at]], np.diag([3.0, 1.0]), eigvals_only=True)
+    off = np.abs(got.values / one - 1).max()
+    share, _, row = rounding(sparse.csr_array(k), got)
+    assert off < 2 * share
+    assert row < 2
+    assert (share > 1e-3) == (digits > 12)
 
 
 def test_repeatable():

@@ -21,7 +21,7 @@ from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
 from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.eigen.engines import Method
 from ringtrue.eigen.factor import RESIDUAL_LIMIT, Pencil
-from ringtrue.eigen.problem import EigenModes, eigenvalue
+from ringtrue.eigen.problem import EigenModes, eigenvalue, rounding
 from ringtrue.eigen.residual import residual_vectors
 from ringtrue.eigen.solve import solve_modes
 from ringtrue.errors import InputError, SingularModel
@@ -37,6 +37,7 @@ STILL = 12  # modes that do not oscillate, for which the basis of complex modes 
 LOCAL = 200  # DOFs with dashpots, up to which each gets a residual vector
 ROUNDING = 1e-12  # of a row of the damping: less than that is no dashpot beside Rayleigh damping
 NOT_HELD = "no displacements balance the loads: the model is not held against rigid-body motion (SPC, springs)"
+BLURRED = 1e-3  # share of λ by which the rounding of the stiffness may move a mode without a word
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 
 
@@ -99,7 +100,19 @@ class EmbeddedAnalysis:
             Norm.MASS,
             "embedded",
         )
-        return ModesResult(modes, found.residuals[:n], found.complete, found.proof, found.orthogonality)
+        proof = found.proof + self._blurred(found)
+        return ModesResult(modes, found.residuals[:n], found.complete, proof, found.orthogonality)
+
+    def _blurred(self, found: EigenModes) -> str:
+        """A word on a stiffness so large that its rounding moves modes."""
+        share, mode, row = rounding(self.system.stiffness, found)
+        if share < BLURRED:
+            return ""
+        at = " ".join(self._labels(np.array([row])))
+        return (
+            f"; the stiffness at {at} is so large that its rounding may move mode {mode + 1} by {50 * share:.2g} %: "
+            "give less (1000 times what is beside it is stiff enough) or RBE2"
+        )
 
     def slopes(self, parameters: ParameterSet) -> Sequence[Slope]:
         """∂K/∂a, ∂M/∂a and the derivatives of the damping at a = 1, in the free DOFs."""

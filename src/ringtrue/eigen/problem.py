@@ -10,6 +10,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, freeze_fields
 
+SMALL, NOISE = 0.1, 1e-6  # shares of the shift and of the highest λ: what is below is next to zero
 PIECE, ROWS = 8, 16384  # modes, and rows of a matrix, treated together
 
 
@@ -48,6 +49,30 @@ class EigenModes:
     def frequencies(self) -> Float:
         """(m,) Hz, sign(λ)·sqrt|λ|/2π."""
         return frequencies(self.values)
+
+
+def rounding(stiffness: sparse.csr_array, modes: EigenModes) -> tuple[float, int, int]:
+    """How far the rounding of K may move a mode: what is far stiffer than the rest beside it leaves no digits for that.
+
+    The entries of K are taken to be off by independent errors of ε of their size. A mode of a λ that is small beside
+    the shift, as of a rigid body, is judged by the shift; one that is nothing but rounding is left out.
+
+    Returns
+    -------
+    share : float
+        Of λ, the largest of all modes.
+    mode, row : int
+        The mode, and the row of K that moves it most.
+    """
+    if not modes.values.size:
+        return 0.0, 0, 0
+    size = np.abs(modes.values)
+    energy = stiffness.diagonal()[:, None] * modes.vectors**2
+    off = np.finfo(np.float64).eps * np.linalg.norm(energy, axis=0)
+    share = off / np.maximum(size, max(SMALL * abs(modes.shift), NOISE * float(size.max())))
+    share = np.where(share < 1, share, 0.0)
+    mode = int(share.argmax())
+    return float(share[mode]), mode, int(np.abs(energy[:, mode]).argmax())
 
 
 def frequencies(values: Float) -> Float:
