@@ -19,6 +19,7 @@ from ringtrue.io.statics import read_statics
 
 Capture = pytest.CaptureFixture[str]
 MM_T_S = {"m": 1e-3, "k": 1e-3}  # tonnes and N/mm
+FIRST, SECOND = 20 / (2 * np.pi), 10 / (2 * np.pi)  # Hz
 IN_UNITS = [("SI", {}), ("mm-t-s", MM_T_S), ("mm-kg-s", {})]  # kg and mN/mm
 
 
@@ -69,6 +70,48 @@ def test_a_ratio_stands_in_place_of_the_damping_of_the_deck(tmp_path: Path, caps
     want = 1 / (800 - 2 * w**2 + 2j * 0.03 * 20 * 2 * w)
     np.testing.assert_allclose(np.array(one["re"]) + 1j * np.array(one["im"]), want, rtol=1e-6)
     assert (one["response"], one["force"], found["unit"]) == ("5+X", "5+X", "(m)/N")
+
+
+@pytest.mark.parametrize(
+    ("table", "ratio"),
+    [
+        ("CRIT\n,1.,0.02,5.,0.06,ENDT", (0.02 + 0.01 * (FIRST - 1), 0.02 + 0.01 * (SECOND - 1))),
+        ("G\n,0.,0.05,SKIP,SKIP,100.,0.05,ENDT", (0.025, 0.025)),
+        (",1\n,2.,0.04,3.,0.06,ENDT", (0.03, 0.02)),
+        ("Q\n,0.,10.,ENDT", (0.05, 0.05)),
+    ],
+)
+@pytest.mark.parametrize("kdamp", [1, -1])
+def test_modal_damping_of_the_deck(tmp_path: Path, table: str, ratio: tuple[float, float], kdamp: int) -> None:
+    """SDAMPING beside the loss factor and the dashpot; 800 N/m under 2 kg, 100 N/m under 1 kg."""
+    deck, target = written(tmp_path / "d.bdf"), tmp_path / "f.h5"
+    text = f"CEND\nSDAMPING = 7\n{deck.read_text()}PARAM,KDAMP,{kdamp}\nTABDMP1,7,{table}\n"
+    deck.write_text(text)
+    words = ["frf", str(deck), "--force", "5+X,6+X", "--fmin", "0.5", "--fmax", "5", "--quantity", "displacement"]
+    assert run([*words, "--out", str(target)]) == 0
+    found = read_frfs(target)
+    w = 2 * np.pi * found.freqs
+    for i, (k, m, own) in enumerate([(800 * (1 + 0.04j), 2, 0 * w), (100, 1, 0.4 * w)]):
+        w0 = np.sqrt(k.real / m)
+        more = 2j * ratio[i] * m * w0 * (w if kdamp == 1 else w0)
+        want = 1 / (k - m * w**2 + 1j * own + more)
+        np.testing.assert_allclose(found.data[:, i, i], want, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ("TABDMP1,8,CRIT\n,0.,1.,ENDT", "no such TABDMP1"),
+        ("TABDMP1,7,X\n,0.,1.,ENDT", "allowed are G, CRIT and Q"),
+        ("TABDMP1,7,CRIT\n,1.,.1,0.,.1,ENDT", "and rise"),
+        ("TABDMP1,7,Q\n,1.,.1,2.,0.,ENDT", "above 0"),
+    ],
+)
+def test_modal_damping_that_is_no_table(tmp_path: Path, table: str, told: str, capsys: Capture) -> None:
+    deck = written(tmp_path / "d.bdf")
+    deck.write_text(f"CEND\nSDAMPING = 7\n{deck.read_text()}{table}\n")
+    assert run(["frf", str(deck), "--force", "5+X", "--fmax", "5"]) == 2
+    assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ending", ["uff", "csv", "h5"])

@@ -30,6 +30,7 @@ from ringtrue.fem.derivatives import system_derivatives
 from ringtrue.fem.response import coupled, direct
 from ringtrue.fem.response import frf as superpose
 from ringtrue.fem.spins import without_spins
+from ringtrue.model.damping import ModalDamping
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
@@ -269,7 +270,7 @@ class EmbeddedAnalysis:
         freqs: Float,
         request: ModesRequest,
         *,
-        damping: float | Float | None = 0.0,
+        damping: float | Float | ModalDamping | None = 0.0,
         kind: FrfKind = "receptance",
         residual: bool = True,
     ) -> Complex:
@@ -285,8 +286,9 @@ class EmbeddedAnalysis:
         freqs : (freq,) float64, Hz
         request : ModesRequest
             The lowest `count` modes; a band means all modes up to its upper end.
-        damping : float or (m,) float64, or None
-            Modal damping ratios in place of the model's own damping; None: the model's own, modes coupled.
+        damping : float or (m,) float64, ModalDamping or None
+            Modal damping ratios in place of the model's own damping; None: the model's own, modes coupled; a
+            `ModalDamping` stands beside the model's own.
         residual : bool
             Add the residual flexibility of the modes above, exact at the shift (near 0 Hz).
         """
@@ -294,8 +296,8 @@ class EmbeddedAnalysis:
             request = ModesRequest(band=(-1.0, request.band[1]))
         modes = self.eigen(request)
         out, into = self._rows(outputs), self._rows(inputs)
-        if damping is None:
-            return self._coupled_frf(modes, out, into, freqs, kind, residual)
+        if damping is None or isinstance(damping, ModalDamping):
+            return self._coupled_frf(modes, (out, into), freqs, kind, residual, damping)
         zeta = np.broadcast_to(np.asarray(damping, dtype=np.float64), modes.values.shape)
         a, b = out @ modes.vectors, into @ modes.vectors
         rest = None
@@ -307,17 +309,22 @@ class EmbeddedAnalysis:
     def _coupled_frf(
         self,
         modes: EigenModes,
-        out: sparse.csr_array,
-        into: sparse.csr_array,
+        ends: tuple[sparse.csr_array, sparse.csr_array],
         freqs: Float,
         kind: FrfKind,
         residual: bool,
+        modal: ModalDamping | None,
     ) -> Complex:
+        out, into = ends
         values, vectors = modes.values, modes.vectors
         if residual:
             loads = np.hstack([into.T.toarray(), out.T.toarray(), self._damper_loads()])
             values, vectors = residual_vectors(self.pencil, modes, loads)
         d, h = damped.project(vectors, self.system.viscous, self.system.structural)
+        if modal is not None:
+            w = np.sqrt(values.clip(min=0.0))
+            loss = 2 * modal.at(w / (2 * np.pi)) * w
+            d, h = (d, h + np.diag(loss * w)) if modal.structural else (d + np.diag(loss), h)
         return coupled(freqs, values, d, h, out @ vectors, into @ vectors, kind=kind)
 
     def frf_direct(self, outputs: DofSet, inputs: DofSet, freqs: Float, *, kind: FrfKind = "receptance") -> Complex:

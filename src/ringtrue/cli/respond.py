@@ -21,8 +21,9 @@ from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.nastran.reader import read_deck, read_loaded_deck
+from ringtrue.io.nastran.reader import read_damped_deck, read_deck, read_loaded_deck
 from ringtrue.io.statics import COLUMNS
+from ringtrue.model.damping import ModalDamping
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
 from ringtrue.study.loads import load_vectors
@@ -70,7 +71,7 @@ def frf(
     """Frequency responses of a deck: its modes with residual vectors, or the full model line by line.
 
     Directions are those of the basic frame, results in SI. Without --damping that of the deck counts: dashpots, GE,
-    PARAM G.
+    PARAM G, SDAMPING.
 
     Example: ringtrue frf wing.bdf --force 101+Z --at 205+Z --fmax 200 --damping 0.01 --out frf.h5 --plot frf.html
     """
@@ -85,12 +86,18 @@ def frf(
     kilogram, freqs = unit_mass(units), np.linspace(lowest, fmax, lines)
     with progress("frf") as show:
         show(0.0, f"reading {deck}")
-        model = read_deck(deck)
+        model, modal = read_damped_deck(deck)
         with EmbeddedSolver(progress=part(show, 0.2, 1.0)).open(model) as analysis:
-            if damping is None and not analysis.has_damping:
-                raise ConfigError("the deck has no damping of its own (dashpots, GE, PARAM G): give --damping 0.01")
+            if damping is None and not (analysis.has_damping or (modal and not direct)):
+                raise ConfigError(
+                    "the deck has no damping of its own (dashpots, GE, PARAM G, SDAMPING but with --direct): "
+                    "give --damping 0.01"
+                )
+            if direct and modal:
+                err.print("warning: SDAMPING is of modes: --direct leaves it out, as SOL 108 does")
             _warn_of_held(analysis, heard, into)
-            h = _responses(analysis, (heard, into), freqs, damping, FRF_KIND[quantity], direct) / kilogram
+            ratios = modal if damping is None else damping
+            h = _responses(analysis, (heard, into), freqs, ratios, FRF_KIND[quantity], direct) / kilogram
     found = FrfSet(
         h,
         freqs,
@@ -134,7 +141,7 @@ def _responses(
     analysis: EmbeddedAnalysis,
     ends: tuple[DofSet, DofSet],
     freqs: Float,
-    damping: float | None,
+    damping: float | ModalDamping | None,
     kind: FrfKind,
     direct: bool,
 ) -> Complex:

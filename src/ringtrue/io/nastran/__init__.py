@@ -3,7 +3,8 @@
 Reading: `reader` is the call; `deck` its lines, `case` control, `gather` logical cards from `free` and fixed
 fields, `replicate`, `lexer` and `fields` their values, `tables` one a card.
 
-Cards with a pattern of their own: `special`, `lists`, `beams`, `welds`, `added_mass`, `loads`; `defaults`
+Cards with a pattern of their own: `special`, `lists`, `beams`, `welds`, `added_mass`, `loads`,
+`damping`; `defaults`
 what they leave blank, `constraint_sets` which hold, `orientations` what they leave open.
 
 Writing: `edit` in place, `places` where a field stands; `writer` cards, `bulk` and `bulk_special` whole

@@ -13,7 +13,7 @@ from ringtrue.model.model import CaseControl
 
 _COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S)  # a blank may stand for =
 _SUBCASE = re.compile(r"\s*SUBC\w*[\s=]*(\d{1,9})?", re.I)
-_CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC")
+_CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC", "SDAMPING")
 _SETS = ("SPC", "MPC", "NSM", "K2GG", "M2GG", "B2GG")
 STIFFENING = {  # commands that bring in stiffness which is not read, and how the names of their cards begin
     "TEMPERATURE": ("MATT",),
@@ -31,6 +31,7 @@ _SHORT = {
     "AUTO": "AUTOSPC",
     "TEMP": "TEMPERATURE",
     "STAT": "STATSUB",
+    "SDAM": "SDAMPING",
 }  # Nastran reads the first four characters
 _TEXT = re.compile(r"\s*(TITL|SUBT|LABE)", re.I)
 _TERM = re.compile(r"(?:\(?\s*([^*()\s]+?)\s*\)?\s*\*)?\s*([A-Z]\w*)", re.I)
@@ -60,7 +61,7 @@ def _sections(top: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
         found = _COMMAND.fullmatch(line)
         name = found[1].upper() if found else ""
         name = _SHORT.get(name[:4], name)
-        if begun and found and name in _NAMES:
+        if begun and found and name in _NAMES and (found[2] or "").upper() != "(FLUID)":
             sections[-1][1][name] = found[3]
             if name == "TEMPERATURE" and not re.match(r"\(\s*(MAT|INIT)", found[2] or "", re.I):
                 sections[-1][1]["TEMP(LOAD)"] = found[3]
@@ -97,6 +98,20 @@ def load_sets(top: Sequence[str]) -> list[tuple[str, int]]:
             raise DeckError(f"LOAD = {choices['LOAD']} in case control: it must be the number of a set")
         out.append((name, int(choices["LOAD"])))
     return out
+
+
+def modal_damping_set(top: Sequence[str]) -> int:
+    """The table of SDAMPING, 0 without.
+
+    Raises
+    ------
+    DeckError
+        If it is no number.
+    """
+    text = commands(top).get("SDAMPING", "0")
+    if not re.fullmatch(r"\d{1,18}|NONE", text, re.A | re.I):
+        raise DeckError(f"SDAMPING = {text} in case control: it must be the number of a TABDMP1")
+    return 0 if text.upper() == "NONE" else int(text)
 
 
 def _joined(top: Iterable[str]) -> list[str]:

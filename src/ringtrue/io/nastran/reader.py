@@ -15,6 +15,7 @@ from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.io.nastran.beams import dimensions
 from ringtrue.io.nastran.case import STIFFENING, case_control, commands, params, value
 from ringtrue.io.nastran.constraint_sets import empty_choices, only_sets, unclear_sets
+from ringtrue.io.nastran.damping import modal_damping
 from ringtrue.io.nastran.deck import Deck, load
 from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written_out
 from ringtrue.io.nastran.gather import Cards, cards
@@ -24,6 +25,7 @@ from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, columns, is_unsupported, reason
 from ringtrue.model.choices import idle
+from ringtrue.model.damping import ModalDamping
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Ragged, Table, stacked
 from ringtrue.model.references import Missing, missing
@@ -80,6 +82,12 @@ def read_loaded_deck(path: str | Path) -> tuple[Model, tuple[LoadCase, ...]]:
     """Read a deck, as `read_deck` does, and its static load cases, as `load_cases` does."""
     model, found = _read(load(path))
     return model, load_cases(found)
+
+
+def read_damped_deck(path: str | Path) -> tuple[Model, ModalDamping | None]:
+    """Read a deck, as `read_deck` does, and the modal damping that its case control asks for (SDAMPING)."""
+    model, found = _read(load(path))
+    return model, modal_damping(found, structural=model.params.get("KDAMP", 1) == -1)
 
 
 def _read(deck: Deck) -> tuple[Model, Cards]:
