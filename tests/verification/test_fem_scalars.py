@@ -96,6 +96,23 @@ def test_a_damped_oscillator_decays_as_it_should() -> None:
     assert got.damping[0] == pytest.approx(4 / (2 * np.sqrt(100)), rel=1e-10)
 
 
+def test_a_dashpot_on_hardly_any_mass_hides_no_low_mode() -> None:
+    """A chain of 30 masses; the answer to the dashpot, to a point of 1e-9 kg on 1e6 N/m, is a million times as fast."""
+    points = np.arange(1, 31)
+    at, below, one = np.append(points, 99), np.append(points - 1, 0), np.ones(points.size)
+    m = model(
+        grid(XYZ[:1]),
+        cards("CELAS4", EID=at, K=np.append(1e4 * one, 1e6), S1=at, S2=below),
+        cards("CMASS4", EID=100 + at, M=np.append(one, 1e-9), S1=at),
+        cards("CDAMP4", EID=[250], B=20.0, S1=[15], S2=[99]),
+    )
+    with EmbeddedSolver().open(m) as analysis:
+        projected, full = (analysis.damped_modes(ModesRequest(3), problem=p).modes for p in ("projected", "full"))
+    np.testing.assert_allclose(projected.frequencies, full.frequencies, rtol=1e-5)
+    np.testing.assert_allclose(projected.damping, full.damping, rtol=1e-5)
+    assert projected.frequencies[0] == pytest.approx(100 * np.sin(np.pi / 122) / np.pi, rel=1e-3)
+
+
 @pytest.mark.parametrize("dashpot", [0.0, 0.4])
 def test_rayleigh_damping(dashpot: float) -> None:
     """PARAM ALPHA1 = 0.3, ALPHA2 = 0.02: ζ = α/2ω + βω/2, and D' = αM' + βK'; a dashpot adds its own."""

@@ -229,7 +229,8 @@ class EmbeddedAnalysis:
             loads = self._damper_loads()
             if loads.shape[1]:
                 values, vectors = residual_vectors(self.pencil, real, loads)
-            found = damped.complex_modes(values, *damped.project(vectors, self.system.viscous, self.system.structural))
+            d, h = damped.project(vectors, self.system.viscous, self.system.structural)
+            found = damped.complex_modes(values, d, h, top=float(np.abs(real.values).max(initial=0.0)))
             missing = count - found.poles.size  # rigid-body motions and what is damped too much to oscillate
             if missing <= 0 or size >= min(self.pencil.size, extra * count + STILL):
                 return vectors, found

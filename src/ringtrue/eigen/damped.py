@@ -158,7 +158,9 @@ def project(phi: Float, viscous: sparse.csr_array | None, structural: sparse.csr
     return (made[0] + made[0].T) / 2, (made[1] + made[1].T) / 2
 
 
-def complex_modes(values: Float, viscous: Float, structural: Float | None = None) -> ComplexModes:
+def complex_modes(
+    values: Float, viscous: Float, structural: Float | None = None, *, top: float | None = None
+) -> ComplexModes:
     """Complex modes in the basis of n mass-normalised real modes, without those that do not oscillate.
 
     Parameters
@@ -166,6 +168,8 @@ def complex_modes(values: Float, viscous: Float, structural: Float | None = None
     values : (n,) float64, λ, (rad/s)²
     viscous : (n, n) float64, ΦᵀDΦ
     structural : (n, n) float64, ΦᵀHΦ, optional
+    top : float, optional, (rad/s)²
+        The largest λ sought, where residual vectors of dashpots on little mass stand far above it; of all if not given.
 
     Raises
     ------
@@ -179,7 +183,7 @@ def complex_modes(values: Float, viscous: Float, structural: Float | None = None
     stiffness = np.diag(values) + (1j * structural if structural.any() else 0.0)
     zero, eye = np.zeros((n, n)), np.eye(n)
     s, y = linalg.eig(np.block([[zero, eye], [-stiffness, -viscous]]))
-    scale = max(np.sqrt(np.abs(values).max(initial=0.0)), np.finfo(float).tiny)
+    scale = max(np.sqrt(np.abs(values).max(initial=0.0) if top is None else top), np.finfo(float).tiny)
     at = np.flatnonzero((s.imag > SWING * np.abs(s)) & (np.abs(s) > np.sqrt(STILL) * scale))
     at = at[np.argsort(np.abs(s[at]), kind="stable")]
     return ComplexModes(s[at], _unit_modal_a(s[at], y[:n, at], viscous, None))
