@@ -28,10 +28,12 @@ from ringtrue.plan.rehearsal import (
     modal_model,
     rehearse,
 )
+from ringtrue.plan.rehearsal_ambient import Ambience, rehearse_ambient
+from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.sheet import reach_of, write_test_sheet
 from ringtrue.report.deliver import report_from_store
 from ringtrue.study.run import run_study
-from ringtrue.virtual.sensors import ICP
+from ringtrue.virtual.sensors import ACCELEROMETER, ICP
 
 MODES, POINTS = 6, 19
 F = 8.0 * np.arange(1, MODES + 1)  # Hz, of a string of 50 kg
@@ -111,6 +113,23 @@ def test_noise_makes_what_is_found_worse() -> None:
     assert (loud.frequency_std > 2 * quiet.frequency_std).all()
 
 
+def test_an_ambient_test_scatters_as_theory_foretells() -> None:
+    """White forces along a string, five sensors: the floor of Gersch (1974) for the errors, as far as 24 tests tell."""
+    plan = Planned(F, PHI[2::4], PHI, NAMES[2::4], NAMES, 4.0, 36.0)
+    conditions = Conditions(trials=24, sensor=ACCELEROMETER)
+    found = rehearse_ambient(plan, Ambience(600.0, 0.2), conditions, np.random.default_rng(2))
+    assert found.found.tolist() == [1.0] * 4
+    assert found.invented < 0.2
+    assert found.mac.min() > 0.99
+    # one standard deviation by 24 tests is known to 15 %, the mean of four modes to 7 %
+    for got, floor in zip((found.frequency_std, found.damping_std), ambient_std(F[:4], 0.01, 600.0), strict=True):
+        assert 0.8 < np.mean(got / floor) < 1.4
+    quiet = rehearse_ambient(plan, Ambience(600.0, 1e-8), replace(conditions, trials=3), np.random.default_rng(2))
+    assert quiet.found.mean() < 0.5  # below the noise of the sensors
+    with pytest.raises(InputError, match="above 0"):
+        Ambience(600.0, 0.0)
+
+
 def test_the_same_seed_gives_the_same_answer() -> None:
     one, two = (rehearse(planned((3,), 12.0), Conditions(trials=2), np.random.default_rng(5)) for _ in range(2))
     assert one.frequency_bias.tolist() == two.frequency_bias.tolist()
@@ -179,7 +198,20 @@ def deck(tmp_path: Path) -> Path:
 
 def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["plan", str(deck), "--modes", "1-3,5", "--points", "9", "--references", "2", "--method", "qr"]
-    words += ["--hang", "3", "--sensor-mass", "0.2", "--redundancy", "1", "--trials", "1", "--box", "-1 -1 2 9 9 10"]
+    words += [
+        "--hang",
+        "3",
+        "--sensor-mass",
+        "0.2",
+        "--redundancy",
+        "1",
+        "--trials",
+        "1",
+        "--ambient-force",
+        "1",
+        "--box",
+        "-1 -1 2 9 9 10",
+    ]
     status = run([*words, "--json", "-"])
     out, err = capsys.readouterr()
     assert status == 0, err
@@ -190,6 +222,9 @@ def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["left_by_loss"] >= 0.1
     assert (told["lost_points"], told["averages"]) == (1, 5)
     assert len(told["suspension"]["nodes"]) == 3
+    ambient = told["virtual_ambient_test"]
+    assert [m["mode"] for m in ambient["modes"]] == [1, 2, 3, 5]
+    assert sum(m["found"] for m in ambient["modes"]) >= 3
     assert told["missed"] == []
     sheet = read_sensor_sheet(folder / "sensors.csv", folder / "lines.csv").model
     assert list(sheet.channels) == told["channels"]
@@ -197,6 +232,7 @@ def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = (folder / "report.html").read_text()
     assert "Suspension at nodes" in page
     assert "virtual tests" in page
+    assert "1 virtual ambient tests under" in page
     # what is stored reads back, and the file of settings is a study
     report_from_store(folder / "study.h5")
     again = run_study(folder / "plan.toml", until="plan")
@@ -213,6 +249,7 @@ def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (["--modes", "90", "--band", "1", "9"], "raise it"),
         (["--band", "9", "1"], "F0 < F1"),
         (["--units", "inch"], "mm-t-s"),
+        (["--ambient-force", "1"], "give trials"),
     ],
 )
 def test_bad_options_are_refused(deck: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str) -> None:

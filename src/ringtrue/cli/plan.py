@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as text_json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -18,7 +19,7 @@ from ringtrue.io.atomic import atomic_write
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plan.exciters import reciprocity_pairs
-from ringtrue.plan.rehearsal import missed_words
+from ringtrue.plan.rehearsal import Rehearsal, missed_words
 from ringtrue.plan.sheet import reach_of, write_test_sheet
 from ringtrue.report.deliver import deliver
 from ringtrue.study.config_plan import Directions, Method, Strike
@@ -67,6 +68,10 @@ def plan(
     ] = 0.1,
     trials: Annotated[int, typer.Option(help="Virtual tests of the plan.", min=0)] = 0,
     background: Annotated[float, typer.Option(metavar="N/√HZ", help="Noise force at each reference.", min=0)] = 0.0,
+    ambient_force: Annotated[
+        float,
+        typer.Option(metavar="N/√HZ", help="Virtual ambient tests, too, under such a force at each channel.", min=0),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="Of the virtual tests.", min=0)] = 0,
     units: Annotated[str, one_of("--units", LENGTH, "Unit system of the deck")] = "SI",
     json: Json = None,
@@ -104,6 +109,7 @@ def plan(
         "lines": "mesh",
         "trials": trials,
         "background": background,
+        "ambient_force": ambient_force,
     }
     with progress("test plan") as show:
         show(0.0, f"reading {deck}")
@@ -237,7 +243,30 @@ def _told(run: StudyRun) -> dict[str, Any]:
             "invented_per_trial": stage.rehearsal.invented,
             "doubtful": list(missed_words(stage.rehearsal, names)),
         }
+    if (r := stage.ambient_rehearsal) is not None:
+        names = [str(k + 1) for k in stage.expected_modes.tolist()]
+        columns = {"mode": stage.expected_modes + 1, "frequency_hz": r.frequencies} | _found(r)
+        told["virtual_ambient_test"] = {
+            "trials": r.trials,
+            "force_n_per_sqrt_hz": r.force,
+            "invented_per_trial": r.invented,
+            "modes": _table(columns),
+            "doubtful": [f"ambient: {m}" for m in missed_words(r, names)],
+        }
     return told
+
+
+def _found(r: Rehearsal) -> dict[str, Any]:
+    """What virtual tests found, by column."""
+    found = {"found": r.found, "found_at_least": r.at_least, "frequency_std": r.frequency_std}
+    return found | {"damping_std": r.damping_std, "mac": r.mac}
+
+
+def _table(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """A row a mode; what is not known is null."""
+    lists = {k: v.tolist() for k, v in columns.items()}
+    count = len(lists["mode"])
+    return [{k: (v[i] if np.isfinite(v[i]) else None) for k, v in lists.items()} for i in range(count)]
 
 
 def _modes(stage: PlanStage) -> list[dict[str, Any]]:
@@ -250,29 +279,33 @@ def _modes(stage: PlanStage) -> list[dict[str, Any]]:
         "loaded": stage.loaded,
     }
     if (r := stage.rehearsal) is not None:
-        columns |= {"found": r.found, "found_at_least": r.at_least, "frequency_std": r.frequency_std}
-        columns |= {"damping_std": r.damping_std, "mac": r.mac}
-    columns = {k: v.tolist() for k, v in columns.items() if v.size}
-    return [
-        {k: (v[i] if np.isfinite(v[i]) else None) for k, v in columns.items()} for i in range(stage.target_modes.size)
-    ]
+        columns |= _found(r)
+    return _table({k: v for k, v in columns.items() if v.size})
+
+
+HEADS = {
+    "mode": ("mode", "{}"),
+    "frequency_hz": ("f [Hz]", "{:.5g}"),
+    "reach": ("reach", "{:.2f}"),
+    "shown": ("shown", "{:.2f}"),
+    "loaded": ("mass shift", "{:.1e}"),
+    "found": ("found", "{:.2f}"),
+    "frequency_std": ("σf/f", "{:.1e}"),
+    "damping_std": ("σζ/ζ", "{:.1e}"),
+    "mac": ("MAC", "{:.3f}"),
+}
+
+
+def _print_modes(title: str, modes: list[dict[str, Any]]) -> None:
+    here = [k for k in HEADS if k in modes[0]]
+    body = [[HEADS[k][1].format(r[k]) if r[k] is not None else "-" for k in here] for r in modes]
+    rows(title, [HEADS[k][0] for k in here], body)
 
 
 def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
-    heads = {
-        "mode": ("mode", "{}"),
-        "frequency_hz": ("f [Hz]", "{:.5g}"),
-        "reach": ("reach", "{:.2f}"),
-        "shown": ("shown", "{:.2f}"),
-        "loaded": ("mass shift", "{:.1e}"),
-        "found": ("found", "{:.2f}"),
-        "frequency_std": ("σf/f", "{:.1e}"),
-        "damping_std": ("σζ/ζ", "{:.1e}"),
-        "mac": ("MAC", "{:.3f}"),
-    }
-    here = [k for k in heads if k in told["modes"][0]]
-    body = [[heads[k][1].format(r[k]) if r[k] is not None else "-" for k in here] for r in told["modes"]]
-    rows(f"{deck}: {len(body)} target modes", [heads[k][0] for k in here], body)
+    _print_modes(f"{deck}: {len(told['modes'])} target modes", told["modes"])
+    if ambient := told.get("virtual_ambient_test"):
+        _print_modes(f"{ambient['trials']} virtual ambient tests", ambient["modes"])
     lines = [
         f"{len(stage.test.channels)} channels at {stage.test.points.size} points, of {stage.candidates} candidates: "
         f"{' '.join(map(str, told['points']))}",
@@ -286,6 +319,7 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     if told["missed"]:
         lines.append(f"the references miss mode {', '.join(told['missed'])}: strike at more points")
     lines += stage.notes
-    lines += told.get("virtual_test", {}).get("doubtful", [])
+    for test in ("virtual_test", "virtual_ambient_test"):
+        lines += told.get(test, {}).get("doubtful", [])
     lines.append("test sheet: " + " ".join(told["files"]))
     tell(lines)

@@ -5,7 +5,7 @@ What comes out are the modes that will be found, with which probability and whic
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -29,7 +29,7 @@ from ringtrue.virtual.noise import coloured
 from ringtrue.virtual.response import decay_time, lines, response_spectrum
 from ringtrue.virtual.sensors import FORCE_CELL, ICP, Chain, Sensor
 
-_RATE = 3.2  # over fmax: the recorder's filter is flat up to 0.4 of the rate
+RATE = 3.2  # over fmax: the recorder's filter is flat up to 0.4 of the rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,8 +143,8 @@ class Rehearsal:
     invented : float
         Modes a trial that pair with none of the structure.
     trials : int
-    force : float, N
-        Largest planned peak of a blow.
+    force : float
+        Largest planned peak of a blow, N; of an ambient test the density of the forces, N/√Hz.
     """
 
     frequencies: Float
@@ -206,7 +206,7 @@ def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int 
     sensor : Sensor
         Of the responses.
     """
-    rate = _RATE * fmax
+    rate = RATE * fmax
     contact = (0.4 / fmax, 0.7 / fmax)
     block = float(np.clip(decay_time(model, np.log(100)), 40 / fmax, 200.0))
     peak = sensor.range / sensor.sensitivity / max(_peak_response(model, contact[0], block, rate), 1e-300)
@@ -243,10 +243,40 @@ def rehearse(
     rng : Generator
     progress : callable, optional
     """
+    nominal = modal_model(plan, plan.frequencies, np.full(plan.frequencies.size, conditions.damping))
+    hammer = conditions.hammer or fitting_hammer(nominal, plan.fmax, conditions.sensor, hits=conditions.hits)
+    settings = HammerModes(0.97 * plan.fmin or None, 1.03 * plan.fmax)
+
+    def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
+        return identify_hammer(measured(model, hammer, conditions, RATE * plan.fmax, stream), settings).modes
+
+    return trials(plan, conditions, find, rng, force=hammer.peak[1], progress=progress)
+
+
+def trials(
+    plan: Planned,
+    conditions: Conditions,
+    find: Callable[[ModalModel, np.random.Generator], ModeSet],
+    rng: np.random.Generator,
+    *,
+    force: float,
+    progress: Progress | None = None,
+) -> Rehearsal:
+    """What tests find of structures that scatter about the planned one.
+
+    Parameters
+    ----------
+    plan : Planned
+    conditions : Conditions
+        Of the trials, the scatter and the pairing.
+    find : callable
+        The modes that a test of the structure finds.
+    rng : Generator
+    force : float
+        To be told.
+    """
     target = plan.targets
     zeta = np.full(plan.frequencies.size, conditions.damping)
-    nominal = modal_model(plan, plan.frequencies, zeta)
-    hammer = conditions.hammer or fitting_hammer(nominal, plan.fmax, conditions.sensor, hits=conditions.hits)
     error = np.full((3, conditions.trials, int(target.sum())), np.nan)
     invented = 0
     for k, stream in enumerate(rng.spawn(conditions.trials)):
@@ -257,16 +287,15 @@ def rehearse(
         truth = ModeSet(f[target], z[target], plan.outputs[:, target], plan.channels, Norm.MASS, "model")
         truth = truth.take(np.argsort(truth.frequencies, kind="stable"))
         back = np.argsort(f[target], kind="stable")
-        frfs = measured(modal_model(plan, f, z), hammer, conditions, _RATE * plan.fmax, stream)
         try:
-            modes = identify_hammer(frfs, HammerModes(0.97 * plan.fmin or None, 1.03 * plan.fmax)).modes
+            modes = find(modal_model(plan, f, z), stream)
         except DataError:  # no pole found: every mode is missed in this trial
             continue
         pairs = pair_modes(truth, modes, conditions.pairing, names=("model", "test"))
         error[:, k, back[pairs.a]] = _errors(truth, modes, pairs)
         inside = (modes.frequencies > plan.fmin) & (modes.frequencies < plan.fmax)
         invented += int(inside[pairs.lone_b].sum())
-    return _outcome(plan.frequencies[target], error, invented, hammer)
+    return _outcome(plan.frequencies[target], error, invented, force)
 
 
 def _errors(truth: ModeSet, found: ModeSet, pairs: Pairing) -> Float:
@@ -276,7 +305,7 @@ def _errors(truth: ModeSet, found: ModeSet, pairs: Pairing) -> Float:
     return np.stack([f, z, pairs.mac])
 
 
-def _outcome(frequencies: Float, error: Float, invented: int, hammer: HammerPlan) -> Rehearsal:
+def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> Rehearsal:
     trials = error.shape[1]
     there = np.isfinite(error[0])
     hits = there.sum(axis=0)
@@ -296,7 +325,7 @@ def _outcome(frequencies: Float, error: Float, invented: int, hammer: HammerPlan
         mean[2],
         invented / trials,
         trials,
-        hammer.peak[1],
+        force,
     )
 
 

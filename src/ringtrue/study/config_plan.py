@@ -64,6 +64,7 @@ class PlanSection(_Section):
     lines: Literal["mesh", "nearest"] = "mesh"  # the drawing of the points follows the mesh, or joins neighbours
     trials: int = Field(default=0, ge=0)  # virtual tests of the plan
     background: float = Field(default=0.0, ge=0)  # N/√Hz at each reference in the virtual tests
+    ambient_force: float = Field(default=0.0, ge=0)  # N/√Hz along each channel: virtual ambient tests, too, if > 0
 
     @model_validator(mode="after")
     def _band(self) -> Self:
@@ -74,6 +75,8 @@ class PlanSection(_Section):
             raise ValueError(
                 f"cost goes with method qr or information, draws with information; method is {self.method}"
             )
+        if self.ambient_force and not self.trials:
+            raise ValueError("ambient_force is that of virtual ambient tests; give trials, too")
         if lost := [r for r in (*self.kinetic, *self.cost) if r not in self.candidates]:
             raise ValueError(f"no region {lost[0]!r} in candidates{did_you_mean(lost[0], self.candidates)}")
         if any(v <= 0 for v in (*self.cost.values(), *self.kinetic.values())):

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ringtrue.core.arrays import Int
 from ringtrue.plan.rehearsal import Rehearsal, missed_words
 from ringtrue.plots import correlation, identification
 from ringtrue.report.parts import (
@@ -62,10 +63,14 @@ def section(data: Stages) -> Section | None:
     if plan.suspension:
         blocks.append(Text(_hung(plan)))
     if plan.rehearsal is not None:
-        blocks += _foreseen(plan, plan.rehearsal)
+        blocks += _foreseen(plan.target_modes, plan.rehearsal, "Virtual test of the plan", "target modes")
+    if (r := plan.ambient_rehearsal) is not None:
+        blocks += _foreseen(plan.expected_modes, r, "Virtual ambient test", "modes of the ambient plan")
     if plan.indicator.size:
         blocks.append(_appropriated(plan))
     lists: list[Block] = [*([_targets(plan)] if plan.target_frequencies.size else []), _points(plan)]
+    if plan.ambient_rehearsal is not None:
+        lists.append(_ambient(plan, plan.ambient_rehearsal))
     if data.identify is None:
         return Section("plan", "Test plan", [*blocks, *lists])
     if plan.loaded.size or plan.rehearsal is not None:
@@ -103,13 +108,13 @@ def _hung(plan: PlanStage) -> str:
     )
 
 
-def _foreseen(plan: PlanStage, r: Rehearsal) -> list[Block]:
+def _foreseen(modes: Int, r: Rehearsal, what: str, whose: str) -> list[Block]:
     """What the virtual test says in a sentence, and the modes that it misses."""
-    names = [str(k + 1) for k in plan.target_modes.tolist()]
+    names = [str(k + 1) for k in modes.tolist()]
     missed = missed_words(r, names, SURE)
     told = (
-        f"Virtual test of the plan: {len(names) - len(missed)} of {len(names)} target modes were found in at least "
-        f"{100 * SURE:.0f} % of {r.trials} tests."
+        f"{what}: {len(names) - len(missed)} of {len(names)} {whose} were found in at least {100 * SURE:.0f} % of "
+        f"{r.trials} tests."
     )
     return [Text(told), *([Items(missed, "Modes that the test may miss")] if missed else [])]
 
@@ -145,6 +150,23 @@ def _targets(plan: PlanStage) -> Table:
             f" Found and the standard deviations: {plan.rehearsal.trials} virtual tests with blows up to "
             f"{number(plan.rehearsal.force, 2)} N, {number(plan.rehearsal.invented, 2)} modes a test invented."
         )
+    return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
+
+
+def _ambient(plan: PlanStage, r: Rehearsal) -> Table:
+    """What virtual ambient tests made of the modes expected of them, beside the floor of their errors."""
+    columns: list[list[str | Cell]] = [
+        [str(k + 1) for k in plan.expected_modes.tolist()],
+        [fixed(f, 3) for f in r.frequencies.tolist()],
+        *_found(r),
+        [number(100 * x, 2) for x in plan.expected_std_frequency.tolist()],
+        [number(100 * x, 2) for x in plan.expected_std_damping.tolist()],
+    ]
+    heads = ("FE mode", "f, Hz", "found, %", "σ of f, %", "σ of ζ, %", "MAC, %", "least σ of f, %", "least σ of ζ, %")
+    caption = (
+        f"{r.trials} virtual ambient tests under white forces of {number(r.force, 2)} N/√Hz along each channel, "
+        f"{number(r.invented, 2)} modes a test invented; least: the statistical floor for the planned record."
+    )
     return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
 
 

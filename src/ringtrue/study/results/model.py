@@ -91,6 +91,7 @@ class PlanStage:
     suspension_motion: float = 0.0  # their largest motion in a target mode, squared, over the largest of the mode
     steady: bool = False  # the centre of gravity hangs between them
     rehearsal: Rehearsal | None = None  # the virtual test
+    ambient_rehearsal: Rehearsal | None = None  # of the expected modes, by virtual ambient tests
     indicator: Float = field(default_factory=lambda: np.zeros(0))  # (target,) least mode indicator of all references
     forces: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (target, reference) real forces that reach it
 

@@ -36,7 +36,7 @@ from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.parametric import build
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import ModelStage, PlanStage
-from ringtrue.study.virtual_test import virtual_test
+from ringtrue.study.virtual_test import virtual_ambient_test, virtual_test
 from ringtrue.study.workbench import Workbench
 
 WORTH = 0.02  # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
@@ -390,7 +390,10 @@ def _judged(
     if plan.trials:
         progress(0.7, "virtual test")
         rows = si * able.seen(motion)[chosen].reshape(-1, f.size)
-        stage = replace(stage, rehearsal=virtual_test(desk, plan, stage, rows, part(progress, 0.7, 1.0)))
+        stage = replace(stage, rehearsal=virtual_test(desk, plan, stage, rows, part(progress, 0.7, 0.85)))
+        if plan.ambient_force:
+            found, notes = virtual_ambient_test(desk, plan, stage, rows, part(progress, 0.85, 1.0))
+            stage = replace(stage, ambient_rehearsal=found, notes=(*stage.notes, *notes))
     return stage
 
 
