@@ -9,7 +9,7 @@ import numpy as np
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
@@ -29,7 +29,6 @@ PRINTED = 1e-4  # change of an unknown that ends an updating on what programs pr
 STEP = 5e-3  # of x: programs print six or seven digits; the slope of λ ~ a is off by half of it
 UNTOLD = STEP / 2  # of the gradient of J without cancellation: what such slopes do not tell
 CLOSE = 2 * STEP  # relative distance of frequencies that a step may exchange
-STILL = 1e-3  # of the highest frequency: below is a rigid-body mode, whose frequency is round-off
 LIKE = 0.5  # least MAC of a mode with itself a step away
 
 
@@ -181,7 +180,7 @@ def _lam(modes: ModeSet) -> Float:
 
 def _groups(frequencies: Float) -> list[Int]:
     """Rigid-body modes, then modes that a step of a parameter may exchange or mix; in order."""
-    still = int(np.sum(frequencies <= STILL * frequencies.max(initial=0.0)))
+    still = int(np.sum(~elastic(frequencies)))
     rest = [still + np.array(g) for g in close_groups(frequencies[still:], CLOSE, frequencies.size)]
     return [np.arange(still), *rest] if still else rest
 

@@ -12,7 +12,7 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
 
-RIGID = 1e-3  # of the highest frequency
+RIGID = 1e-3  # of the highest frequency: below is a rigid-body motion, whose frequency is round-off
 
 
 def elastic(frequencies: Float) -> Bool:

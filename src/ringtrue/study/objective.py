@@ -8,6 +8,7 @@ import numpy as np
 
 from ringtrue.backends.observed import FullModel
 from ringtrue.core.arrays import Float
+from ringtrue.core.modes import elastic
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, DataError
@@ -17,7 +18,7 @@ from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.evidence import channel_mass
 from ringtrue.study.measured import Data, check_moving, residual_data, rigid_mass
 from ringtrue.study.opened import Opened
-from ringtrue.study.parametric import STILL, AtChannels
+from ringtrue.study.parametric import AtChannels
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.objective import Target
 from ringtrue.update.residuals import CrossOrthogonality, Eigenvalues, Frequencies, Mac, Shapes, Term, Weighted
@@ -112,7 +113,7 @@ def data_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Data, ...]:
     found = desk.measured(name)
     if any(m.statics is not None for m in found):
         f = model.model.modes(np.zeros(len(model.parameters))).frequencies
-        if f[0] <= STILL * f[-1]:
+        if not elastic(f)[0]:
             raise DataError(f"a static test needs a structure that is held; mode 1 of the deck is at {f[0]:.3g} Hz")
     at = {c: i for i, c in enumerate(desk.channels(name))}
     check_moving(found, at, model.model.basis.observe)

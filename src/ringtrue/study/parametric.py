@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.modes import elastic
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
@@ -23,7 +24,6 @@ from ringtrue.update.residuals import Whole
 
 CLOSE = 2e-3  # largest relative error of a frequency of the reduced model that is accepted
 ROUNDS = 4
-STILL = 1e-3  # of the highest frequency: below is a rigid-body mode, whose frequency is round-off
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +109,7 @@ def verified(model: AtChannels, x: Float) -> tuple[AtChannels, float]:
 def frequency_error(found: Float, truth: Float) -> float:
     """Largest relative error of the elastic frequencies that a reduced and a full model have in common."""
     n = min(found.size, truth.size)
-    moving = truth[:n] > STILL * truth.max(initial=0.0)
+    moving = elastic(truth)[:n]
     return float(np.abs(found[:n][moving] / truth[:n][moving] - 1).max(initial=0.0))
 
 

@@ -59,7 +59,7 @@ class Workbench:
     _measured: dict[str, tuple[Measured, ...]] = field(default_factory=dict)  # by configuration
     masses: dict[str, Float] = field(default_factory=dict)  # at the channels of the test modes, by configuration
     weighed: dict[str, RigidMass] = field(default_factory=dict)  # rigid-body masses, by configuration
-    _placed: dict[int, tuple[TestModel, TestModel]] = field(default_factory=dict)  # sheets as measured and as laid
+    _placed: dict[TestModel, TestModel] = field(default_factory=dict)  # sheets as laid onto the deck, by those measured
     _channels: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of the reduced models, by configuration
 
     def get(self, stage: str) -> Any:
@@ -221,9 +221,9 @@ class Workbench:
         if test is None:
             test = self.placed[1] if c.align else self.get("identify").test
         elif c.align:
-            if id(test) not in self._placed:
-                self._placed[id(test)] = (test, alignment(test, opened, c.align).move(test))
-            test = self._placed[id(test)][1]
+            if test not in self._placed:
+                self._placed[test] = alignment(test, opened, c.align).move(test)
+            test = self._placed[test]
         return opened.observation(test, c.tolerance, c.match)
 
     @cached_property

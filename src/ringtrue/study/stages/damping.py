@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.progress import Progress
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.pairing import CorrelationTable
@@ -23,7 +23,6 @@ from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.model.edit import field_value
 from ringtrue.study.evidence import MASS, on_sheet
 from ringtrue.study.opened import Opened
-from ringtrue.study.parametric import STILL
 from ringtrue.study.reference import Reference, rigid_table
 from ringtrue.study.results import DampedConfiguration, DampedModes, DampedRegions, DampingStage, FinalStage
 from ringtrue.study.stages.configured import deliver as deliver_other
@@ -113,7 +112,7 @@ class _Part:
 def _part(desk: Workbench, name: str, opened: Opened, test: _Measured) -> _Part:
     modes, system = opened.modes(desk.fmax).modes, opened.analysis.system
     f = modes.frequencies
-    moving = np.union1d(np.flatnonzero(f > STILL * f.max()), test.fe)  # what the test tells moves, slow as it may be
+    moving = np.union1d(np.flatnonzero(elastic(f)), test.fe)  # what the test tells moves, slow as it may be
     phi = np.asarray(system.local @ modes.shapes[:, moving])
     total = project(phi, system.viscous, system.structural)
     return _Part(name, opened, test, moving, (2 * np.pi * f[moving]) ** 2, modes.shapes[:, moving], total)
