@@ -113,7 +113,8 @@ def show_summary(study: Path, summary: dict[str, Any]) -> None:
     tell(line for line in lines if line)
     if summary["solver"] == EMBEDDED:
         error = summary["basis_error"]
-        told = f"{summary['full_solutions']} full solutions; the reduced model is off by {error:.1e} at most"
+        count = summary["full_solutions"]
+        told = f"{count} full solution{'s' if count != 1 else ''}; the reduced model is off by {error:.1e} at most"
     else:
         told = f"{summary['full_solutions']} runs of {summary['solver']}"
     out.print(told)

@@ -12,5 +12,5 @@ geometry, `reference` the modes judged by, `lent` shapes where it tells frequenc
 beside modes, `evidence` what a correlation rests on, `expansion` its shapes.
 
 Of the model: `opened`, `parametric`, `loads`, `scene`. Of the plan: `virtual_test`. Of the updating: `objective`,
-`course`; `direct` is one without stages.
+`course`; `direct` and `proposing` do without stages.
 """

@@ -1,0 +1,136 @@
+"""Parameters proposed from a deck and the modes of a test, without a study: what `ringtrue localise` does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.observation import Observation
+from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.model.ports import ModesRequest
+from ringtrue.reduce.condense import condensed
+from ringtrue.reduce.parametric import ReducedModel, modes_of
+from ringtrue.study.opened import Opened
+from ringtrue.update.candidates import Candidate, CandidateSettings, membership
+from ringtrue.update.effects import Dropped, effective, reduced_candidates
+from ringtrue.update.generate import generate
+from ringtrue.update.identifiable import ALIKE
+from ringtrue.update.localise import reduced_errors
+from ringtrue.update.objective import Target, match
+from ringtrue.update.pool import SMALL, conflicts, drawn
+from ringtrue.update.proposal import Proposal, propose
+from ringtrue.update.screening import screened
+
+EXTRA = 1.5  # modes of the model, as a multiple of those of the test
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposed:
+    """A proposal, and what it was chosen from.
+
+    Attributes
+    ----------
+    proposal : Proposal
+    candidates : tuple of Candidate
+        That were looked at closely.
+    dropped : tuple of Dropped
+        That change no mode.
+    screened : tuple of str
+        That tell less than those looked at closely.
+    made : int
+        All that were made from the deck.
+    """
+
+    proposal: Proposal
+    candidates: tuple[Candidate, ...]
+    dropped: tuple[Dropped, ...]
+    screened: tuple[str, ...]
+    made: int
+
+
+def directly_proposed(
+    opened: Opened,
+    test: ModeSet,
+    bridge: Observation,
+    settings: CandidateSettings,
+    pool: int,
+    most: int,
+    progress: Progress = quiet,
+) -> Proposed:
+    """Which of the candidates made from a deck the modes of a test ask for.
+
+    Parameters
+    ----------
+    opened : Opened
+    test : ModeSet
+        Real shapes at the channels of `bridge`; those at 0 Hz or below are left out.
+    bridge : Observation
+    settings : CandidateSettings
+    pool, most : int
+        Candidates that are looked at closely, and parameters that are proposed, at most.
+    """
+    model, analysis = opened.model, opened.analysis
+    test = test.take(np.flatnonzero(test.frequencies > 0))
+    aim = Target(test.frequencies, test.shapes, np.zeros(len(test)), np.ones(len(test), dtype=bool))
+    count = int(EXTRA * len(test)) + 4
+    modes = analysis.eigen(ModesRequest(modes_of(count)), part(progress, 0.0, 0.1))
+    every = generate(model, settings)
+    progress(0.1, f"energies of {len(every)} candidates")
+    moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
+
+    def reduced_to(some: tuple[Candidate, ...], progress: Progress = quiet) -> ReducedModel:
+        return reduced_candidates(
+            model, analysis.system, some, bridge, count, pencil=analysis.pencil, modes=modes, progress=progress
+        )
+
+    def small(whole: ReducedModel, some: tuple[Candidate, ...]) -> ReducedModel:
+        points = drawn(whole.parameters, conflicts(model, some), np.random.default_rng(0))
+        return condensed(whole, points, max(SMALL, 2 * count))
+
+    def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
+        whole = reduced_to(some)
+        return small(whole, some), whole
+
+    progress(0.15, f"what {len(moved)} candidates explain")
+    keep = screened(
+        model,
+        analysis.system,
+        moved,
+        aim,
+        sparse.csr_array(bridge.matrix @ analysis.system.transform),
+        (modes.values, modes.vectors),
+        look,
+        pool=pool,
+        most=most,
+        alike=ALIKE,
+        progress=part(progress, 0.15, 0.4),
+    )
+    reduced = reduced_to(keep, part(progress, 0.4, 0.55))
+    progress(0.55, "error indicators")
+    found = propose(
+        small(reduced, keep),
+        aim,
+        most=most,
+        apart=conflicts(model, keep),
+        errors=_errors(opened, reduced, aim, keep),
+        words=[c.what for c in keep],
+        passed_over=len(moved) - len(keep),
+        progress=part(progress, 0.55, 1.0),
+    )
+    names = {c.name for c in keep}
+    return Proposed(found, keep, lost, tuple(c.name for c in moved if c.name not in names), len(every))
+
+
+def _errors(opened: Opened, reduced: ReducedModel, aim: Target, keep: tuple[Candidate, ...]) -> dict[str, Float]:
+    """Concentration of the local errors on each candidate."""
+    pairs, _, _ = match(aim, reduced.modes(np.zeros(len(keep))))
+    if not len(pairs):
+        return {}
+    f, shapes = aim.frequencies[pairs[:, 0]], aim.shapes[:, pairs[:, 0]]
+    rows = np.arange(len(reduced.basis.observe))
+    found, _ = reduced_errors(opened.model, opened.analysis.system, reduced, rows, f, shapes, pairs[:, 1])
+    return dict(found.concentration(membership(opened.model, keep)))
