@@ -110,7 +110,8 @@ def test_a_dashpot_on_hardly_any_mass_hides_no_low_mode() -> None:
         projected, full = (analysis.damped_modes(ModesRequest(3), problem=p).modes for p in ("projected", "full"))
     np.testing.assert_allclose(projected.frequencies, full.frequencies, rtol=1e-5)
     np.testing.assert_allclose(projected.damping, full.damping, rtol=1e-5)
-    assert projected.frequencies[0] == pytest.approx(100 * np.sin(np.pi / 122) / np.pi, rel=1e-3)
+    lowest = 100 * np.sin(np.pi / 122) / np.pi  # without the dashpot, which moves it by 0.2 %
+    assert projected.frequencies[0] == pytest.approx(lowest, rel=0.01)
 
 
 @pytest.mark.parametrize("dashpot", [0.0, 0.4])
