@@ -31,6 +31,7 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.results import DampedModes
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.predict import _forces, scatter
+from ringtrue.study.words import validated
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.harmonic import Damping, RegionDamping, Rows
 from ringtrue.update.predict import Output, RunUp, Unbalance, bands, plane, run_up, validated_band
@@ -154,6 +155,8 @@ def test_validated_band_ends_before_the_first_mode_that_is_not_held() -> None:
     assert validated_band(f, np.array([True, True, True, False])) == (3.0, 9.0)
     assert validated_band(f, np.ones(4, dtype=bool)) == (3.0, 20.0)
     assert validated_band(f, np.array([True, False, True, True])) == (0.0, 0.0)
+    assert "nowhere" in validated((0.0, 0.0))
+    assert "from 3 to 9 Hz" in validated((3.0, 9.0))
 
 
 DECK = """SOL 103

@@ -17,6 +17,7 @@ from ringtrue.study.results import PredictStage
 from ringtrue.study.run import run_study
 from ringtrue.study.stages import predict as stage
 from ringtrue.study.store import Store
+from ringtrue.study.words import validated
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.predict import PLANE, RunUp
 
@@ -152,9 +153,7 @@ def _print(found: PredictStage) -> None:
     ]
     heads = ("what", "unit", "peak", f"{level} band", "at Hz", "validated")
     rows(f"Run-up to {r.freqs[-1]:g} Hz, unbalance {found.unbalance.moment:.4g} kg m", heads, body)
-    low, high = r.validated
-    text = f"validated band: {low:.4g} to {high:.4g} Hz; beyond it no test has checked the model"
-    out.print(text)
+    out.print(validated(r.validated))
     for flag in found.flags:
         err.print(f"warning: {flag}")
 

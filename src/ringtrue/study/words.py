@@ -71,6 +71,16 @@ def left_by_loss(plan: PlanStage) -> str:
     return f"without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left"
 
 
+def validated(band: tuple[float, float]) -> str:
+    """How far a prediction may be believed, Hz."""
+    low, high = band
+    if high <= 0:
+        return (
+            "the model is validated nowhere: it does not hold the lowest mode of the test; mend it, or leave that out"
+        )
+    return f"the model is validated from {low:.4g} to {high:.4g} Hz; beyond, no test has checked it"
+
+
 def worse(before: Float, after: Float) -> str:
     """That an updating has made frequencies worse; nothing where it has not by a hundredth of a percent.
 

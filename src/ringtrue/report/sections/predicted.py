@@ -8,6 +8,7 @@ from ringtrue.plots import predicted as plots
 from ringtrue.report.parts import Block, Cell, Plot, Section, Table, Tabs, Text, number, plain, sentence
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import PredictStage
+from ringtrue.study.words import validated
 from ringtrue.update.predict import Bands
 
 
@@ -25,13 +26,11 @@ def section(data: Stages) -> Section | None:
 
 
 def _lead(p: PredictStage) -> str:
-    u, (low, high) = p.unbalance, p.run_up.validated
+    u = p.unbalance
     text = f"A rotor of {number(u.mass, 4)} kg at node {p.rotor}, turning about {p.axis} and balanced to G "
     text += f"{plain(u.grade)} for {plain(u.service)} Hz, has an unbalance of {number(u.moment, 3)} kg m. "
     text += f"It is run up to {plain(float(p.run_up.freqs[-1]))} Hz. "
-    return (
-        text + f"The model is validated from {number(low, 3)} to {number(high, 3)} Hz; beyond, no test has checked it."
-    )
+    return text + sentence(validated(p.run_up.validated))
 
 
 def _peaks(p: PredictStage) -> Table:
