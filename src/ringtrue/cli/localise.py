@@ -24,7 +24,7 @@ POOL: int = LocaliseSection.model_fields["pool"].default
 
 def localise(
     deck: Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")],
-    test: Annotated[Path, typer.Argument(help="Modes of the test: .json, .h5 or .uff")],
+    test: Annotated[Path, typer.Argument(help="Modes of the test: .json, .h5, .uff, .csv or .xlsx")],
     sensors: Annotated[
         Path | None, typer.Option(help="Sensor sheet; without it, channels are DOFs of the deck such as 101+Z.")
     ] = None,

@@ -22,7 +22,7 @@ from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError, about
 from ringtrue.io.matrices import read_matrices
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes_json import MODES, read_modes, read_std
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
@@ -32,7 +32,6 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.placing import alignment, mesh_points, near_mesh, placed, shared_places, words
 from ringtrue.study.summary import correlation_json
 
-MODES = (".json", ".h5", ".hdf5", ".uff", ".unv", ".55")
 LOWEST = 26  # modes of a deck in the place of a test
 ABOVE = 1.5  # modes of a deck up to here over the highest test mode
 BY_FREQUENCY = "no shapes: modes are paired by frequency alone; --lock and --forbid decide otherwise"
@@ -174,8 +173,8 @@ def _show_complete(c: CompleteCorrelation) -> None:
 
 
 def correlate(
-    a: Annotated[Path, typer.Argument(help="Reference modes (test): .json, .h5 or .uff; or a deck")],
-    b: Annotated[Path, typer.Argument(help="Modes to judge: .json, .h5 or .uff; or a Nastran deck, which is solved")],
+    a: Annotated[Path, typer.Argument(help="Reference modes (test): .json, .h5, .uff, .csv or .xlsx; or a deck")],
+    b: Annotated[Path, typer.Argument(help="Modes to judge: such a file, or a Nastran deck, which is solved")],
     sensors: Annotated[
         Path | None, typer.Option(help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z.")
     ] = None,

@@ -42,7 +42,9 @@ def update(
     study: Annotated[Path, typer.Argument(help="study.toml with a deck and candidates.")],
     test: Annotated[
         Path,
-        typer.Argument(help="Test modes, .json, .h5 or .uff; channels of the study's sheet, or DOFs such as 101+Z."),
+        typer.Argument(
+            help="Test modes, .json, .h5, .uff, .csv or .xlsx; channels of the study's sheet, or DOFs such as 101+Z."
+        ),
     ],
     folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where the updated deck goes.")] = None,
     leave_out: Annotated[str, typer.Option(metavar="LIST", help="Test modes to judge by, from 1: 3,7.")] = "",

@@ -3,8 +3,8 @@
 Records: `records` of any format: `delimited`, `lvm`, `matfile`, `plain`, `tdms`, `wav`, `record_layout` (our
 own); `clock`, `complex_cells` and `si` what stands in their cells.
 
-FRFs: `frfs` of any format: `frf_arrays`, `frf_tables`; `frf_lines` that have values. Modes: `modes_json`. Matrices:
-`matrices`, `op4`, `mat5`.
+FRFs: `frfs` of any format: `frf_arrays`, `frf_tables`; `frf_lines` that have values. Modes: `modes_json`,
+`mode_tables`. Matrices: `matrices`, `op4`, `mat5`.
 
 Tests: `sheets` of sensors, `statics`, `choices` by hand.
 

@@ -18,11 +18,14 @@ from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing
+from ringtrue.io.mode_tables import read_mode_table, write_mode_table
 from ringtrue.io.uff.modes import read_mode_sets, write_mode_sets
 
 GROUP = "modes"
 _UFF = (".uff", ".unv", ".55")
 _HDF5 = (".h5", ".hdf5")
+_TABLES = (".csv", ".txt", ".xlsx", ".xlsm")
+MODES = (".json", *_HDF5, *_UFF, *_TABLES)  # what `read_modes` reads
 
 
 def modes_to_json(
@@ -131,7 +134,7 @@ def _column(rows: Sequence[Mapping[str, Any]], key: str, default: float = math.n
 def write_modes(
     path: str | Path, modes: ModeSet, uncertainty: Uncertainty | None = None, reasons: Sequence[str] = ()
 ) -> None:
-    """Write modes as `.json`, `.h5` or `.uff` (data sets 55), by the ending of the path."""
+    """Write modes as `.json`, `.h5`, `.uff` (data sets 55) or `.csv`, by the ending of the path."""
     path = Path(path)
     ext = path.suffix.lower()
     if ext == ".json":
@@ -144,12 +147,14 @@ def write_modes(
                 codec.save(file.create_group("uncertainty"), uncertainty)
     elif ext in _UFF:
         write_mode_sets(path, modes)
+    elif ext == ".csv":
+        write_mode_table(path, modes, uncertainty)
     else:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.json', *_HDF5, *_UFF])}")
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.json', *_HDF5, *_UFF, '.csv'])}")
 
 
 def read_modes(path: str | Path) -> ModeSet:
-    """Read modes from `.json`, `.h5` or `.uff` (data sets 55).
+    """Read modes from `.json`, `.h5`, `.uff` (data sets 55), or a table of `.csv` or `.xlsx`.
 
     Raises
     ------
@@ -170,7 +175,9 @@ def read_modes(path: str | Path) -> ModeSet:
         return _read_h5(path)
     if ext in _UFF:
         return read_mode_sets(path)
-    raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.json', *_HDF5, *_UFF])}")
+    if ext in _TABLES:
+        return read_mode_table(path)[0]
+    raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, MODES)}")
 
 
 def _read_h5(path: Path) -> ModeSet:
@@ -193,6 +200,8 @@ def read_std(path: str | Path) -> tuple[Float, Float]:
     damping : (m,) float64, of the ratio
     """
     path = Path(path)
+    if path.suffix.lower() in _TABLES:
+        return read_mode_table(path)[1:]
     modes = read_modes(path)
     if path.suffix.lower() == ".json":
         rows = json.loads(path.read_text(encoding="utf-8"))["modes"]

@@ -165,7 +165,7 @@ def _point_notes(model: TestModel, group: Int) -> list[str]:
 
 
 def _rows(path: Path, sheet: str | None = None, columns: Sequence[str] = COLUMNS) -> list[Row]:
-    table = [r for r in _cells(path, sheet) if any(r) and not r[0].startswith("#")]
+    table = [r for r in cells(path, sheet) if any(r) and not r[0].startswith("#")]
     if len(table) < 2:
         raise DataError(f"{path}: no rows below the header")
     head = [x.lower() for x in table[0]]
@@ -177,7 +177,14 @@ def _rows(path: Path, sheet: str | None = None, columns: Sequence[str] = COLUMNS
     return [dict(zip(head, r + [""] * (len(head) - len(r)), strict=False)) for r in table[1:]]
 
 
-def _cells(path: Path, sheet: str | None) -> list[list[str]]:
+def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
+    """The texts of a CSV file or a sheet of an Excel workbook, the first if none is named.
+
+    Raises
+    ------
+    DataError
+        If the file is missing or of another kind.
+    """
     path = existing(path)
     if path.suffix.lower() in (".xlsx", ".xlsm"):
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
@@ -297,9 +304,9 @@ def _channel(row: Row, axis: Float, where: str) -> RecordChannel:
 def _line_rows(path: Path, lines: str | Path | None) -> list[tuple[int, int]]:
     table: list[list[str]] = []
     if lines is not None:
-        table = _cells(Path(lines), None)
+        table = cells(Path(lines), None)
     elif path.suffix.lower() in (".xlsx", ".xlsm") and "lines" in _sheet_names(path):
-        table = _cells(path, "lines")
+        table = cells(path, "lines")
     pairs = []
     for i, row in enumerate(table, start=1):
         if len(row) < 2 or not any(row) or (i == 1 and not row[0].isdigit()):

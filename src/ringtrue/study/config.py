@@ -56,7 +56,7 @@ class TestSection(_Section):
     sheet: str
     log: str | None = None
     frfs: list[str] = []  # .uff, .h5, .npz, in place of hammer records
-    modes: str | None = None  # .json, .h5, .uff: identified elsewhere, or by `ringtrue ema` or `oma`
+    modes: str | None = None  # .json, .h5, .uff, .csv, .xlsx: identified elsewhere, or by `ringtrue ema` or `oma`
     leave_out: list[str] = []  # channels that are not used: broken, or on a part that the deck does not have
     lines: str | None = None  # pairs of points to draw
 
@@ -230,7 +230,7 @@ class ConfigurationSection(_Section):
     cards: str | None = None  # a file; its cards are added to the (remodelled) deck of the study
     sheet: str | None = None
     log: str | None = None  # of the crew, or
-    modes: str | None = None  # test modes, .json, .h5 or .uff; without a sheet channels are DOFs such as 101+Z
+    modes: str | None = None  # test modes, as above; without a sheet channels are DOFs such as 101+Z
     lines: str | None = None
     choice: str | None = None  # as under [identify], of this log
     left_out: int = Field(default=0, ge=0)  # modes that the updating must not see
