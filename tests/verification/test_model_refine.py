@@ -71,6 +71,28 @@ def test_tetrahedra_fill_the_same_space_and_come_nearer(name: str) -> None:
     assert (less < 0.9 * off).all()
 
 
+def test_edges_joined_node_by_node_stay_joined() -> None:
+    m = plate(4)
+    x = positions(m)
+    cantilever = {"GRID": grid(x), "SPC1": spc(np.flatnonzero(x[:, 0] == 0) + 1, "123456")}
+    m = replace(m, tables={**m.tables, **cantilever})
+    seam, (xyz, quads) = np.flatnonzero(x[:, 0] == 0.5), square(4, 1.0, 0.7)
+    twin = np.arange(1, seam.size + 1) + len(x)  # of the nodes of the seam, for the elements beyond it
+    beyond = xyz[quads - 1, 0].mean(axis=1) > 0.5
+    other = np.arange(len(x) + 1)
+    other[seam + 1] = twin
+    quads[beyond] = other[quads[beyond]]
+    rigid = cards("RBE2", EID=np.arange(500, 500 + seam.size), GN=seam + 1, CM="123456", GM=ragged(*twin[:, None]))
+    apart = {
+        "GRID": grid(np.vstack([x, x[seam]])),
+        "CQUAD4": fem_cases.shells(quads),
+        "RBE2": rigid,
+    }
+    joined = replace(m, tables={**m.tables, **apart})
+    np.testing.assert_allclose(frequencies(joined), frequencies(m), rtol=SAME)
+    np.testing.assert_allclose(frequencies(refined(joined)), frequencies(refined(m)), rtol=SAME)
+
+
 def test_midside_nodes_of_curved_tetrahedra_lie_on_their_curves() -> None:
     m = solid("CTETRA10", 1)
     bent = m["GRID"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, reduce
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -15,67 +15,11 @@ from ringtrue.errors import UnsupportedError
 from ringtrue.model.cards import NONSTRUCTURAL
 from ringtrue.model.edit import BOTH_ENDS
 from ringtrue.model.frames import axes, positions
+from ringtrue.model.halves import CURVED, LINES, NODES, RODS, Part, parts, weights
 from ringtrue.model.model import Model, Ragged, Table, stacked, table
 
-Corners = tuple[int, ...]  # whose middle a node of a part is; one where it is that corner
-Part = tuple[Corners, ...]
-
-LINES, RODS = ("CBAR", "CBEAM"), ("CROD", "CTUBE")
 SECOND = {"CPENTA": 7, "CHEXA": 9}  # first midside node
-CURVED = "CTETRA10"  # tetrahedra with all their midside nodes
-_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 _WHOLE = ("CTRIA6", "CQUAD8", "CPYRAM")
-_TRIANGLE = ("0 01 02", "01 1 12", "02 12 2", "12 02 01")
-_TETRA = ("0 01 02 03", "01 1 12 13", "02 12 2 23", "03 13 23 3",
-          "13 02 01 03", "13 02 03 23", "13 02 23 12", "13 02 12 01")  # fmt: skip
-_SQUARE = ((0, 0), (1, 0), (1, 1), (0, 1))
-_HALVES = ((0,), (0, 1), (1,))
-NODES = {
-    **dict.fromkeys(LINES, ("GA", "GB")),
-    **dict.fromkeys(RODS, ("G1", "G2")),
-    **dict.fromkeys(("CTRIA3", "CTRIAR"), ("G1", "G2", "G3")),
-    **dict.fromkeys(("CQUAD4", "CQUADR", "CTETRA"), ("G1", "G2", "G3", "G4")),
-    "CPENTA": tuple(f"G{k}" for k in range(1, 7)),
-    "CHEXA": tuple(f"G{k}" for k in range(1, 9)),
-    CURVED: tuple(f"G{k}" for k in range(1, 11)),
-}
-
-
-@cache
-def parts(card: str) -> tuple[Part, ...]:
-    """The parts that an element is split into, each by the nodes of the whole between which its nodes are midway."""
-    if card == CURVED:
-        return tuple(_with_midsides(part) for part in parts("CTETRA"))
-    if card in ("CTRIA3", "CTRIAR", "CTETRA"):
-        return _read(_TETRA if card == "CTETRA" else _TRIANGLE)
-    if card == "CPENTA":
-        layers = [
-            [tuple(c + 3 * z for z in _HALVES[k] for c in corner) for corner in p]
-            for p in _read(_TRIANGLE)
-            for k in range(3)
-        ]
-        return tuple((*layers[i], *layers[i + 1]) for i in range(len(layers)) if i % 3 < 2)
-    corners = {
-        2: ((0,), (1,)),
-        4: _SQUARE,
-        8: tuple((*c, z) for z in (0, 1) for c in _SQUARE),
-    }[len(NODES[card])]
-    return tuple(tuple(_between(corners, o, c) for c in corners) for o in corners)
-
-
-def _with_midsides(part: Part) -> Part:
-    """A part of a CTETRA of ten nodes, whose corners are all nodes of the whole."""
-    corners = [c if len(c) == 1 else (4 + _EDGES.index(c),) for c in part]
-    return (*corners, *((*corners[i], *corners[j]) for i, j in _EDGES))
-
-
-def _weights(card: str, between: Corners) -> Float:
-    """Of the nodes of an element (n,), for the place midway between some: by its shape functions, straight or not."""
-    count = len(NODES[card])
-    if card != CURVED:
-        return np.asarray(np.isin(np.arange(count), between) / len(between))
-    at = np.array([*np.eye(4), *(np.eye(4)[list(e)].mean(axis=0) for e in _EDGES)])[list(between)].mean(axis=0)
-    return np.array([*(at * (2 * at - 1)), *(4 * at[i] * at[j] for i, j in _EDGES)])
 
 
 def _rows(model: Model, kind: str) -> tuple[str, Int]:
@@ -87,18 +31,7 @@ def _rows(model: Model, kind: str) -> tuple[str, Int]:
     return card, np.flatnonzero(curved == (kind == CURVED))
 
 
-def _read(text: Sequence[str]) -> tuple[Part, ...]:
-    """`"0 01"` as ((0,), (0, 1))."""
-    return tuple(tuple(tuple(int(c) for c in corner) for corner in part.split()) for part in text)
-
-
-def _between(corners: Sequence[Corners], origin: Corners, corner: Corners) -> Corners:
-    """Corners of a brick about the corner of the part that lies at `origin`, in halves of the sides."""
-    allowed = [_HALVES[o + c] for o, c in zip(origin, corner, strict=True)]
-    return tuple(i for i, x in enumerate(corners) if all(v in a for v, a in zip(x, allowed, strict=True)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Middles:
     """New nodes: ids (n,), those between which they are (n, 8), ascending and padded in front with 0; places (n, 3)."""
 
@@ -116,9 +49,22 @@ class _Middles:
         found = dict(zip(wanted, ids[same[self.ids.size :]].reshape(len(wanted), -1), strict=True))
         return [np.stack([found.get(c, nodes[:, c[0]]) for c in part], axis=1) for part in pieces]
 
-    def within(self, members: Int) -> Bool:
-        """Which of them (n,) lie between members only."""
-        return np.asarray((np.isin(self.of, members) | (self.of == 0)).all(axis=1))
+    @cached_property
+    def _about(self) -> tuple[Int, Int]:
+        """Nodes about new ones, ascending, and the position of the new one (s,)."""
+        new, column = np.nonzero(self.of)
+        nodes = self.of[new, column]
+        order = np.argsort(nodes, kind="stable")
+        return nodes[order], new[order]
+
+    def within(self, members: Int) -> Int:
+        """Positions (k,) of those that lie between members only."""
+        nodes, new = self._about
+        ends = zip(
+            *(np.searchsorted(nodes, np.unique(members), side=s).tolist() for s in ("left", "right")), strict=True
+        )
+        found, count = np.unique(np.concatenate([new[a:b] for a, b in ends]), return_counts=True)
+        return np.asarray(found[count == (self.of[found] > 0).sum(axis=1)])
 
 
 def _key(nodes: Int) -> Int:
@@ -131,7 +77,7 @@ def refined(model: Model) -> Model:
     Bars, beams, shells and solids of the first order, and tetrahedra of the second, are split in halves along each
     side, rods where they lie along such a side (by itself a rod in halves is a mechanism), tapered beams not. A new
     node lies midway on a side; it is held where all the nodes about it are, and belongs to the RBE2 or RBE3 that all
-    of these belong to. Springs, masses and other connectors stay at their nodes, all of which keep their ids.
+    of these belong to; edges joined node by node by RBE2 stay so. Springs, masses and other connectors stay at their nodes, all of which keep their ids.
 
     Raises
     ------
@@ -150,7 +96,7 @@ def refined(model: Model) -> Model:
     for card in (c for c in NODES if c in model and len(model[c])):
         tables[card] = _split(model, card, middles, first)
         first += len(tables[card])
-    tables |= dict(_held(model, middles)) | dict(_rigid(model, middles))
+    tables |= dict(_held(model, middles)) | dict(_rigid(model, middles, first))
     return replace(model, tables=tables)
 
 
@@ -180,7 +126,7 @@ def _middles(model: Model) -> _Middles:
             nodes = model[card].stack(*names)[rows[~_whole(model, card)[rows]]]
             for c in {c for p in parts(kind) for c in p if len(c) > 1}:
                 keys.append(_key(nodes[:, list(c)]))
-                places.append(np.einsum("k,ekj->ej", _weights(kind, c), x[grid.find(nodes)]))
+                places.append(np.einsum("k,ekj->ej", weights(kind, c), x[grid.find(nodes)]))
     of, first = np.unique(np.concatenate(keys), axis=0, return_index=True)
     last = max(int(grid.ids.max()), *(_scalars(model) or [0]))
     return _Middles(last + 1 + np.arange(len(of)), of, np.concatenate(places)[first])
@@ -348,7 +294,7 @@ def _constraints(model: Model) -> Iterator[tuple[int, str, Any]]:
         yield from zip(t["SID"].tolist(), t["C"].tolist(), t["G"], strict=True)
 
 
-def _rigid(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
+def _rigid(model: Model, middles: _Middles, first: int) -> Iterator[tuple[str, Table]]:
     """RBE2 and RBE3 with the new nodes between those that they join, with the mean of the weights about them."""
     for card, name, more in (("RBE2", "GM", ()), ("RBE3", "G", ("C", "WT"))):
         if card not in model:
@@ -362,7 +308,31 @@ def _rigid(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
             for n in more:
                 lists[n][i] = np.concatenate([lists[n][i], _common(nodes, lists[n][i], middles.of[new])])
         made = {n: Ragged(np.concatenate(v), np.cumsum([0, *(x.size for x in v)])) for n, v in lists.items()}
-        yield card, replace(t, columns={**t.columns, **made})
+        grown = replace(t, columns={**t.columns, **made})
+        yield card, stacked(grown, _seams(t, middles, first)) if card == "RBE2" else grown
+
+
+def _seams(t: Table, middles: _Middles, first: int) -> Table:
+    """RBE2 between new nodes of two edges or faces that RBE2 of one dependent node each join node by node."""
+    one = np.flatnonzero(t.ragged("GM").sizes == 1)
+    dependent = t.ragged("GM").values[t.ragged("GM").offsets[one]]
+    order = np.argsort(dependent, kind="stable")
+    one, dependent = one[order], dependent[order]
+    hubs, more, like = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    for size in (2, 4) if one.size else ():
+        new = np.flatnonzero((middles.of > 0).sum(axis=1) == size)
+        nodes = middles.of[new, -size:]
+        at = np.searchsorted(dependent, nodes).clip(max=one.size - 1)
+        joined = (dependent[at] == nodes).all(axis=1) & (t["CM"][one[at]] == t["CM"][one[at[:, :1]]]).all(axis=1)
+        opposite = t["GN"][one[at[joined]]]
+        (hub,) = middles.corners(opposite, [(tuple(range(size)),)])
+        common = np.where((opposite == opposite[:, :1]).all(axis=1), opposite[:, 0], hub[:, 0])
+        hubs.append(common[common > 0])
+        more.append(middles.ids[new[joined]][common > 0])
+        like.append(one[at[joined, 0]][common > 0])
+    gn, gm, row = (np.concatenate(x) for x in (hubs, more, like))
+    each = Ragged(gm, np.arange(gm.size + 1))
+    return table("RBE2", EID=first + np.arange(gn.size), GN=gn, CM=t["CM"][row], GM=each)
 
 
 def _common(nodes: Int, values: NDArray[Any], of: Int) -> NDArray[Any]:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from ringtrue.backends.registry import EMBEDDED
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.model.refine import NODES
+from ringtrue.model.halves import NODES
 from ringtrue.study.config_errors import explain
 from ringtrue.study.config_plan import PlanSection, rising
 from ringtrue.study.config_update import (
