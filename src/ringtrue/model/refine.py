@@ -77,7 +77,8 @@ def refined(model: Model) -> Model:
     Bars, beams, shells and solids of the first order, and tetrahedra of the second, are split in halves along each
     side, rods where they lie along such a side (by itself a rod in halves is a mechanism), tapered beams not. A new
     node lies midway on a side; it is held where all the nodes about it are, and belongs to the RBE2 or RBE3 that all
-    of these belong to; edges joined node by node by RBE2 stay so. Springs, masses and other connectors stay at their nodes, all of which keep their ids.
+    of these belong to; edges joined node by node by RBE2 stay joined. Springs, masses and other connectors stay at
+    their nodes, all of which keep their ids.
 
     Raises
     ------
