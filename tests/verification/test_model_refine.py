@@ -208,3 +208,13 @@ def test_rigid_body_modes_have_no_mesh_error() -> None:
         found = mesh_errors(free, analysis.modes(ModesRequest(9)).modes, EmbeddedSolver())
     assert np.isnan(found.relative[:6]).all()
     assert np.isfinite(found.relative[6:]).all()
+
+
+def test_a_truss_has_nothing_to_split() -> None:
+    xyz = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    rods = cards("CROD", EID=[1, 2], PID=1, G1=[1, 1], G2=[2, 3])
+    m = model(grid(xyz), rods, cards("PROD", PID=[1], MID=1, A=1e-3), steel(), spc(np.array([2, 3]), "123"), spc=1)
+    with EmbeddedSolver().open(m) as analysis:
+        found = mesh_errors(m, analysis.modes(ModesRequest(2)).modes, EmbeddedSolver())
+    assert not found.off.size
+    assert found.in_words().startswith("no element of the deck would be split")

@@ -50,6 +50,10 @@ class MeshErrors:
 
     def in_words(self, numbers: Int | None = None) -> str:
         """What was refined, and the modes that the mesh puts off, by their numbers (m,) if not 1, 2, ..."""
+        if self.nodes[0] == self.nodes[1]:
+            return (
+                "no element of the deck would be split in a finer mesh (rods, springs, masses and rigid elements stay)"
+            )
         how = "by refining it once ({} nodes to {})".format(*self.nodes)
         if not self.off.size:
             return f"the mesh puts no frequency off by more than {WORTH:.0%}, {how}"
