@@ -203,7 +203,7 @@ def ema(
             return told(title, other, measured.notes, json)
         found = identify_hammer(frfs, band, choice=by_hand, progress=show)
         if by_hand is None:
-            batches = [_windowed(b, window_decay) for b in measured.batches]
+            batches = [_windowed(b, window_decay) for b in measured.batches or (frfs,)]
             found = told_apart(found, batches, band, progress=show)
     write_pages(files[0], (found.modes, found.reasons, found.diagrams), choice_to, diagram)
     none = ("no mode is believed in this band", *found.rejected[-5:])

@@ -47,7 +47,7 @@ from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
 from ringtrue.identify.repeated_hammer import twins, united
 from ringtrue.identify.scale import scale_deviations
-from ringtrue.identify.split import joined, levelled, scattered, split_modes, split_note
+from ringtrue.identify.split import agreeing, joined, levelled, scattered, split_modes, split_note
 from ringtrue.signal.reciprocal import exchanged
 
 TURNS = 6
@@ -112,6 +112,8 @@ class HammerResult:
         ‖H − H_fit‖/‖H‖ over the lines of the reported band.
     notes : tuple of str
         What the reader should know of the FRFs and of a choice by hand.
+    groups : tuple of tuple of int
+        Responses that agree with each other, where the FRFs disagree about modes; else none.
     """
 
     model: ModalModel
@@ -124,6 +126,7 @@ class HammerResult:
     cmif: Float
     synthesis_error: Float
     notes: tuple[str, ...] = ()
+    groups: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
         freeze_fields(self, freqs=np.float64, cmif=np.float64, synthesis_error=np.float64)
@@ -194,7 +197,7 @@ def identify_hammer(
         rejected += why
         if _still(before, fit.refined):
             break
-    search, fit, split = _whole(search, fit)
+    search, fit, split, groups = _whole(search, fit)
     fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
     result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
     reported = lines_between(used, low, high)
@@ -203,7 +206,7 @@ def identify_hammer(
     told = tuple(filter(None, (roving, end_note(frfs, settings.fmax, high), faded)))
     odd = tuple(filter(None, (split, odd_channel(used, fit.refined.poles), parted_modes(result.model))))
     told = (*told, *frf_notes(reported, search.pairs), *result.notes, *said, *late, *odd, *notes)
-    return replace(result, notes=told)
+    return replace(result, notes=told, groups=() if roving else groups)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,15 +301,20 @@ def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit,
     return search, new, why
 
 
-def _whole(search: _Search, fit: _Fit) -> tuple[_Search, _Fit, str]:
-    """The fit with one mode for each that it shows twice since the FRFs disagree about it, and a note on that."""
+def _whole(search: _Search, fit: _Fit) -> tuple[_Search, _Fit, str, tuple[tuple[int, ...], ...]]:
+    """The fit with one mode for each that it shows twice since the FRFs disagree, a note on that, and who agrees."""
     split = split_modes(search.lines, fit.refined)
     if not split:
-        return search, fit, ""
+        return search, fit, "", ()
     level = replace(search, lines=levelled(search.lines, split))
     new = level.refined(joined(search.lines, fit.candidates, split))
     refined = scattered(search.lines, fit.refined, new.refined, split)
-    return level, level.judged(replace(new, refined=refined), strict=True), split_note(refined, len(split))
+    return (
+        level,
+        level.judged(replace(new, refined=refined), strict=True),
+        split_note(refined, len(split)),
+        agreeing(split),
+    )
 
 
 def _still(before: Complex, now: Refined) -> bool:

@@ -23,6 +23,7 @@ from ringtrue.errors import InputError
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer, mode_scale
 from ringtrue.identify.lsfd import blow_factors, noise, normalise, prepare
 from ringtrue.identify.refine import refine, shape_deviations
+from ringtrue.identify.split import DISAGREE, FEWEST
 from ringtrue.shapes.mac import mac
 
 CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
@@ -140,10 +141,15 @@ def told_apart(
     joint : HammerResult
         Of all batches together.
     batches : sequence of FrfSet
-        Fewer than two, other inputs, the same responses in all or roving hammers leave the joint result as it is.
+        One that disagrees with itself is parted by the responses that agree (`HammerResult.groups`). None, other
+        inputs, the same responses in all or roving hammers leave the joint result as it is.
     settings : HammerModes, optional
     progress : callable, optional
     """
+    parts = ""
+    if len(batches) == 1:
+        batches = _parts(batches[0], joint.groups, settings)
+        parts = f", the responses that agree ({'; '.join(' '.join(c.id for c in b.outputs[:8]) for b in batches)}),"
     inputs = {tuple(c.id for c in b.inputs) for b in batches}
     roving = any(b.data.shape[1] < b.data.shape[2] for b in batches)
     moved = len({tuple(c.id for c in b.outputs) for b in batches}) > 1
@@ -159,10 +165,27 @@ def told_apart(
         for f, c in zip(fit.frequency.T, fit.chance, strict=True)
     )
     note = (
-        f"the batches disagree in {int(clear.sum())} of {clear.size} modes: each was fitted by itself, frequencies and "
-        "damping are means, shapes are joined (moved sensors load the structure)"
+        f"the batches{parts} disagree in {int(clear.sum())} of {clear.size} modes: each was fitted by itself, "
+        "frequencies and damping are means, shapes are joined (moved sensors load the structure)"
     )
-    return replace(joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=(*joint.notes, note))
+    notes = (*(n for n in joint.notes if not n.startswith(DISAGREE)), note)
+    return replace(joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=notes)
+
+
+def _parts(frfs: FrfSet, groups: Sequence[Sequence[int]], settings: HammerModes | None) -> list[FrfSet]:
+    """The FRFs by the responses that agree, those of a group again where these disagree among themselves."""
+    out = []
+    for part in (_responses(frfs, np.array(group)) for group in groups):
+        own = identify_hammer(part, settings).groups if len(part.outputs) >= FEWEST else ()
+        out += _parts(part, own, settings) if own else [part]
+    return out
+
+
+def _responses(frfs: FrfSet, at: Int) -> FrfSet:
+    """The FRFs of some responses."""
+    blows = frfs.blows.take(at, np.arange(len(frfs.inputs))) if frfs.blows else None
+    outputs = tuple(frfs.outputs[k] for k in at.tolist())
+    return replace(frfs, data=frfs.data[:, at], coherence=frfs.coherence[:, at], outputs=outputs, blows=blows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.identify.judge import Candidates
@@ -27,6 +28,8 @@ FEWEST = 6  # responses
 TURNS = 12
 BETWEEN_TURNS = 10
 LEAST_DAMPED = 0.1  # of the half bandwidth
+DISAGREE = "the responses disagree"  # so begins the note
+APART = 8.0  # standard deviations between responses that do not agree: those of one place are 1 to 3 apart
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,11 +121,32 @@ def scattered(lines: Lines, fit: Refined, new: Refined, split: Sequence[SplitMod
     Where responses disagree about some modes, those of the others hold it too.
     """
     keep = np.setdiff1d(np.arange(fit.poles.size), [m for s in split for m in s.at])
-    modes = [*(local_poles(lines, fit, (k,)) for k in keep.tolist()), *(s.mode for s in split)]
+    x = lines.s.imag
+    seen = [x[0] < fit.poles[k].imag < x[-1] for k in keep.tolist()]  # modes beyond the lines no response knows
+    spread = [
+        _mean(local_poles(lines, fit, (k,)))[1:] if s else (0.0, 0.0) for k, s in zip(keep.tolist(), seen, strict=True)
+    ]
     old = np.array([new.std_frequency, new.std_damping])
-    std = np.maximum(old, np.array([_mean(m)[1:] for m in modes]).T)
+    std = np.maximum(old, np.array([*spread, *(_mean(s.mode)[1:] for s in split)]).T)
     factor = new.factor * (std / np.maximum(old, 1e-300)).ravel()
     return replace(new, std_frequency=std[0], std_damping=std[1], factor=factor)
+
+
+def agreeing(split: Sequence[SplitMode]) -> tuple[tuple[int, ...], ...]:
+    """Responses that have the split modes at the same frequencies: those of a place that the sensors had, or a day.
+
+    Average linkage of their distances in standard deviations, of several modes the median. Empty where all agree, or
+    one agrees with no other: then there are no groups.
+    """
+    if not split:
+        return ()
+    shift = np.array([np.log(s.mode.poles.imag) for s in split])
+    variance = np.array([s.mode.variance / s.mode.poles.imag**2 for s in split])
+    i, j = np.triu_indices(shift.shape[1], 1)
+    far = np.abs(shift[:, i] - shift[:, j]) / np.sqrt(variance[:, i] + variance[:, j] + np.finfo(float).tiny)
+    group = fcluster(linkage(np.median(far, axis=0), "average"), APART, "distance")
+    parts = tuple(sorted(tuple(np.flatnonzero(group == g).tolist()) for g in np.unique(group)))
+    return parts if len(parts) > 1 and min(map(len, parts)) > 1 else ()
 
 
 def split_note(fit: Refined, count: int) -> str:
@@ -132,7 +156,7 @@ def split_note(fit: Refined, count: int) -> str:
     shift = float(np.median(fit.std_frequency[-count:] / f))
     named = " ".join(f"{x:.5g}" for x in f[order])
     return (
-        f"the responses disagree about the modes at {named} Hz, by {100 * shift:.2g} % of the frequency: each would "
+        f"{DISAGREE} about the modes at {named} Hz, by {100 * shift:.2g} % of the frequency: each would "
         "show as several, and is one with the mean and scatter of the responses (moved sensors load the structure, "
         "or it changed)"
     )

@@ -169,8 +169,8 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         frfs = exchanged(frfs)[0]
         shown += more
     result = _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
-    if result is not None and choice.of(HAMMER) is None:
-        result = told_apart(result, batches, _band(desk.config.identify))
+    if frfs and result is not None and choice.of(HAMMER) is None:
+        result = told_apart(result, batches or (frfs,), _band(desk.config.identify))
     if hits and result is not None:
         at = len(shown) - len(hits)
         shown[at] = replace(shown[at], notes=(*shown[at].notes, *result.notes))
