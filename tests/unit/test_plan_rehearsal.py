@@ -332,6 +332,22 @@ def test_criteria_of_target_modes_in_a_study(deck: Path) -> None:
         run_study(study, until="plan")
 
 
+def test_a_plan_of_rigid_body_modes_alone(deck: Path) -> None:
+    """The frame with its lowest modes taken for those of a suspension: a band below their end holds them."""
+    study = deck.with_name("study.toml")
+    text = '[model]\ndeck = "frame.bdf"\nfmax = 20.0\n[correlate]\nrigid_below = {}\n[plan]\nsensors = 9\nfmax = {}\n'
+    whole = text.format(1.0, 18.0) + "ambient = false\n"
+    study.write_text(whole)
+    f = run_study(study, until="plan").results["plan"].target_frequencies
+    edge = float(np.sqrt(f[1] * f[2]))
+    study.write_text(text.format(edge, 0.99 * edge))
+    found = run_study(study, until="plan").results["plan"]
+    np.testing.assert_allclose(found.target_frequencies, f[:2])
+    assert found.expected_modes.tolist() == found.target_modes.tolist()
+    study.write_text(text.format(edge, 18.0))
+    np.testing.assert_allclose(run_study(study, until="plan").results["plan"].target_frequencies, f[2:])
+
+
 def test_what_a_plan_asks_for_in_vain_is_said(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [
         "plan",

@@ -106,7 +106,8 @@ def _shapes(desk: Workbench, nodes: Int, modes: Int) -> Float:
 
 def _targets(desk: Workbench, plan: PlanSection, f: Float, edge: float) -> Targets:
     """The target modes: as named, or those of the band that a criterion asks for."""
-    low = max(edge, plan.fmin)
+    rigid = plan.fmax <= edge  # a band of rigid-body modes alone is one of them
+    low = max(RIGID * f.max() if rigid else edge, plan.fmin)
     if plan.modes:
         if max(plan.modes) > f.size:
             raise ConfigError(f"[plan] modes: {max(plan.modes)} of {f.size} modes below fmax of [model]; raise it")
@@ -179,7 +180,7 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     targets = wanted.modes
     elastic = f > RIGID * f.max()
     timed = targets[elastic[targets]] if elastic[targets].any() else targets  # what decays; rigid bodies do not
-    first = np.concatenate([np.flatnonzero(elastic & seen & (f <= edge)), timed[: plan.ambient_sensors]])
+    first = np.union1d(np.flatnonzero(elastic & seen & (f <= edge)), timed[: plan.ambient_sensors])
     apart = _apart(plan, able.apart, plan.sensors)
     ambient_at = _ambient(plan, able, shapes[:, :, first], apart) if plan.ambient else np.zeros(0, dtype=np.int64)
     fixed = np.isin(np.arange(able.at.size), ambient_at) | np.isin(able.node, plan.fixed)
