@@ -28,6 +28,9 @@ def test_notes_stand_below_the_table() -> None:
     assert max(len(cell) for row in table.rows for cell in row) < 20
     assert notes.items == [f"b: {LONG}", "b: short"]
     assert len(_tests((record("a", ()),))) == 1
+    _, notes = _tests((record("a", ("mains hum", "short")), record("b", ("mains hum",))))
+    assert isinstance(notes, Items)
+    assert notes.items == ["a, b: mains hum", "a: short"]
 
 
 def test_records_of_a_setup_are_one_row() -> None:

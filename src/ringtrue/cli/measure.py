@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from math import degrees
 from pathlib import Path
@@ -34,6 +34,7 @@ from ringtrue.study.summary import correlation_json
 
 LOWEST = 26  # modes of a deck in the place of a test
 ABOVE = 1.5  # modes of a deck up to here over the highest test mode
+OF_ORTHOGONALITY = "gate of the orthogonality; give --complete or --mass"
 BY_FREQUENCY = "no shapes: modes are paired by frequency alone; --lock and --forbid decide otherwise"
 
 
@@ -44,6 +45,18 @@ def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, Mode
     if not common and one.channels and here:
         raise DataError(f"{a} and {b} have no channel in common: {one.channels[:5]} against {two.channels[:5]}")
     return one.rows(common), two.rows(common)
+
+
+def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[bool, bool]:
+    """Whether A and B are decks; what cannot be held against each other is refused."""
+    first, second = (x.suffix.lower() not in MODES for x in (a, b))
+    if sensors is not None and not second:
+        raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
+    if first and (sensors is not None or align or not second):
+        raise ConfigError(f"{a}: modes of a deck are held against another deck only, at its nodes, in one frame")
+    if align and sensors is None:
+        raise ConfigError(f"--align {align}: lays the places of a sheet onto a deck; give --sensors")
+    return first, second
 
 
 def _as_test(deck: Path, units: str) -> tuple[ModeSet, TestModel, str]:
@@ -94,12 +107,6 @@ def _of_deck(
     if isinstance(sensors, Path) and here is not None:
         notes += shared_places(opened, here.pick(channels), modes)
     return there, tuple(notes), lambda: channel_mass(opened, look, channels, asked, reach)
-
-
-def _refuse_idle(given: Mapping[str, object], why: str) -> None:
-    """Refuse options that would change nothing."""
-    if idle := [name for name, value in given.items() if value is not None]:
-        raise ConfigError(f"{idle[0]} {given[idle[0]]}: {why}")
 
 
 def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], ...]:
@@ -223,34 +230,24 @@ def correlate(
     """
     settings = PairingSettings(mac_gate=mac_gate / 100, frequency_gate=frequency_gate / 100)
     locks = Locks(_pair_list("--lock", lock), _pair_list("--forbid", forbid))
-    deck, both = b.suffix.lower() not in MODES, a.suffix.lower() not in MODES
-    if sensors is not None and not deck:
-        raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
-    if both and (sensors is not None or align or not deck):
-        raise ConfigError(f"{a}: modes of a deck are held against another deck only, at its nodes, in one frame")
-    gates = {"--diagonal": diagonal, "--off-diagonal": off_diagonal}
-    if not deck:
-        _refuse_idle({"--units": units}, "no deck is given")
-    if not both and sensors is None:
-        _refuse_idle({"--tolerance": tolerance}, "of the places of a sheet from a deck; give --sensors")
-    if sensors is None:
-        _refuse_idle({"--align": align}, "lays the places of a sheet onto a deck; give --sensors")
-        _refuse_idle({"--match": match}, "of the places of a sheet on a deck; give --sensors")
-    if not everything or not deck or mass is not None:
-        _refuse_idle({"--tam": tam}, "the mass of a deck, for --complete without --mass")
-    if not everything and mass is None:
-        _refuse_idle(gates, "gate of the orthogonality; give --complete or --mass")
+    both, deck = _decks(a, b, sensors, align)
+    idle = {
+        "--units": (units, deck, "no deck is given"),
+        "--match": (match, sensors is not None, "of the places of a sheet on a deck; give --sensors"),
+        "--tolerance": (tolerance, both or sensors is not None, "of the places of a sheet from a deck; give --sensors"),
+        "--tam": (tam, everything and deck and mass is None, "the mass of a deck, for --complete without --mass"),
+        "--diagonal": (diagonal, everything or mass is not None, OF_ORTHOGONALITY),
+        "--off-diagonal": (off_diagonal, everything or mass is not None, OF_ORTHOGONALITY),
+    }
+    for name, (value_of, counts, why) in idle.items():
+        if value_of is not None and not counts:
+            raise ConfigError(f"{name} {value_of}: {why}")
     own, other = 90.0 if diagonal is None else diagonal, 10.0 if off_diagonal is None else off_diagonal
     gate = Gate(own / 100, other / 100, f"{own:g} % / {other:g} %")
     units, tolerance = units or "SI", 0.05 if tolerance is None else tolerance
     match, tam = match or "nearest", tam or "irs"
     asked = CorrelateSection.model_validate(
-        {
-            "match": "rigid" if both else match,
-            "align": align or "",
-            "tam": tam,
-            "frequency_gate": settings.frequency_gate,
-        }
+        {"match": "rigid" if both else match, "align": align or "", "tam": tam, "frequency_gate": frequency_gate / 100}
     )
     test, points, first = _as_test(a, units) if both else (read_modes(a), sensors, "")
     there, notes, held = (

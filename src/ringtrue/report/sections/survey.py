@@ -65,8 +65,12 @@ def _tests(records: tuple[RecordSummary, ...]) -> list[Block]:
 
 
 def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
-    """A row a part, one record or a setup of several, and below what is to be said of each: notes are long."""
-    notes = [f"{_name(mine)}: {told}" for mine in parts for told in _notes(mine)]
+    """A row a part, one record or a setup of several, and below what is to be said of which: notes are long."""
+    told: dict[str, list[str]] = {}
+    for mine in parts:
+        for note in _notes(mine):
+            told.setdefault(note, []).append(_name(mine))
+    notes = [f"{', '.join(names)}: {note}" for note, names in told.items()]
     table = Table(HEADS, [_row(mine) for mine in parts], caption)
     return [table, Items(notes)] if notes else [table]
 
