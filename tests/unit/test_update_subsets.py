@@ -24,6 +24,7 @@ from ringtrue.update.choose import Choice
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.effects import SHARP, effects, force_residual, paired_residual
 from ringtrue.update.generate import generate
+from ringtrue.update.identifiable import blind_cosines, identifiability
 from ringtrue.update.objective import Residual, Weights, residual
 from ringtrue.update.objective import Target as Aim
 from ringtrue.update.pool import conflicts, explaining, of_parameter
@@ -224,3 +225,21 @@ def test_the_error_of_a_member_covers_what_the_others_may_be_off_by() -> None:
         std = stated_errors(search, Choice(np.array([0]), x, 0.0), end)[0]
         held += abs(x[0] - truth[0]) < 1.645 * std
     assert 0.88 <= held / count <= 0.98  # by the spread of the member alone 26 %
+
+
+def test_bounds_of_a_large_survey_need_no_square_of_its_readings() -> None:
+    """200 modes at 600 channels are 120 000 residuals: the same as of their triangular factor."""
+    g = (
+        np.random.default_rng(8).standard_normal((120_000, 3))
+        @ np.array([[1.0, 0.4, 0], [0, 1, 0], [0, 0, 1e-3]])
+        * 1e-3
+    )
+    r = np.linalg.qr(g, mode="r")
+    for one, other in zip(
+        (identifiability(g).bound, identifiability(g).together, *blind_cosines(g)),
+        (identifiability(r).bound, identifiability(r).together, *blind_cosines(r)),
+        strict=True,
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)
+    wide = identifiability(r[:2])  # fewer readings than parameters leave a direction open
+    assert np.isinf(wide.bound).any()

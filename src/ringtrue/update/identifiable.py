@@ -56,14 +56,19 @@ def identifiability(sensitivities: Float) -> Identifiability:
     """
     g = _columns(sensitivities)
     information = np.sum(g**2, axis=0)
-    _, s, vt = linalg.svd(g, full_matrices=True)
-    s = np.concatenate([s, np.zeros(vt.shape[0] - s.size)])
+    s, vt = _right(g)
     together = np.sqrt(np.sum(vt**2 / (1 + s[:, None] ** 2), axis=0))
     seen = s > max(g.shape) * np.finfo(float).eps * s.max(initial=0.0)
     open_ = np.sum(vt[~seen] ** 2, axis=0) > 1e-12
     bound = np.sqrt(np.sum((vt[seen] / s[seen][:, None]) ** 2, axis=0))
     bound = np.where(open_, np.inf, bound)
     return Identifiability(1 / np.sqrt(1 + information), together, bound, bound**2 * information)
+
+
+def _right(g: Float) -> tuple[Float, Float]:
+    """Singular values (p,) of g (r, p) and its right vectors (p, p); the left ones would be (r, r)."""
+    _, s, vt = linalg.svd(g, full_matrices=g.shape[0] < g.shape[1])
+    return np.concatenate([s, np.zeros(vt.shape[0] - s.size)]), np.asarray(vt)
 
 
 def cosines(sensitivities: Float) -> Float:
@@ -88,8 +93,7 @@ def blind_cosines(sensitivities: Float, level: float = BLIND) -> tuple[Float, Fl
         |cosine| between the projections of two parameters on the open space; near 1 they only trade with each other.
     """
     g = _columns(sensitivities)
-    _, s, vt = linalg.svd(g, full_matrices=True)
-    s = np.concatenate([s, np.zeros(vt.shape[0] - s.size)])
+    s, vt = _right(g)
     open_ = vt[s < level]
     share = np.sqrt(np.sum(open_**2, axis=0))
     unit = open_ / np.where(share > 1e-9, share, np.inf)
