@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.model import Model, Table
 
+MOST = 6  # rows that a message names
+
 
 def error(model: Model, table: Table, row: int, message: str) -> DeckError:
     """A DeckError at the place of a row of a table."""
@@ -20,14 +22,14 @@ def unsupported(model: Model, table: Table, row: int, why: str) -> UnsupportedCa
     return UnsupportedCard(table.card, path=path, line=line, why=f"{table.ids[row]} {why}")
 
 
-def called(model: Model, rows: Sequence[tuple[Table, int]], most: int = 6) -> str:
+def called(model: Model, rows: Sequence[tuple[Table, int]]) -> str:
     """Rows of tables as a message calls them, with the lines of those that share a card and id."""
     names = [f"{t.card} {t.ids[i]}" for t, i in rows]
     told = [
         f"{name} of line {line}" if names.count(name) > 1 and (line := _place(model, *row)[1]) else name
-        for name, row in zip(names[:most], rows, strict=False)
+        for name, row in zip(names[:MOST], rows, strict=False)
     ]
-    return ", ".join([*told, *(["..."] if len(rows) > most else [])])
+    return ", ".join([*told, *(["..."] if len(rows) > MOST else [])])
 
 
 def _place(model: Model, table: Table, row: int) -> tuple[str | None, int | None]:

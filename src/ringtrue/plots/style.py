@@ -39,10 +39,10 @@ def log_axis(title: str = "", **more: Any) -> dict[str, Any]:
     return axis(title, type="log", exponentformat="power", tickfont={"size": 10}) | more
 
 
-def hertz(title: str = "Frequency, Hz") -> dict[str, Any]:
+def hertz() -> dict[str, Any]:
     """A logarithmic axis of frequencies with 1, 2 and 5 of each decade written out."""
     values = [m * 10.0**k for k in range(-3, 6) for m in (1, 2, 5)]
-    return axis(title, type="log", tickvals=values, ticktext=[f"{v:g}" for v in values])
+    return axis("Frequency, Hz", type="log", tickvals=values, ticktext=[f"{v:g}" for v in values])
 
 
 def figure(height: int = 340, **layout: Any) -> go.Figure:

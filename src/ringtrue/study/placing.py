@@ -211,11 +211,11 @@ def placed(
     return opened.observation(test.pick(tuple(channels)), tolerance, method, dofs=dofs)
 
 
-def mesh_points(opened: Opened, most: int = MESHED) -> TestModel:
-    """Nodes that are drawn of a deck and move, at most so many all over it, as points with three directions each."""
+def mesh_points(opened: Opened) -> TestModel:
+    """Nodes that are drawn of a deck and move, `MESHED` at most all over it, as points with three directions each."""
     scene = make_scene(opened.model, {}, opened.length)
     drawn = np.flatnonzero(np.isin(scene.node, opened.model["GRID"].ids[opened.moves]))
-    at = drawn[np.unique(np.linspace(0, drawn.size - 1, min(most, drawn.size)).astype(np.int64))]
+    at = drawn[np.unique(np.linspace(0, drawn.size - 1, min(MESHED, drawn.size)).astype(np.int64))]
     node, axes = scene.node[at], np.tile(np.eye(3), (at.size, 1))
     channels = tuple(f"{n}+{a}" for n in node.tolist() for a in "XYZ")
     return TestModel(node, scene.xyz[at], channels, np.repeat(node, 3), axes, np.zeros((0, 2), dtype=np.int64))
