@@ -72,7 +72,7 @@ def plan(
         float,
         typer.Option(metavar="N/√HZ", help="Virtual ambient tests, too, under such a force at each channel.", min=0),
     ] = 0.0,
-    seed: Annotated[int, typer.Option(help="Of the virtual tests.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the virtual tests.", min=0)] = 0,
     units: Annotated[str, one_of("--units", LENGTH, "Unit system of the deck")] = "SI",
     json: Json = None,
 ) -> int:

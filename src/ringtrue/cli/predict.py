@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.show import Json, err, out, progress, rows, write_json
+from ringtrue.cli.show import Json, err, one_of, out, progress, rows, write_json
 from ringtrue.errors import ConfigError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.study.config import PredictSection, StudyConfig, read_config
@@ -21,26 +21,33 @@ from ringtrue.study.words import validated
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.predict import PLANE, RunUp
 
-AXES = ", ".join(PLANE)
+
+def _stated(
+    option: str, what: str, metavar: str | None = None, least: float | None = None, most: float | None = None
+) -> Any:
+    """An option in the place of a key of [predict], whose default is told."""
+    key = {"--to": "fmax"}.get(option, option.removeprefix("--"))
+    told = f"{what}; {PredictSection.model_fields[key].default:g} if not stated."
+    return typer.Option(option, metavar=metavar, help=told, min=least, max=most)
 
 
 def run(
     study: Annotated[Path, typer.Argument(help="study.toml of a study that has been run.")],
     folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where its results are.")] = None,
     rotor: Annotated[int | None, typer.Option(metavar="NODE", help="Node that the unbalance acts on.")] = None,
-    mass: Annotated[float | None, typer.Option(metavar="KG", help="Of the rotor.")] = None,
-    axis: Annotated[str | None, typer.Option(help=f"Of the rotor: {AXES}.")] = None,
-    grade: Annotated[float | None, typer.Option(metavar="MM/S", help="Balance grade G (ISO 21940-11).")] = None,
-    service: Annotated[float | None, typer.Option(metavar="HZ", help="Service speed.")] = None,
-    fmax: Annotated[float | None, typer.Option("--to", metavar="HZ", help="Highest speed.")] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="Mass of the rotor.")] = None,
+    axis: Annotated[str | None, one_of("--axis", PLANE, "Axis of the rotor")] = None,
+    grade: Annotated[float | None, _stated("--grade", "Balance grade G (ISO 21940-11)", "MM/S")] = None,
+    service: Annotated[float | None, _stated("--service", "Service speed", "HZ")] = None,
+    fmax: Annotated[float | None, _stated("--to", "Highest speed", "HZ")] = None,
     springs: Annotated[
         list[str] | None,
         typer.Option("--springs", metavar="NAME=PID[,PID]", help="PBUSH whose forces are wanted; repeat it."),
     ] = None,
-    lines: Annotated[int | None, typer.Option(help="Speeds.", min=2)] = None,
-    draws: Annotated[int | None, typer.Option(help="Draws of the posterior.", min=20)] = None,
-    level: Annotated[float | None, typer.Option(help="Of the bands.", min=0.5, max=0.95)] = None,
-    seed: Annotated[int | None, typer.Option(help="Of the draws.", min=0)] = None,
+    lines: Annotated[int | None, _stated("--lines", "Number of speeds", least=2)] = None,
+    draws: Annotated[int | None, _stated("--draws", "Draws of the posterior", least=20)] = None,
+    level: Annotated[float | None, _stated("--level", "Probability of the bands", least=0.5, most=0.95)] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the draws.", min=0)] = None,
     table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write every line.")] = None,
     json: Json = None,
 ) -> int:

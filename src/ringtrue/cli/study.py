@@ -14,8 +14,11 @@ from ringtrue.report.deliver import deliver, report_from_store
 from ringtrue.study.acceptance import Check, limits, missed_words
 from ringtrue.study.results import UpdateStage
 from ringtrue.study.run import StudyRun, load_study, run_study
+from ringtrue.study.stages import STAGES
 from ringtrue.study.summary import finite, summarise
 from ringtrue.study.words import told
+
+ORDER = ", ".join(s.name for s in STAGES)
 
 
 def _verdict(checks: tuple[Check, ...]) -> int:
@@ -61,7 +64,9 @@ def run(
     study: Annotated[Path, typer.Argument(help="study.toml")],
     folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where results go.")] = None,
     first: Annotated[str | None, typer.Option("--from", metavar="STAGE", help="Run anew from this stage on.")] = None,
-    until: Annotated[str | None, typer.Option("--until", metavar="STAGE", help="The last stage to run.")] = None,
+    until: Annotated[
+        str | None, typer.Option("--until", metavar="STAGE", help=f"The last stage to run. Stages: {ORDER}.")
+    ] = None,
     json: Json = None,
 ) -> int:
     """Run a study: what is up to date is taken from study.h5, the rest is computed.

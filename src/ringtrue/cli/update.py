@@ -73,7 +73,7 @@ def update(
     starts: Annotated[
         int | None, typer.Option(metavar="N", help="Starts; the first is the deck as it is.", min=1)
     ] = None,
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Of the starts.", min=0)] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Seed of the starts.", min=0)] = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keep the last iterate here; go on from it if it is there.")
     ] = None,
