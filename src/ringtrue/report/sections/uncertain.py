@@ -135,15 +135,15 @@ def _parameters(s: UncertaintyStage) -> Table:
     rows: list[list[str | Cell]] = []
     for i, name in enumerate(s.parameters.names):
         row: list[str | Cell] = [name, fixed(float(s.factor[i]), 3), _span(s.interval[i]), _span(s.prior[i])]
-        row += [fixed(float(s.ratio[i]), 2), fixed(100 * float(s.kept[i]), 0)]
+        row += [number(float(s.ratio[i]), 2), fixed(100 * float(s.kept[i]), 0)]
         row += [_span(s.sampled[i])] if sampled else []
         chip: str | Cell = Cell("not proven", "warn") if s.unproven[i] else ""
         rows.append([*row, chip if s.moved[i] else Cell("the test says little", "warn")])
     text = (
         "Intervals of the factors, around the delivered values, with the discrepancy of the model as the error and the "
-        "candidates that were not chosen as wide as their priors. Change kept: the least that is left of a change when "
-        "a fold of modes is left out. Where the interval holds 1, or less than half is kept, the parameter may take up "
-        "an error of the model's form, or the test tells it only together with others."
+        "candidates that were not chosen as wide as their priors. Change kept: the least that is left of a change that "
+        "is not slight when a fold of modes is left out. Where the interval holds 1, or less than half is kept, the "
+        "parameter may take up an error of the model's form, or the test tells it only together with others."
     )
     if sampled:
         text += (

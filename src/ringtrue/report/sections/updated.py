@@ -110,7 +110,7 @@ def _parameters(u: UpdateStage, s: SetResult, std: Float) -> Table:
         shown = Cell(fixed(factor, 3), "warn", "at its bound") if at_bound else fixed(factor, 3)
         values = [number(u.initial_values.get(name), 4), number(u.updated_values.get(name), 4), shown]
         spread = [number(100 * float(std[j]), 2), f"{plain(low)} to {plain(high)}"]
-        rows.append([name, *values, *spread, fixed(float(s.identifiability[j]), 2)])
+        rows.append([name, *values, *spread, number(float(s.identifiability[j]), 2)])
     text = "The updated parameters, deck units. σ after / before, with the errors that the updating assumed, near 1: "
     text += "the data say nothing about it."
     return Table(heads, rows, text)

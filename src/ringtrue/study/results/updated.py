@@ -13,7 +13,7 @@ from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.study.results.correlated import Evidence
 from ringtrue.update.kfold import Held
 from ringtrue.update.localise import SCARCE
-from ringtrue.update.plausible import kept, unproven
+from ringtrue.update.plausible import SLIGHT, kept, unproven
 from ringtrue.update.posterior import Posterior
 from ringtrue.update.predict import RunUp, Unbalance
 from ringtrue.update.proposal import Proposal
@@ -267,8 +267,9 @@ class UncertaintyStage:
 
     @property
     def kept(self) -> Float:
-        """Least share of each change that is there with any fold of modes left out, (p,)."""
-        return kept(self.parameters.vector(self.factor), self.held.ends)
+        """Least share of each change that is there with any fold of modes left out, (p,); NaN where it is slight."""
+        share = kept(self.parameters.vector(self.factor), self.held.ends)
+        return np.where(np.abs(self.factor - 1) > SLIGHT, share, np.nan)
 
     @property
     def unproven(self) -> Bool:
