@@ -15,7 +15,6 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.placing import mesh_points
 from ringtrue.study.reference import positions, settings
 
-NODES = 300  # whose motion tells the modes of a deck apart as its parameters change
 ALONE = ("eigenvalues", "frequencies")  # residuals that need no shapes
 
 
@@ -55,7 +54,7 @@ def lent(test: ModeSet, opened: Opened, config: StudyConfig) -> tuple[ModeSet, I
         raise DataError(
             f"{test.source}: no mode of the deck within {100 * gates.frequency_gate:.3g} % of one of the test"
         )
-    look = at_dofs(mesh_points(opened, NODES).channels, opened.analysis.dofs)
+    look = at_dofs(mesh_points(opened).channels, opened.analysis.dofs)
     found = replace(test.take(pairing.a), shapes=look(modes.shapes[:, pairing.b]), labels=look.channels)
     taken = ", ".join(f"{i + 1} for {j + 1}" for i, j in zip(pairing.a.tolist(), pairing.b.tolist(), strict=True))
     lone = (f"mode {i + 1} is not used: {why}" for i, why in zip(pairing.lone_a.tolist(), pairing.why_a, strict=True))
