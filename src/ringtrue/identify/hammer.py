@@ -30,7 +30,7 @@ from ringtrue.identify.frf_input import (
     sound_pairs,
 )
 from ringtrue.identify.judge import Candidates, Verdict, judge
-from ringtrue.identify.leakage import block_of_noise, hann_note
+from ringtrue.identify.leakage import block_of_noise, hann_note, looks_faded
 from ringtrue.identify.lsfd import (
     Lines,
     blow_factors,
@@ -52,7 +52,7 @@ from ringtrue.signal.reciprocal import exchanged
 
 TURNS = 6
 LAST_ITERATIONS = 60
-TRIAL, FADED = 2, 0.95  # iterations of a fit as blocks under a Hann window, and its share of the misfit, if they are
+FADED = 0.95  # of the misfit, that blocks of noise under a Hann window leave as such, if they are
 RINGING_TURNS = 6  # of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
 MOST_NEW = 6
 MOST_BYTES = 2e9
@@ -283,9 +283,11 @@ def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Searc
     """The fit of FRFs that blocks of noise under a Hann window explain better, with a note; else as it is."""
     length = block_of_noise(frfs)
     r, trial = fit.refined, replace(search, lines=replace(search.lines, hann=length))
-    if not length or refine(trial.lines, r.poles, r.participation, iterations=TRIAL).cost > FADED * r.cost:
+    if not length or not looks_faded(search.lines, r, length):
         return frfs, search, fit, ""
     new = trial.refined(replace(fit.candidates, pole=r.poles, participation=r.participation))
+    if new.refined.cost > FADED * r.cost:
+        return frfs, search, fit, ""
     return replace(frfs, hann=length), trial, trial.judged(new, strict=True), hann_note(r.poles, new.refined.poles)
 
 
