@@ -206,6 +206,15 @@ def test_a_trigger_with_few_samples_before_the_pulse(before: int) -> None:
     assert np.linalg.norm(frfs.data[:, :, 0] - want) < 0.02 * np.linalg.norm(want)
 
 
+def test_points_at_which_the_force_has_the_other_sign_are_told() -> None:
+    """A hammer pushes: its cell was turned at one point, or the blow came from the other side."""
+    parts = [record(k, [0, 7], seed=k, starts=STARTS[:2]) for k in (1, 4, 6)]
+    assert not any("sign" in n for n in forced_frfs(parts, HammerSettings(fmax=60.0)).notes)
+    turned = replace(parts[1], data=parts[1].data * np.array([-1.0, 1.0, 1.0])[:, None])
+    told = forced_frfs([parts[0], turned, parts[2]], HammerSettings(fmax=60.0)).notes
+    assert any(n.startswith("the force is negative at 5+Z, and of the other sign elsewhere") for n in told)
+
+
 def test_roving_responses_and_hammers_become_one_set() -> None:
     parts = [record(i, o, seed=9 * i + k) for i in (1, 7) for k, o in enumerate(([0, 1, 2, 3], [3, 4, 5]))]
     frfs, reports = estimate_frf(parts, HammerSettings(fmax=60.0))

@@ -31,8 +31,8 @@ class Forced:
     hits : tuple of HitReport
         The blows; none of shakers.
     notes : tuple of str
-        Responses that overload, where the FRFs of blows end because the force does; how those of shakers were
-        estimated.
+        Responses that overload, points at which the force has the other sign, where the FRFs of blows end because
+        the force does; how those of shakers were estimated.
     """
 
     columns: tuple[FrfSet, ...]
@@ -70,11 +70,29 @@ def forced_frfs(
         columns, hits = estimate_columns(records, settings, full_scale=full_scale, progress=progress)
         lost = dict.fromkeys(c for h in hits for c in h.lost)
         told = (f"response {' '.join(lost)}: overload in most blows, left out",) if lost else ()
-        return Forced(columns, hits, (*told, *_force_end(columns, records[0].rate, settings.keep_to)))
+        notes = (*told, *_turned(hits), *_force_end(columns, records[0].rate, settings.keep_to))
+        return Forced(columns, hits, notes)
     parts = tuple(_shaken(records, resolution, settings.estimator))
-    step, averages = parts[0].freqs[1] - parts[0].freqs[0], parts[0].averages[0]
+    step, averages = float(np.median(np.diff(parts[0].freqs))), parts[0].averages[0]
     said = f"the force runs all the time: lines {step:.3g} Hz apart, {averages:.3g} averages at each"
     return Forced(parts, notes=(said,))
+
+
+def _turned(hits: Sequence[HitReport]) -> tuple[str, ...]:
+    """A line where a hammer, which can only push, has forces of one sign at some points and of the other elsewhere."""
+    peaks: dict[str, list[float]] = {}
+    for h in hits:
+        if h.accepted:
+            peaks.setdefault(h.input, []).append(h.peak)
+    below = [point for point, peak in peaks.items() if np.median(peak) < 0]
+    if not 0 < len(below) < len(peaks):
+        return ()
+    above = [point for point in peaks if point not in below]
+    sign, few = ("negative", below) if len(below) <= len(above) else ("positive", above)
+    return (
+        f"the force is {sign} at {' '.join(few[:8])}{f' and {len(few) - 8} more' if len(few) > 8 else ''}, and of the "
+        "other sign elsewhere: unless that is the direction of the blow, the shapes are turned there",
+    )
 
 
 def _force_end(columns: Sequence[FrfSet], rate: float, keep_to: float | None) -> tuple[str, ...]:
