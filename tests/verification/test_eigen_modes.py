@@ -233,6 +233,54 @@ def test_a_band_from_zero_has_the_rigid_modes(mesh):
     assert got.complete
 
 
+@pytest.mark.parametrize("apart", [0.0, 1e-12, 1e-9])
+def test_copies_with_few_masses(apart):
+    """Blocks that run out of directions: 84 copies of six rows of which two have a mass, shuffled."""
+    rng = np.random.default_rng(2)
+    k = 1e3 * np.diag([2.0, 3, 3, 2, 4, 2])
+    k -= 1e3 * (np.eye(6, k=1) + np.eye(6, k=-1))
+    m = np.diag([0, 0.3, 0, 0, 2.0, 0])
+    order = rng.permutation(6 * 84)
+    stiffer = 1 + apart * rng.uniform(-1, 1, 84)
+    K, M = (
+        sparse.csr_array(sparse.block_diag(a, format="csr")[order][:, order])
+        for a in ([c * k for c in stiffer], [m] * 84)
+    )
+    held = np.setdiff1d(np.arange(6), [1, 4])
+    inner = k[np.ix_([1, 4], [1, 4])] - k[np.ix_([1, 4], held)] @ np.linalg.solve(
+        k[np.ix_(held, held)], k[np.ix_(held, [1, 4])]
+    )
+    one = linalg.eigh(inner, np.diag([0.3, 2.0]), eigvals_only=True)
+    for count in (30, 120):
+        got = solve_modes(Pencil(K, M), count)
+        assert np.allclose(got.values, np.sort(np.repeat(one, 84))[:count], rtol=1e-8)
+        assert got.complete
+
+
+@pytest.mark.parametrize("ends", [(0, 30), (30, 59), (30, 99)])
+def test_ends_of_a_band_that_are_modes(ends):
+    """Of roots that are there 20 times; a mode at an end is in the band."""
+    k, m = plate(4, 4)
+    free = held(k, 4, 4)
+    k, m = k[free][:, free], m[free][:, free]
+    many = [sparse.csr_array(sparse.block_diag([a] * 20)) for a in (k, m)]
+    one = np.repeat(linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True), 20)
+    band = tuple(np.sqrt(one[list(ends)]) / (2 * np.pi))
+    got = solve_modes(Pencil(*many), band=band)
+    want = one[(one > 0.999 * one[ends[0]]) & (one < 1.001 * one[ends[1]])]
+    assert got.complete
+    assert np.allclose(got.values, want, rtol=1e-8)
+
+
+def test_bodies_without_any_motion_but_rigid_ones():
+    """500 free pairs of rows, one with a mass: nothing but modes at zero."""
+    K = sparse.csr_array(sparse.block_diag([1e3 * np.array([[1.0, -1], [-1, 1]])] * 500))
+    M = sparse.csr_array(sparse.diags_array(np.tile([2.0, 0.0], 500)))
+    got = solve_modes(Pencil(K, M), 10)
+    assert got.values.size == 10
+    assert np.abs(got.values).max() < 1e-6
+
+
 @pytest.mark.parametrize("held_at", [0.0, 1.0])
 @pytest.mark.parametrize("digits", [11, 12, 14, 15])
 def test_a_stiffness_that_leaves_no_digits_is_told(digits, held_at):

@@ -22,6 +22,7 @@ from ringtrue.errors import NotConverged
 BLOCK = 8  # a solve of eight right-hand sides takes MKL 1.3 times that of four (rslab: 1.2 times)
 TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
 WELL = 1e-8  # condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
+CANCELLED = 1e-4  # share of a block that its other columns leave of one, below which it is made orthogonal again
 MAX_STEPS = 1000
 PATIENCE = 5  # restarts without a further pair: more roots stand close together than the basis holds
 GROWN = 1e40  # of a basis vector, in motions that the mass does not see: left out before they overflow
@@ -110,6 +111,10 @@ class Krylov:
         """Put an M-orthonormal basis of w behind V; returns R with w = Q·R. Directions below `floor` are
         roundoff: random ones, decoupled (zero rows of R), take their place until the space is exhausted."""
         q, mq, r = self._orthonormal(w, floor)
+        left = np.linalg.norm(r, axis=1)
+        if left.size and left.min() < CANCELLED * left.max():  # what rounding left of V grew with the rest
+            q, mq, again = self._orthonormal(self._orthogonalise(q, self.held)[0], 0.0)
+            r = again @ r
         if np.abs(q).max(initial=0.0) > GROWN:
             q[self.massless] = 0.0
         missing = BLOCK - q.shape[1]

@@ -29,6 +29,7 @@ BLURRED = 1e-2  # relative error of the first pair after them: seen from the shi
 SHARP = 1e-5  # relative residual of all pairs together, beyond which they are refined once
 SAME = 1e-2  # share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was counted
 LOW = 0.03  # share of the upper end of a band: how far below zero its modes are sought from
+EDGE = 1e-9  # share of λ beyond the ends of a band that counts as within
 ROUNDING = 2e-6  # share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
 
 
@@ -53,7 +54,7 @@ def solve_modes(
     pencil : Pencil
     count : int
     band : (low, high), Hz, optional
-        In its place.
+        In its place; a mode at an end is in it.
     shift : float, optional
         A known good negative shift (rad/s)²; found from the problem if not given.
 
@@ -95,7 +96,7 @@ def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> Eige
     if band is None:
         at = np.arange(min(count, values.size))
     else:
-        at = np.flatnonzero((values >= _low(band)) & (values <= eigenvalue(band[1])))
+        at = np.flatnonzero((values >= _low(band) * (1 - EDGE)) & (values <= eigenvalue(band[1]) * (1 + EDGE)))
     values, vectors, residuals, orthogonality = polish(pencil.stiffness, pencil.mass, values[at], vectors[:, at])
     proof = f"all eigenvalues of the {pencil.size} DOFs were computed"
     return EigenModes(values, vectors, residuals, orthogonality, True, proof, shift)
@@ -157,6 +158,8 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]
             nearest = min(nearest, -NOISE * float(np.abs(values).max(initial=0.0)))
             continue
         theta, error = theta[still:], error[still:]
+        if not theta.size:  # there are no others
+            break
         first = shift + 1 / float(theta[0])
         if error[0] > BLURRED * theta[0] and first < -shift:
             shift = min(-0.3 * abs(first), 1e-4 * shift, nearest)
@@ -353,10 +356,9 @@ def _band(
     pairs = _filled(pencil, none, sigma, top, None if few else bottom, progress)
     proof = f"{wanted} eigenvalues between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm) at both ends"
     values = sigma + 1 / pairs.theta
-    at = np.flatnonzero((values >= low) & (values <= high))
+    at = np.flatnonzero((values >= bottom.shift) & (values <= top.shift))
     chosen = lanczos.RitzPairs(pairs.theta[at], pairs.vectors[:, at], pairs.exhausted)
-    inside = values < top.shift if few else (values < top.shift) & (values > bottom.shift)
-    complete = int(inside.sum()) == expected and top.below >= 0
+    complete = at.size == wanted
     return _finish(pencil, chosen, sigma, slice(None), complete, proof + f"; {at.size} found")
 
 
@@ -367,14 +369,22 @@ def _beyond(values: Float, top: _Count, bottom: _Count | None) -> bool:
 
 
 def _counted(pencil: Pencil, value: float, side: int) -> _Count:
-    """Inertia at a band end, moved outward by 1e-9 if a mode stands exactly there."""
-    for push in (0.0, 1e-9, 1e-6):
+    """Inertia at a band end, moved outward by 1e-9 for a mode that stands there, and on if one does then.
+
+    Without inertia the count is negative.
+    """
+    found = None
+    for push in (EDGE, 3 * EDGE, 1000 * EDGE):
         at = value * (1 + side * push)
         try:
-            return _Count(pencil.at(at).negatives, at)
+            found = _Count(pencil.at(at).negatives, at)
         except SingularModel:
             continue
-    raise NumericalError(f"cannot count at {value:.6g} (rad/s)^2: a band end stands on a mode; move it")
+        if found.below >= 0:
+            break
+    if found is None:
+        raise NumericalError(f"cannot count at {value:.6g} (rad/s)^2: a band end stands on a mode; move it")
+    return found
 
 
 def _finish(
