@@ -30,7 +30,7 @@ from ringtrue.cli.identify import (
     write_pages,
 )
 from ringtrue.cli.levels import check_levels, levels_json, print_levels
-from ringtrue.cli.show import Json, file_target, progress, tell, write_json
+from ringtrue.cli.show import Json, file_to, progress, tell, write_json
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about
@@ -157,12 +157,7 @@ def ema(
     diagram: Diagram = None,
     frfs_to: Annotated[
         Path | None,
-        typer.Option(
-            "--write-frfs",
-            metavar="FILE",
-            help="Write the FRFs with their coherence (.h5, .uff, .csv).",
-            callback=file_target("--write-frfs", ".h5", ".uff", ".csv"),
-        ),
+        file_to("--write-frfs", "Write the FRFs with their coherence", ".h5", ".uff", ".csv"),
     ] = None,
     json: Json = None,
 ) -> int:

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.show import Json, file_target, progress, rows, tell, write_json
+from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
@@ -76,21 +76,11 @@ ChoiceFile = Annotated[
 ]
 WriteChoice = Annotated[
     Path | None,
-    typer.Option(
-        "--write-choice",
-        metavar="FILE",
-        help="Write the modes as a choice to be edited (.toml, .json).",
-        callback=file_target("--write-choice", ".toml", ".json"),
-    ),
+    file_to("--write-choice", "Write the modes as a choice to be edited", ".toml", ".json"),
 ]
 Diagram = Annotated[
     Path | None,
-    typer.Option(
-        "--diagram",
-        metavar="FILE",
-        help="Write the stabilisation diagrams as a page to pick poles on (.html).",
-        callback=file_target("--diagram", ".html"),
-    ),
+    file_to("--diagram", "Write the stabilisation diagrams as a page to pick poles on", ".html"),
 ]
 
 

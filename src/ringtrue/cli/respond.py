@@ -12,7 +12,7 @@ import typer
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.ema import Motion
 from ringtrue.cli.model import Deck
-from ringtrue.cli.show import Json, Units, err, file_target, progress, rows, unit_length, unit_mass, write_json
+from ringtrue.cli.show import Json, Units, err, file_to, progress, rows, unit_length, unit_mass, write_json
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.motions import FRF_KIND, SI_UNIT
@@ -53,18 +53,11 @@ def frf(
     units: Units = "SI",
     target: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            metavar="FILE",
-            help="Write the FRFs: .h5, .uff or .csv.",
-            callback=file_target("--out", ".h5", ".uff", ".csv"),
-        ),
+        file_to("--out", "Write the FRFs", ".h5", ".uff", ".csv"),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            "--plot", metavar="FILE", help="Write the curves as a page.", callback=file_target("--plot", ".html")
-        ),
+        file_to("--plot", "Write the curves as a page", ".html"),
     ] = None,
     json: Json = None,
 ) -> int:
@@ -205,12 +198,7 @@ def static(
     units: Units = "SI",
     table: Annotated[
         Path | None,
-        typer.Option(
-            "--csv",
-            metavar="FILE",
-            help="Write the table that a static test of a study has.",
-            callback=file_target("--csv", ".csv"),
-        ),
+        file_to("--csv", "Write the table that a static test of a study has", ".csv"),
     ] = None,
     json: Json = None,
 ) -> int:

@@ -93,8 +93,8 @@ Json = Annotated[
 ]
 
 
-def file_target(option: str, *endings: str) -> object:
-    """A check of a file to write: its folder is there and its ending allowed, before any work is done."""
+def file_to(option: str, what: str, *endings: str) -> Any:
+    """An option with a file to write, its folder there and its ending allowed, before any work; `what` is its help."""
 
     def check(value: Path | None) -> Path | None:
         if value is not None and not value.parent.is_dir():
@@ -103,7 +103,7 @@ def file_target(option: str, *endings: str) -> object:
             raise ConfigError(f"{option} {value}: format {value.suffix!r}{did_you_mean(value.suffix, endings)}")
         return value
 
-    return check
+    return typer.Option(option, metavar="FILE", help=f"{what}: {', '.join(endings)}.", callback=check)
 
 
 def one_of(option: str, allowed: Iterable[str], what: str, otherwise: str = "") -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from ringtrue.cli.identify import Fmax, Fmin, LeaveOut, Rate, check_band
-from ringtrue.cli.show import Json, file_target, progress, rows, tell, write_json
+from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
@@ -112,18 +112,11 @@ def track(
     leave_out: LeaveOut = None,
     table: Annotated[
         Path | None,
-        typer.Option(
-            "--csv",
-            metavar="FILE",
-            help="Write a line for each mode and stretch.",
-            callback=file_target("--csv", ".csv"),
-        ),
+        file_to("--csv", "Write a line for each mode and stretch", ".csv"),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            "--plot", metavar="FILE", help="Write the figures as one page.", callback=file_target("--plot", ".html")
-        ),
+        file_to("--plot", "Write the figures as one page", ".html"),
     ] = None,
     json: Json = None,
 ) -> int:
