@@ -287,6 +287,8 @@ def test_wrong_options_of_modes(deck: Path, tmp_path: Path, capsys: Capture) -> 
     assert "none.bdf" in refused(capsys, "modes", tmp_path / "none.bdf")
     assert "none.bdf" in refused(capsys, "check", tmp_path / "none.bdf")
     assert str(tmp_path) in refused(capsys, "modes", tmp_path)
+    for target in ("fe.txt", "lost/fe.h5"):  # before the deck is read
+        assert target in refused(capsys, "modes", tmp_path / "none.bdf", "--out", tmp_path / target)
 
 
 def test_a_singular_model_is_a_failed_result(deck: Path, capsys: Capture) -> None:

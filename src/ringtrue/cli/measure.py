@@ -22,7 +22,7 @@ from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError, about
 from ringtrue.io.matrices import read_matrices
-from ringtrue.io.modes_json import MODES, read_modes, read_std
+from ringtrue.io.modes_json import READ, read_modes, read_std
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
@@ -49,7 +49,7 @@ def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, Mode
 
 def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[bool, bool]:
     """Whether A and B are decks; what cannot be held against each other is refused."""
-    first, second = (x.suffix.lower() not in MODES for x in (a, b))
+    first, second = (x.suffix.lower() not in READ for x in (a, b))
     if sensors is not None and not second:
         raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
     if first and (sensors is not None or align or not second):

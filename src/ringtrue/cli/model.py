@@ -20,12 +20,12 @@ from ringtrue.checks.mass import mass_properties, unconstrained
 from ringtrue.checks.mesh import MeshErrors, mesh_errors
 from ringtrue.checks.units import UNIT_SYSTEMS
 from ringtrue.cli.convert import writable
-from ringtrue.cli.show import Json, json_file, one_of, out, progress, rows, write_json
+from ringtrue.cli.show import Json, file_to, json_file, one_of, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import part
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.modes_json import dump_modes, write_modes
+from ringtrue.io.modes_json import WRITTEN, dump_modes, write_modes
 from ringtrue.io.nastran.reader import Survey, read_deck, survey
 from ringtrue.model.method import asked_modes
 from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
@@ -51,9 +51,7 @@ def modes(
     mesh: Annotated[
         bool, typer.Option("--mesh-error", help="How far the mesh puts each frequency off, by refining it once.")
     ] = False,
-    target: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="Write the modes: .h5, .json or .uff.")
-    ] = None,
+    target: Annotated[Path | None, file_to("--out", "Write the modes", *WRITTEN)] = None,
     json: Json = None,
 ) -> int:
     """Natural modes of a deck, with the proof that none is missing; or its complex modes (--complex).

@@ -25,7 +25,8 @@ GROUP = "modes"
 _UFF = (".uff", ".unv", ".55")
 _HDF5 = (".h5", ".hdf5")
 _TABLES = (".csv", ".txt", ".xlsx", ".xlsm")
-MODES = (".json", *_HDF5, *_UFF, *_TABLES)  # what `read_modes` reads
+READ = (".json", *_HDF5, *_UFF, *_TABLES)  # endings
+WRITTEN = (".json", *_HDF5, *_UFF, ".csv")
 
 
 def modes_to_json(
@@ -150,7 +151,7 @@ def write_modes(
     elif ext == ".csv":
         write_mode_table(path, modes, uncertainty)
     else:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.json', *_HDF5, *_UFF, '.csv'])}")
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, WRITTEN)}")
 
 
 def read_modes(path: str | Path) -> ModeSet:
@@ -177,7 +178,7 @@ def read_modes(path: str | Path) -> ModeSet:
         return read_mode_sets(path)
     if ext in _TABLES:
         return read_mode_table(path)[0]
-    raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, MODES)}")
+    raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, READ)}")
 
 
 def _read_h5(path: Path) -> ModeSet:

@@ -9,7 +9,7 @@ from ringtrue.plots.scene import View, painted
 from ringtrue.plots.style import FE, MUTED, TEST, axis, f32, figure
 from ringtrue.study.results import LocaliseStage, Scene
 
-BARS = 40  # regions
+BARS, TOLD = 40, 8  # regions with a bar, and in the key of the model
 COLD, WARM, HOT = "#d9e0e6", "#e9a95f", "#a8320a"
 EVEN, MOST = 1.0, 4.0  # times the share of strain energy: an error that is spread evenly, and the end of the colours
 
@@ -52,11 +52,11 @@ def _line(x: float) -> dict[str, object]:
 
 
 def view(scene: Scene, stage: LocaliseStage) -> View:
-    """The model with its regions in the colours of `regions`."""
+    """The model with its regions in the colours of `regions`, whose bars name them; `TOLD` in the key."""
     value = dict(zip(stage.regions, stage.concentration.tolist(), strict=True))
     found = [value.get(g, np.nan) for g in scene.groups]
     strong = sorted((g for g in scene.groups if value.get(g, 0.0) > EVEN), key=lambda g: -value[g])
-    legend = [(g, color(value[g]), f"{value[g]:.1f} ×") for g in strong]
+    legend = [(g, color(value[g]), f"{value[g]:.1f} ×") for g in strong[:TOLD]]
     return painted(scene, [color(x) for x in found], [1.0 if x > EVEN else 0.35 for x in found], legend)
 
 
