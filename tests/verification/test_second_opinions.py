@@ -11,7 +11,8 @@ import test_ema_methods as hammer
 import test_oma_methods as ambient
 
 from ringtrue.cli.main import run
-from ringtrue.errors import ConfigError
+from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify.ambient import AmbientSettings
 from ringtrue.identify.ambient_methods import METHODS, identify_ambient_by
 from ringtrue.identify.frf_methods import identify_frfs_by
@@ -78,6 +79,17 @@ def test_frf_methods_find_the_modes(method: str) -> None:
     assert found.modes.norm == "mass"
     assert np.isnan(found.uncertainty.frequency).all()
     assert "no standard deviations" in found.notes[0]
+
+
+@pytest.mark.parametrize("method", ["lsce", "rfp", "cmif"])
+def test_frfs_of_noise_have_no_modes(method: str) -> None:
+    for seed in range(4):
+        rng, count = np.random.default_rng(seed), 1 + 3 * (seed % 2)
+        h = rng.standard_normal((800, count, 1)) + 1j * rng.standard_normal((800, count, 1))
+        outputs = tuple(Channel(f"{k + 1}+Z", "acceleration", "m/s^2") for k in range(count))
+        noise = FrfSet(h, 0.5 * np.arange(1, 801), outputs, (Channel("1+Z", "force", "N"),))
+        with pytest.raises(DataError, match="the FRFs are noise"):
+            identify_frfs_by(method, noise)
 
 
 def test_methods_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

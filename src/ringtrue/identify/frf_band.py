@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringtrue.core.arrays import Float
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identify.lsfd import likeness
 
 _USABLE = 0.5  # of coherence, or of likeness
+_NOISE = 0.6  # of likeness, smoothed, that white noise of a single FRF does not reach
 _TO_THE_END = 0.95
 
 
@@ -29,10 +31,20 @@ def _usable_to(frfs: FrfSet) -> float:
     f = frfs.freqs
     known = bool(np.isfinite(frfs.coherence).all())
     good = np.median(frfs.coherence, axis=(1, 2)) if known else likeness(frfs.data, f)
-    wide = max(5, f.size // 50) | 1
-    good = np.convolve(np.pad(good, wide // 2, mode="edge"), np.ones(wide) / wide, "valid")
-    usable = f[good > _USABLE]
+    usable = f[_smoothed(good) > _USABLE]
     return float(usable[-1] if usable.size else f[-1])
+
+
+def _smoothed(line: Float) -> Float:
+    wide = max(5, line.size // 50) | 1
+    return np.convolve(np.pad(line, wide // 2, mode="edge"), np.ones(wide) / wide, "valid")
+
+
+def refuse_noise(frfs: FrfSet) -> None:
+    """Raise where no line is like its neighbours, for methods that find modes in noise too."""
+    if _smoothed(likeness(frfs.data, frfs.freqs)).max() < _NOISE:
+        ends = f"{frfs.freqs[0]:g} and {frfs.freqs[-1]:g} Hz"
+        raise DataError(f"{frfs.source}: the FRFs are noise: between {ends} no line is like those beside it")
 
 
 def end_note(frfs: FrfSet, fmax: float | None, high: float) -> str:

@@ -16,7 +16,7 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.identify.bands_hammer import MOST_PEAKS, choose_bands, grouped, merged, principal
-from ringtrue.identify.frf_band import band_limits, lines_between
+from ringtrue.identify.frf_band import band_limits, lines_between, refuse_noise
 from ringtrue.identify.frf_input import frf_notes, refuse_bad_frfs, sound_pairs
 from ringtrue.identify.hammer import HammerModes, mode_scale
 from ringtrue.identify.judge import judge
@@ -55,7 +55,7 @@ def identify_frfs_by(
     ConfigError
         If there is no such method, or LSCE is asked of uneven lines.
     DataError
-        If the FRFs are no FRFs, or no mode is found.
+        If the FRFs are no FRFs, or noise, or no mode is found.
     """
     if method not in METHODS:
         raise ConfigError(f"method {method!r}{did_you_mean(method, METHODS)}")
@@ -63,6 +63,7 @@ def identify_frfs_by(
     refuse_bad_frfs(frfs)
     frfs, roving = exchanged(frfs)
     low, high = band_limits(frfs, settings.fmin, settings.fmax)
+    refuse_noise(lines_between(frfs, low, settings.fmax or np.inf))
     tell(0.0, NAMES[method])
     if method == "cmif":
         model = cmif_modes(frfs, CmifPeaks(low, high))
