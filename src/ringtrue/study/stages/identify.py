@@ -170,7 +170,8 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         shown += more
     result = _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
     if frfs and result is not None and choice.of(HAMMER) is None:
-        result = told_apart(result, batches or (frfs,), _band(desk.config.identify))
+        batches = batches if len(batches) > 1 else (frfs,)
+        result = told_apart(result, batches, _band(desk.config.identify))
     if hits and result is not None:
         at = len(shown) - len(hits)
         shown[at] = replace(shown[at], notes=(*shown[at].notes, *result.notes))
