@@ -117,8 +117,16 @@ def about(path: object) -> Iterator[None]:
 
 
 def did_you_mean(got: str, allowed: Iterable[str]) -> str:
-    """A clause that lists the allowed names and the nearest one: `"; did you mean 'hammer'? Allowed: ..."`."""
+    """A clause that lists the allowed names and the nearest one, in any case, or one that begins so.
+
+    >>> did_you_mean("dir", ["direction", "point"])
+    "; did you mean 'direction'? Allowed: direction, point"
+    >>> did_you_mean("si", ["SI", "mm-t-s"])
+    "; did you mean 'SI'? Allowed: SI, mm-t-s"
+    """
     names = sorted(allowed)
-    near = get_close_matches(got, names, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ";"
+    plain = {n.lower(): n for n in names}
+    begun = [n for n in plain if got and n.startswith(got.lower())]
+    near = get_close_matches(got.lower(), plain, n=1) or begun
+    hint = f"; did you mean {plain[near[0]]!r}?" if near else ";"
     return f"{hint} Allowed: {', '.join(names)}"
