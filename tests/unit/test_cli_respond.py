@@ -63,6 +63,8 @@ def test_a_ratio_stands_in_place_of_the_damping_of_the_deck(tmp_path: Path, caps
     words = ["frf", str(deck), "--force", "5+X", "--fmax", "5", "--quantity", "displacement"]
     assert run(words) == 2
     assert "give --damping" in capsys.readouterr().err
+    assert run([*words, "--direct"]) == 2
+    assert "leave --direct out" in capsys.readouterr().err
     assert run([*words, "--damping", "0.03", "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
     w = 2 * np.pi * np.array(found["frequencies_hz"])

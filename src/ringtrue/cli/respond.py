@@ -82,10 +82,9 @@ def frf(
         model, modal = read_damped_deck(deck)
         with EmbeddedSolver(progress=part(show, 0.2, 1.0)).open(model) as analysis:
             if damping is None and not (analysis.has_damping or (modal and not direct)):
-                raise ConfigError(
-                    "the deck has no damping of its own (dashpots, GE, PARAM G, SDAMPING but with --direct): "
-                    "give --damping 0.01"
-                )
+                own = "the deck has no damping of its own (dashpots, GE, PARAM G"
+                lost = f"--direct: {own}): leave --direct out" if direct else f"{own}, SDAMPING): give --damping 0.01"
+                raise ConfigError(lost)
             if direct and modal:
                 err.print("warning: SDAMPING is of modes: --direct leaves it out, as SOL 108 does")
             _warn_of_held(analysis, heard, into)
