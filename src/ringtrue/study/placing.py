@@ -112,11 +112,11 @@ def _other_size(times: float) -> str:
 
 def words(found: Alignment) -> str:
     """The placement in words."""
-    angle = np.degrees(np.arccos(np.clip((np.trace(found.rotation) - 1) / 2, -1.0, 1.0)))
+    angle = round(float(np.degrees(np.arccos(np.clip((np.trace(found.rotation) - 1) / 2, -1.0, 1.0)))), 3)
     x, y, z = (np.round(found.shift, 6) + 0.0).tolist()  # to the micrometre
     lost = int((~found.used).sum())
     return (
-        f"the points of the test were turned by {round(float(angle), 3):.3g}° and moved by ({x:.4g}, {y:.4g}, {z:.4g}) m onto the deck; "
+        f"the points of the test were turned by {angle:.3g}° and moved by ({x:.4g}, {y:.4g}, {z:.4g}) m onto the deck; "
         f"{int(found.used.sum())} of them fit within {round(1e3 * found.rms, 3):.3g} mm"
         + (f", {lost} do not and were set aside" if lost else "")
     )
