@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import AmbientResult, identify_ambient
+from ringtrue.identify.ambient_verdict import feet
 from ringtrue.signal.strokes import without_strokes
 from ringtrue.signal.sweeps import without_sweeps
 
@@ -120,3 +121,24 @@ def test_a_pole_that_the_halves_of_the_record_deny_is_told() -> None:
     (note,) = (n for n in r.notes if told in n)
     assert abs(float(note.split()[2]) / F[3] - 1) < 0.005
     assert not any(told in n for n in identify_ambient(record(forces())).notes)
+
+
+def test_what_a_line_leaves_that_was_taken_out_is_no_mode() -> None:
+    f, z, line = np.array([10.0, 24.43, 33.0]), np.array([0.01, 6e-4, 0.012]), np.array([24.437])
+    assert feet(f, z, line, 900.0) == (0.0, 24.437, 0.0)
+    assert feet(f, z, np.array([24.5]), 900.0) == (0.0, 0.0, 0.0)  # beside it
+    assert feet(f, np.full(3, 6e-4), line, 900.0) == (0.0, 0.0, 0.0)  # as the modes are
+    assert feet(f, z, np.empty(0), 900.0) == (0.0, 0.0, 0.0)
+    assert feet(f[:0], z[:0], line, 900.0) == ()
+
+
+def test_a_fan_of_wandering_phase_takes_the_place_of_no_mode() -> None:
+    """A line 0.7 % below a mode, of 1e-4 of its frequency in wander: its sides were a mode of 0.1 % damping."""
+    rate, f, rng = 256.0, np.array([12.0, 24.6, 33.0, 49.7, 71.0]), np.random.default_rng(1)
+    drift = lfilter([np.sqrt(1 - 0.99993**2)], [1, -0.99993], rng.standard_normal(int(900 * rate)))
+    fan = np.cos(2 * np.pi * np.cumsum(24.435 * (1 + 1e-4 * drift)) / rate)
+    r = identify_ambient(record(rng.standard_normal((5, fan.size)) + PUSH * fan, f, np.full(5, 0.01), rate))
+    assert (r.modes.damping > 0.005).all(), (r.modes.frequencies, r.modes.damping)
+    assert (np.abs(r.modes.frequencies[:, None] / f - 1).min(axis=1) < 4e-3).all()
+    assert len(r.modes) >= 4
+    assert len(r.modes) == 5 or any(abs(float(n.split()[2]) - 24.4) < 0.1 for n in r.notes if n.startswith("pole at"))

@@ -36,6 +36,7 @@ from ringtrue.identify.ambient_verdict import (
     denied,
     dense_set,
     fastest_decay,
+    feet,
     machine,
     overtones,
     reason,
@@ -242,7 +243,7 @@ def identify_stretches(
     for (k, _), other in zip(looks, again, strict=True):
         found[k], other = surer_groups(found[k], other, settings.confidence_min)
         found.append(other)
-    result = _assemble(good, found, lines, bands, settings, known, whole)
+    result = _assemble(good, found, lines, places, bands, settings, known, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.uncertainty.frequency, result.reasons)
         result = replace(result, modes=modes, reasons=reasons)
@@ -262,6 +263,7 @@ def _assemble(
     history: TimeHistory,
     found: list[Found],
     lines: tuple[Harmonic, ...],
+    gone: list[float],
     bands: tuple[Band, ...],
     settings: AmbientSettings,
     heard: Heard,
@@ -280,11 +282,16 @@ def _assemble(
         every, wide = np.append(f_all, known), np.append(z_all, np.zeros(len(known)))
         kin = locked(whole, every, wide, running + [True] * len(known))
         machines = tuple(x or y for x, y in zip(machines, kin[: len(rows)], strict=True))
-    for (b, i), f, z, h, unsteady, edge in zip(rows, f_all, z_all, standing, machines, edges, strict=True):
+    left = feet(f_all, z_all, np.array(gone), history.duration)
+    for (b, i), f, z, h, unsteady, edge, foot in zip(rows, f_all, z_all, standing, machines, edges, left, strict=True):
         if h:
             left_out.append(f"pole at {f:.4g} Hz left out: {h.why}{BESIDE}")
         elif z < LEAST_DAMPING:
             left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")
+        elif foot:
+            left_out.append(
+                f"pole at {f:.4g} Hz left out: what the line at {foot:.5g} Hz left whose phase wanders{HIDES}"
+            )
         elif unsteady:
             left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}{HIDES}")
         elif edge:

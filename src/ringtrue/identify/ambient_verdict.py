@@ -22,6 +22,7 @@ OVERTONE = 3e-3  # relative distance
 FEW = 4  # channels: with three any shape is like any other
 ECHO, LIKE, ROUGH = 1.25, 0.9, 0.2  # ratio of frequencies, MAC, and deviation of the damping over it
 WORSE = 15.0  # times the least deviation of the damping of a mode
+LINE, SHARP = 2e-3, 5.0  # damping that a line may seem to have, and times less of it than the modes have
 STEADY = 2.5  # deviations of the logarithm of a fourth moment
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
 CROWD = 0.2  # of the order; each mode takes two
@@ -179,8 +180,21 @@ def machine(f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: floa
     cycles = 2 * np.pi * zeta * f * duration
     told = np.log(2 * cycles / (cycles + 1)) - STEADY / np.sqrt(cycles)
     near = [h for h in lines if abs(h.frequency - f) < max(0.5 * resolution, zeta * f, 1e-3 * f)]
-    near = [h for h in near if zeta < 2e-3 or (zeta < resolution / f and np.log(h.moment) < told)]
+    near = [h for h in near if zeta < LINE or (zeta < resolution / f and np.log(h.moment) < told)]
     return near[0] if near else None
+
+
+def feet(frequency: Float, damping: Float, sines: Float, duration: float) -> tuple[float, ...]:
+    """For each pole (m,) the line of `sines`, Hz, that was taken out and left this much of itself; 0 for modes.
+
+    A sine whose phase wanders leaves its sides, in place of the mode they stand on: far sharper than the modes are.
+    """
+    off = np.abs(sines[:, None] - frequency)
+    near = off < np.maximum(damping * frequency, 2 / duration)
+    far = damping[~near.any(axis=0) | (damping > LINE)]
+    usual = float(np.median(far)) if far.size else 0.0
+    sharp = damping < min(LINE, usual / SHARP)
+    return tuple(float(max(sines[near[:, k] & sharp[k]], default=0.0)) for k in range(frequency.size))  # a few poles
 
 
 def unresolved(found: list[Found], told: Float) -> tuple[str, ...]:
