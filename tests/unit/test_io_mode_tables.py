@@ -51,6 +51,32 @@ def test_frequencies_alone_and_angular_ones(tmp_path: Path) -> None:
     assert np.isnan(read_std(tmp_path / "modes.csv")[0]).all()
 
 
+@pytest.mark.parametrize(
+    ("head", "hertz"),
+    [
+        ("Natural frequency [Hz]", 1.0),
+        ("frequency_hz", 1.0),
+        ("f [kHz]", 1e3),
+        ("Frequency (rpm)", 1 / 60),
+    ],
+)
+def test_titles_and_units_of_frequencies(tmp_path: Path, head: str, hertz: float) -> None:
+    path = table(tmp_path, f"No.,{head},± [Hz],Modal damping [%]\n1,6,0.5,0.8\n2,30,,0.7\n")
+    found = read_modes(path)
+    assert found.frequencies == pytest.approx([6 * hertz, 30 * hertz])
+    assert found.damping == pytest.approx([0.008, 0.007])
+    assert found.channels == ()
+    np.testing.assert_allclose(read_std(path)[0], [0.5, np.nan])
+
+
+def test_a_table_as_a_spreadsheet_saves_it_abroad(tmp_path: Path) -> None:
+    path = tmp_path / "modes.csv"
+    path.write_bytes("f [Hz];6,37;16,1\nDämpfung [%];0,8;0,7\n".encode("latin-1"))
+    found = read_modes(path)
+    assert found.frequencies.tolist() == [6.37, 16.1]
+    assert found.damping == pytest.approx([0.008, 0.007])
+
+
 def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
     book = openpyxl.Workbook()
     for row in (["mode", 1, 2], ["f [Hz]", 4.5, 7], ["zeta", 0.01, 0.02], ["3+Z", 1, -0.25]):
@@ -69,7 +95,10 @@ def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
         ("", "no row or column"),
         ("frequency [Hz],1+Z\n", "no mode below `frequency [Hz]`"),
         ("frequency,1+Z\n3.0,much\n", "1+Z is 'much'; it must be a number"),
-        ("frequency,damping\n3.0,1.5\n", "damping fractions of critical, or [%] in its title"),
+        ("frequency,1+Z\n3.0,inf\n", "1+Z is 'inf'; it must be a number"),
+        ("frequency,damping\n3.0,1.5\n4.0,0.8\n", "`damping`: 1.5 of critical? What is in percent has [%]"),
+        ("frequency,3,4\n1+Z,1,2\n1+Z,3,4\n", "`1+Z` stands there twice"),
+        ("mode,f FEM [Hz],f test [Hz]\n1,3,4\n", "`f FEM [Hz]` and `f test [Hz]` are both frequency"),
     ],
 )
 def test_what_is_no_table_of_modes(tmp_path: Path, text: str, told: str) -> None:

@@ -18,10 +18,9 @@ from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.delimited import read_columns
 from ringtrue.io.frf_lines import known_lines
-from ringtrue.io.si import axis_factor, known, to_si
+from ringtrue.io.si import hertz, known, to_si
 
 _FREQUENCY = re.compile(r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE)
-_AXIS = re.compile(r"(?<![A-Za-z])(k?hz|rad/s(ec)?|rpm|cpm|1/min|omega)(?![A-Za-z])", re.IGNORECASE)
 _PARTS = {
     "re": r"real([\s_]*part|teil)?|(partie\s+)?r[eé]elle|re",
     "im": r"imaginary([\s_]*part)?|imag([\s_]*part)?|imagin[aä]rteil|(partie\s+)?imaginaire|im",
@@ -78,7 +77,7 @@ def read_frf_table(path: Path) -> FrfSet:
     if len(names) != len(data) or not names or not _FREQUENCY.match(names[0]):
         raise DataError(f"{path}: the first column must be named a frequency; it is {names[:1]}")
     parts, units = _columns(names, path)
-    freqs, order = np.unique(data[0] * _hertz(names[0]), return_index=True)
+    freqs, order = np.unique(data[0] * hertz(names[0]), return_index=True)
     if freqs.size != data.shape[1]:
         raise DataError(f"{path}: {data.shape[1] - freqs.size} frequencies occur twice")
     outputs, inputs = (list(dict.fromkeys(k[i] for k in parts)) for i in (0, 1))
@@ -128,12 +127,6 @@ def _columns(
         if t.unit and t.part in ("re", "size"):
             units[t.output, t.reference] = t.unit
     return parts, units
-
-
-def _hertz(title: str) -> float:
-    """The factor to Hz of the column of frequencies."""
-    unit = _AXIS.search(title)
-    return axis_factor("rad/s" if unit and unit[1].lower() == "omega" else unit[1] if unit else "Hz")
 
 
 def write_frf_table(path: Path, frfs: FrfSet) -> None:

@@ -15,10 +15,15 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.sheets import cells
+from ringtrue.io.si import hertz
 
-_FREQUENCY = re.compile(r"(f|fn|freq|frequency|frequencies|frequenz|eigenfrequenz|eigenfrequency|fréquence)\b")
-_DAMPING = re.compile(r"(damping|damping ratio|zeta|ζ|dämpfung|amortissement)\b")
+_WHOSE = r"(natural|nat\.?|modal|damped|undamped|resonance|resonant|critical)?\s*"
+_FREQUENCY = re.compile(
+    rf"{_WHOSE}(f|fn|freq\.?|frequency|frequencies|frequenz|eigenfrequenz|eigenfrequency|fréquence)(?![^\W_])"
+)
+_DAMPING = re.compile(rf"{_WHOSE}(damping|damping ratio|zeta|ζ|dämpfung|amortissement)(?![^\W_])")
 _SPREAD = re.compile(r"(std|±|sigma|σ|deviation|uncertainty)\s*(of\s*)?")
+_HIGH = 0.25  # of critical: a typical damping above is taken for percent
 _NUMBER = re.compile(r"[-+]?[\d.,]+([eEdD][-+]?\d+)?$")
 _BESIDE = {
     "",
@@ -42,8 +47,9 @@ _DIGITS = 9
 def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     """Modes of a table whose first column, or first row, names `frequency [Hz]`, `damping [%]` and the channels.
 
-    `std frequency [Hz]` and `std damping [%]` are standard deviations; frequencies in `[rad/s]` become Hz, damping
-    without `[%]` is a fraction. Without channels the modes have frequencies alone. Empty cells were not measured.
+    `std frequency [Hz]` and `std damping [%]` are standard deviations; frequencies in `[rad/s]`, `[rpm]` or `[kHz]`
+    become Hz, damping without `[%]` is a fraction. Without channels the modes have frequencies alone. Empty cells were
+    not measured.
 
     Returns
     -------
@@ -55,16 +61,21 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     Raises
     ------
     DataError
-        If there is no mode, a cell is no number, or damping is no fraction.
+        If there is no mode, a cell is no number, two rows are one, or damping without `[%]` is hardly a fraction.
     """
     rows = [r for r in cells(path) if any(r) and not r[0].startswith("# ")]
     width = max(map(len, rows), default=0)
     table = [r + [""] * (width - len(r)) for r in rows]
     if not any(_FREQUENCY.match(r[0].lower()) and _NUMBER.match("".join(r[1:2])) for r in table):
         table = [list(c) for c in zip(*table, strict=True)]
-    found = {label: r[1:] for r in table if (label := r[0]).lower() not in _BESIDE}
+    labels = [r[0] for r in table]
+    found = {label: r[1:] for label, r in zip(labels, table, strict=True) if label.lower() not in _BESIDE}
     kinds = {label: _kind(label) for label in found}
     of = {kind: label for label, kind in kinds.items() if kind}
+    for label, kind in kinds.items():
+        if labels.count(label) > 1 or (kind and of[kind] != label):
+            told = f"`{label}` and `{of[kind]}` are both {kind}" if kind else f"`{label}` stands there twice"
+            raise DataError(f"{path}: {told}")
     if "frequency" not in of:
         raise DataError(f"{path}: no row or column `frequency [Hz]`; there are {', '.join(list(found)[:8]) or 'none'}")
     there = [i for i, text in enumerate(found[of["frequency"]]) if text]
@@ -73,11 +84,13 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     number = {label: _numbers([r[i] for i in there], label, path) for label, r in found.items()}
     nothing = np.full(len(there), np.nan)
     f, std_f, zeta, std_z = (
-        _scaled(number[of[k]].real, of[k]) if k in of else nothing
+        _scaled(number[of[k]].real, of[k], k) if k in of else nothing
         for k in ("frequency", "std frequency", "damping", "std damping")
     )
-    if not np.isfinite(f).all() or (zeta > 1).any():
-        raise DataError(f"{path}: frequencies must be numbers, and damping fractions of critical, or [%] in its title")
+    if not np.isfinite(f).all():
+        raise DataError(f"{path}: `{of['frequency']}`: frequencies must be finite")
+    if (known := zeta[np.isfinite(zeta)]).size and np.median(known) > _HIGH:
+        raise DataError(f"{path}: `{of['damping']}`: {known[0]:g} of critical? What is in percent has [%] in its title")
     channels = tuple(label for label, kind in kinds.items() if not kind)
     shapes = np.array([number[c] for c in channels]).reshape(len(channels), len(there))
     order = np.argsort(f, kind="stable")
@@ -104,12 +117,16 @@ def _kind(label: str) -> str:
     spread = _SPREAD.match(text)
     text = text[spread.end() :] if spread else text
     kind = "frequency" if _FREQUENCY.match(text) else "damping" if _DAMPING.match(text) else ""
+    if spread and not kind:  # `± [Hz]`
+        kind = "damping" if "%" in text else "frequency" if "hz" in text else ""
     return f"std {kind}" if spread and kind else kind
 
 
-def _scaled(values: Float, label: str) -> Float:
+def _scaled(values: Float, label: str, kind: str) -> Float:
     """In Hz, or as a fraction."""
-    return values / (2 * np.pi) if "rad" in label.lower() else values / 100 if "%" in label else values
+    if kind.endswith("frequency"):
+        return values * hertz(label)
+    return values / 100 if "%" in label else values
 
 
 def _numbers(texts: Sequence[str], label: str, path: Path) -> Complex:
@@ -121,11 +138,10 @@ def _number(text: str, label: str, path: Path) -> complex:
         return complex(np.nan)
     plain = text if "." in text else text.replace(",", ".")
     try:
-        return complex(float(plain))
-    except ValueError:
-        pass
-    try:
-        return complex(re.sub(r"[\s()*]", "", plain).replace("i", "j").replace("I", "j"))
+        value = complex(re.sub(r"[\s()*]", "", plain.lower()).replace("i", "j").replace("jnf", "inf"))
+        if np.isinf(value):
+            raise ValueError(text)
+        return value
     except ValueError as exc:
         raise DataError(f"{path}: {label} is {text!r}; it must be a number, such as 0.12 or 0.1+0.2j") from exc
 

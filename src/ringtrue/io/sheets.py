@@ -16,6 +16,7 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.files import existing
+from ringtrue.io.plain import read_text
 from ringtrue.io.record_layout import RecordChannel
 from ringtrue.io.si import to_si
 
@@ -194,10 +195,10 @@ def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
         return table
     if path.suffix.lower() not in (".csv", ".txt"):
         raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.csv', '.xlsx'])}")
-    text = path.read_text(encoding="utf-8-sig")
-    first = next((x for x in text.splitlines() if x.strip() and not x.startswith("#")), "")
-    delimiter = max(",;\t", key=first.count)
-    return [[c.strip() for c in row] for row in csv.reader(text.splitlines(), delimiter=delimiter)]
+    lines = read_text(path).splitlines()
+    first = next((x for x in lines if x.strip() and not x.startswith("#")), "")
+    delimiter = max(";\t,", key=first.count)  # commas may be decimal: not more of them than of others
+    return [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
 
 
 def _text(value: object) -> str:

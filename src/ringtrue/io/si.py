@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import get_args
 
 import numpy as np
@@ -74,6 +75,8 @@ _AXES = {  # to Hz or s
     "min": 60.0,
 }
 
+_OF_LINES = re.compile(r"(?<![A-Za-z])(k?hz|rad/s(ec)?|rpm|cpm|1/min|omega)(?![A-Za-z])", re.IGNORECASE)
+
 
 def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
     """Quantity, factor and SI unit of a unit as written on a sensor sheet.
@@ -113,3 +116,9 @@ def known(unit: str) -> str:
 def axis_factor(unit: str) -> float:
     """To Hz of a unit of frequency, to s of one of time; 1 of any other text."""
     return _AXES.get(unit.strip().lower(), 1.0)
+
+
+def hertz(title: str) -> float:
+    """The factor to Hz of what is titled as frequencies, such as `f [kHz]` or `omega`."""
+    unit = _OF_LINES.search(title)
+    return axis_factor("rad/s" if unit and unit[1].lower() == "omega" else unit[1] if unit else "Hz")
