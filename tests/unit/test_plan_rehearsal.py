@@ -375,3 +375,13 @@ def test_a_single_point_has_all_to_lose(deck: Path, capsys: pytest.CaptureFixtur
     run(["plan", str(deck), "--modes", "1", "--points", "1", "--references", "1", "--json", "-"])
     told = json.loads(capsys.readouterr().out)
     assert (len(told["points"]), told["lost_points"], told["left_by_loss"]) == (1, 1, 0.0)
+
+
+def test_sensors_shift_no_mode_at_zero_hertz(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The frame on no supports: what the sensors weigh shifts its elastic modes alone."""
+    text = "".join(x for x in small_study.deck().splitlines(keepends=True) if not x.startswith("SPC"))
+    deck.write_text(text)
+    run(["plan", str(deck), "--modes", "1-8", "--points", "6", "--sensor-mass", "2", "--json", "-"])
+    shifts = [m["loaded"] for m in json.loads(capsys.readouterr().out)["modes"]]
+    assert shifts[:6] == [None] * 6
+    assert all(-0.2 < x < -1e-4 for x in shifts[6:])

@@ -15,9 +15,14 @@ from ringtrue.errors import InputError
 RIGID = 1e-3  # of the highest frequency: below is a rigid-body motion, whose frequency is round-off
 
 
+def rigid_below(frequencies: Float) -> float:
+    """Up to where natural frequencies (m,), Hz, are those of rigid-body motions."""
+    return RIGID * float(frequencies.max(initial=0.0))
+
+
 def elastic(frequencies: Float) -> Bool:
     """Which natural frequencies (m,), Hz, are not those of rigid-body motions."""
-    return np.asarray(frequencies > RIGID * frequencies.max(initial=0.0))
+    return np.asarray(frequencies > rigid_below(frequencies))
 
 
 class Norm(StrEnum):

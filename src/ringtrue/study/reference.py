@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, rigid_below
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.assign import NO_LOCKS, Followed, PairingSettings
 from ringtrue.correlate.pairing import CorrelationTable, correlation_table, pair_modes
@@ -55,7 +55,7 @@ def elastic_edge(frequencies: Float, config: StudyConfig) -> float:
     """
     below = config.correlate.rigid_below
     if below is None and not config.suspension:
-        return 1e-3 * float(frequencies.max(initial=0.0))
+        return rigid_below(frequencies)
     return split_frequency(frequencies, below)
 
 

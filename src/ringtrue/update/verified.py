@@ -9,6 +9,7 @@ from typing import Protocol, Self, runtime_checkable
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.modes import rigid_below
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError
@@ -16,7 +17,7 @@ from ringtrue.model.ports import Linearisation
 from ringtrue.update.several import Problem
 from ringtrue.update.trust import Method, Solution, solve
 
-RIGID, TINY = 1e-3, 1e-300  # of the highest frequency: a rigid-body mode may lie below
+TINY = 1e-300
 
 
 @runtime_checkable
@@ -104,6 +105,5 @@ def solve_verified(
 
 def _off(basis: Float, truth: Float) -> float:
     """Largest relative error of frequencies; where the structure is free to move they are rounding, and no error."""
-    floor = RIGID * float(truth.max(initial=0.0))
     change = basis * np.abs(basis) - truth * np.abs(truth)
-    return float((np.abs(change) / (2 * np.maximum(truth, max(floor, TINY)) ** 2)).max(initial=0.0))
+    return float((np.abs(change) / (2 * np.maximum(truth, max(rigid_below(truth), TINY)) ** 2)).max(initial=0.0))

@@ -86,7 +86,7 @@ class PlanStage:
     averages: int = 0  # blows at each reference for the wanted error of the FRFs
     segments: int = 0  # blocks of that length in the ambient record
     notes: tuple[str, ...] = ()  # what the plan asks for in vain
-    loaded: Float = field(default_factory=lambda: np.zeros(0))  # (target,) relative shift by the mass of the sensors
+    loaded: Float = field(default_factory=lambda: np.zeros(0))  # (target,) relative, by mass of sensors; NaN at 0 Hz
     suspension: tuple[int, ...] = ()  # nodes to hang from
     suspension_motion: float = 0.0  # their largest motion in a target mode, squared, over the largest of the mode
     steady: bool = False  # the centre of gravity hangs between them

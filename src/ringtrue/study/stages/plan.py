@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.modes import elastic, rigid_below
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError
@@ -40,7 +41,6 @@ from ringtrue.study.virtual_test import virtual_ambient_test, virtual_test
 from ringtrue.study.workbench import Workbench
 
 WORTH = 0.02  # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
-RIGID = 1e-3  # of the highest frequency
 STILL = 1e-9  # of the largest motion: a node that is held is no candidate
 APART = 0.8  # m, most that measuring points must be apart where nothing is said
 RESIDUE: dict[str, Callable[[Float, int], Int]] = {
@@ -107,7 +107,7 @@ def _shapes(desk: Workbench, nodes: Int, modes: Int) -> Float:
 def _targets(desk: Workbench, plan: PlanSection, f: Float, edge: float) -> Targets:
     """The target modes: as named, or those of the band that a criterion asks for."""
     rigid = plan.fmax <= edge  # a band of rigid-body modes alone is one of them
-    low = max(RIGID * f.max() if rigid else edge, plan.fmin)
+    low = max(rigid_below(f) if rigid else edge, plan.fmin)
     if plan.modes:
         if max(plan.modes) > f.size:
             raise ConfigError(f"[plan] modes: {max(plan.modes)} of {f.size} modes below fmax of [model]; raise it")
@@ -178,9 +178,9 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     seen = readable(shapes, model.mass)
     wanted, unseen = _targets(desk, plan, f, edge).among(seen)
     targets = wanted.modes
-    elastic = f > RIGID * f.max()
-    timed = targets[elastic[targets]] if elastic[targets].any() else targets  # what decays; rigid bodies do not
-    first = np.union1d(np.flatnonzero(elastic & seen & (f <= edge)), timed[: plan.ambient_sensors])
+    flexible = elastic(f)
+    timed = targets[flexible[targets]] if flexible[targets].any() else targets  # what decays; rigid bodies do not
+    first = np.union1d(np.flatnonzero(flexible & seen & (f <= edge)), timed[: plan.ambient_sensors])
     apart = _apart(plan, able.apart, plan.sensors)
     ambient_at = _ambient(plan, able, shapes[:, :, first], apart) if plan.ambient else np.zeros(0, dtype=np.int64)
     fixed = np.isin(np.arange(able.at.size), ambient_at) | np.isin(able.node, plan.fixed)
@@ -376,11 +376,11 @@ def _judged(
     si = np.sqrt(desk.length)  # mass-normalised in t and mm: 1/√t = 1/√(1000 kg)
     if plan.sensor_mass:
         added = np.asarray(plan.sensor_mass * np.bincount(back), dtype=np.float64)
-        elastic = f > RIGID * f.max()
+        flexible, shift = elastic(f), np.full(f.size, np.nan)
         order = np.argsort(able.nodes)
-        here = motion[order[np.searchsorted(able.nodes, points, sorter=order)]][:, :, elastic]
-        loaded = loaded_frequencies(f[elastic], si * here, added)
-        stage = replace(stage, loaded=(loaded / f[elastic] - 1)[np.searchsorted(np.flatnonzero(elastic), targets)])
+        here = motion[order[np.searchsorted(able.nodes, points, sorter=order)]][:, :, flexible]
+        shift[flexible] = loaded_frequencies(f[flexible], si * here, added) / f[flexible] - 1
+        stage = replace(stage, loaded=shift[targets])
     if plan.suspension:
         xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(able.nodes)] * desk.length
         hung = suspension_points(
