@@ -405,6 +405,10 @@ LOGGERS = {
         "timestamp,a,b,c\n",
         [",".join([f"{1.7145648e12 + 1e3 * t:.3f}", *map(str, y)]) for t, y in zip(TIMES, SIGNAL.T, strict=True)],
     ),
+    "days of a spreadsheet": (
+        "Time,a,b,c\n",
+        [",".join([f"{45381.5 + t / 86400:.10f}", *map(str, y)]) for t, y in zip(TIMES, SIGNAL.T, strict=True)],
+    ),
     "a time for each, D": (
         "X1;a;X2;b;X3;c\n",
         [";".join(f"{t:.9e};{x:.9e}" for x in y).replace("e", "D") for t, y in zip(TIMES, SIGNAL.T, strict=True)],
@@ -435,13 +439,14 @@ def test_times_too_coarse_for_a_rate_want_one(tmp_path):
     np.testing.assert_allclose(got.data, SIGNAL)
 
 
-@pytest.mark.parametrize("name", ["vectors", "time", "column", "column-and-rate"])
+@pytest.mark.parametrize("name", ["vectors", "time", "days", "column", "column-and-rate"])
 def test_matlab_files_of_others(tmp_path, name):
     vectors = {"acc1": SIGNAL[0], "acc2": SIGNAL[1], "acc3": SIGNAL[2]}
     columns = np.vstack([TIMES, SIGNAL]).T
     content = {
         "vectors": {"t": TIMES, **vectors},
         "time": {"x": SIGNAL.T, "time": TIMES[:, None]},
+        "days": {"x": SIGNAL.T, "time": 739341.5 + TIMES / 86400},
         "column": {"x": columns},
         "column-and-rate": {"x": columns, "Fs": 256.0},
     }[name]

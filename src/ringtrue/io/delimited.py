@@ -16,7 +16,7 @@ from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.clock import is_clock, seconds
 from ringtrue.io.complex_cells import parted
-from ringtrue.io.plain import TIME_NAMES, RawTable, even_grid, numbered, read_text
+from ringtrue.io.plain import TIME_NAMES, RawTable, even_grid, in_seconds, numbered, read_text
 from ringtrue.io.si import known
 
 _TIMES = {*TIME_NAMES, "timestamp", "datetime", "date", "datum", "uhrzeit", "elapsed", "elapsed time", "relative time"}
@@ -34,7 +34,6 @@ _SECONDS = {
     "h": 3600.0,
 }
 _AXES = ("hz", "khz", "rad/s", "db", "deg", "°", "rad")  # of FRFs
-_EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # since 1970: above this the unit is that of seconds
 _UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
 _NUMBER = r"(?P<x>\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
 _RATE = re.compile(
@@ -284,10 +283,9 @@ def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path
     count = not named and len(data) > 1 and data.shape[1] > 2 and bool((np.diff(data[0]) == 1).all())
     if first in _COUNTS or (count and data[0, 0] in (0, 1)):
         return _with_time(data[1:], names[1:], told, path) if count else _named(data, names, told)
-    unit = _SECONDS.get(title[2].strip(), 1.0) if title else next((u for a, u in _EPOCHS if data[0, 0] > a), 1.0)
     if len(data) < 2 and not named:
         return _named(data, names, told)
-    t = (data[0] - data[0, 0]) * unit if data[0, 0] > _EPOCHS[-1][0] else data[0] * unit
+    t = in_seconds(data[0] * _SECONDS.get(title[2].strip(), 1.0) if title else data[0])
     rate, rows = _rate_of(t, path) if named else even_grid(t, False, path)
     if rate is None and not named:
         return _named(data, names, told)

@@ -26,6 +26,9 @@ _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in
 _LONG = 64  # samples: a shorter table is no record
 _SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times
 _JITTER = 0.5  # of a step: each time still has a place of its own on the even grid
+_EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # since 1970: above this the unit is that of seconds
+_DAYS = ((2e4, 8e4), (7e5, 8e5))  # since 1900 as spreadsheets count them, since the year 0 as MATLAB does
+_SLOW_DAYS = 0.5 / 86400  # d: longer steps are no samples of vibration
 _THIN = 0.5  # share of the rows that must be there, where some are missing
 _CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
 
@@ -262,6 +265,16 @@ def read_text(path: Path) -> str:
         return raw.decode("latin-1")
 
 
+def in_seconds(t: Float) -> Float:
+    """Times (row,), s, of ones that are s, or ms, us or ns since 1970, or days as Excel and MATLAB count them."""
+    if not t.size:
+        return t
+    unit = next((u for above, u in _EPOCHS if t[0] > above), 1.0)
+    if any(low < t[0] < high for low, high in _DAYS) and 0 < (t[-1] - t[0]) / max(t.size - 1, 1) < _SLOW_DAYS:
+        unit = 86400.0
+    return t if unit == 1.0 else np.asarray((t - t[0]) * unit)
+
+
 def even_rate(t: Float, named: bool, path: Path) -> float | None:
     """The rate of a time column; None if an unnamed column is not one."""
     step = np.diff(t)
@@ -349,7 +362,7 @@ def _rounded(t: Float) -> bool:
 
 def without_time(table: RawTable, path: Path) -> RawTable:
     """A table without names whose first row is a time (it rises in equal steps): the rate in its place."""
-    rate, rows = even_grid(table.data[0], False, path) if table.data.shape[0] > 1 else (None, None)
+    rate, rows = even_grid(in_seconds(table.data[0]), False, path) if table.data.shape[0] > 1 else (None, None)
     if rate is None or rate <= 1 or table.data.shape[1] < 10:  # 1 Hz: the column may as well number the samples
         return table
     rest = replace(numbered(table.data[1:], rate), rows=rows)
@@ -368,7 +381,7 @@ def time_grid(
     times = [np.ravel(v) for k, v in values.items() if is_time(k) and _is_real(v) and np.size(v) == samples]
     if not times:
         return told, None
-    rate, rows = even_grid(times[0].astype(np.float64), told is None, path)
+    rate, rows = even_grid(in_seconds(times[0].astype(np.float64)), told is None, path)
     if told is None:
         return rate, rows
     return told, rows if rate is not None and abs(rate / told - 1) < _SAME_RATE else None
