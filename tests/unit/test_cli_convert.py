@@ -9,10 +9,10 @@ import pytest
 from test_io_results_modes import NODES, write_h5, write_op2
 
 from ringtrue.cli.main import run
-from ringtrue.io.modes_json import read_modes
+from ringtrue.io.modes_json import read_modes, read_std
 
 
-@pytest.mark.parametrize("ending", ["h5", "json", "uff"])
+@pytest.mark.parametrize("ending", ["h5", "json", "uff", "csv"])
 def test_convert(tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]) -> None:
     motion = write_op2(tmp_path / "m.op2")
     target = tmp_path / f"out.{ending}"
@@ -24,6 +24,14 @@ def test_convert(tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
     again = tmp_path / "again.json"  # what was written is read, too, be it called .h5 like Nastran's
     assert run(["convert", str(target), str(again)]) == 0
     np.testing.assert_allclose(read_modes(again).frequencies, modes.frequencies, rtol=1e-6)
+
+
+def test_standard_deviations_are_kept(tmp_path: Path) -> None:
+    table = "frequency [Hz],std frequency [Hz],1+Z\n3,0.01,1\n5,0.02,-1\n"
+    (tmp_path / "m.csv").write_text(table)
+    for source, target in (("m.csv", "m.json"), ("m.json", "m.h5"), ("m.h5", "again.csv")):
+        assert run(["convert", str(tmp_path / source), str(tmp_path / target)]) == 0
+        assert read_std(tmp_path / target)[0].tolist() == [0.01, 0.02]
 
 
 def test_nastran_h5_is_told_from_our_own(tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ import typer
 from ringtrue.cli.show import out
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, InputError
-from ringtrue.io.modes_json import read_modes, write_modes
+from ringtrue.io.modes_json import read_modes, read_std, write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.nastran_results.hdf5 import is_nastran_h5
 from ringtrue.io.nastran_results.modes import READERS, read_nastran_modes
@@ -21,8 +22,10 @@ _TRANSLATIONS_ONLY = (".uff", ".unv", ".55")
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(help="Modes: .op2 .f06 (.out) .pch .h5 of a solver, or .json .h5 .uff.")],
-    target: Annotated[Path, typer.Argument(help="What to write: .h5 .json .uff.")],
+    source: Annotated[
+        Path, typer.Argument(help="Modes: .op2 .f06 (.out) .pch .h5 of a solver, or .json .h5 .uff .csv .xlsx.")
+    ],
+    target: Annotated[Path, typer.Argument(help="What to write: .h5 .json .uff .csv.")],
     deck: Annotated[
         Path | None, typer.Option(help="The deck of the run: turns displacement frames (CD) to the basic frame.")
     ] = None,
@@ -31,25 +34,28 @@ def convert(
 
     Example: ringtrue convert modes.op2 modes.h5 --deck wing.bdf
     """
-    modes = _read(source, deck)
-    write_modes(target, writable(modes, target))
+    modes, spread = _read(source, deck)
+    write_modes(target, writable(modes, target), spread)
     f = modes.frequencies
     span = f"{f.min():.5g} to {f.max():.5g} Hz"
     out.print(f"{target}: {len(modes)} modes, {span}, {len(modes.labels)} rows, scale {modes.norm}")
     return 0
 
 
-def _read(source: Path, deck: Path | None) -> ModeSet:
-    ext = source.suffix.lower()
+def _read(source: Path, deck: Path | None) -> tuple[ModeSet, Uncertainty | None]:
+    """Modes, and the standard deviations of a test."""
+    ext, spread = source.suffix.lower(), None
     if ext in READERS and (ext != ".h5" or is_nastran_h5(source)):
         modes = read_nastran_modes(source, read_deck(deck) if deck else None)
     elif deck:
         raise InputError(f"--deck {deck}: {source} is no results file of a solver")
     else:
-        modes = read_modes(source)
+        modes, std = read_modes(source), read_std(source)
+        if np.isfinite(std).any():
+            spread = Uncertainty.independent(*std, np.full(modes.shapes.shape, np.nan))
     if not len(modes):
         raise DataError(f"{source}: no modes")
-    return modes
+    return modes, spread
 
 
 def writable(modes: ModeSet, target: Path) -> ModeSet:
