@@ -396,6 +396,13 @@ def test_a_rate_that_the_file_contradicts(tmp_path: Path, capsys: Capture) -> No
     assert "text.npy" in refused(capsys, "oma", tmp_path / "text.npy", "--rate", 1)
     assert "not a WAVE file" in refused(capsys, "oma", _touch(tmp_path / "a.wav"), "--rate", 1)
     assert "no such file" in refused(capsys, "oma", tmp_path / "none.npy")
+    assert "a folder; name a file in it" in refused(capsys, "oma", tmp_path)
+
+
+@pytest.mark.parametrize("command", ["check", "modes", "plan"])
+def test_a_deck_that_is_a_folder_or_nowhere(command: str, tmp_path: Path, capsys: Capture) -> None:
+    assert "a folder; name a file in it" in refused(capsys, command, tmp_path)
+    assert "none.bdf: no such file" in refused(capsys, command, tmp_path / "none.bdf")
 
 
 def _touch(path: Path) -> Path:

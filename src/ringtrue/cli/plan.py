@@ -80,8 +80,6 @@ def plan(
 
     Example: ringtrue plan frame.bdf --band 5 80 --points 24 --references 3 --trials 10 --out frame-test
     """
-    if not deck.is_file():
-        raise ConfigError(f"{deck}: no such file")
     folder = folder or deck.with_name(f"{deck.stem}-test")
     if (folder / "study.toml").exists():
         raise ConfigError(f"--out {folder}: holds a study.toml; name a folder for the plan alone")

@@ -107,11 +107,12 @@ def _unmoved(frfs: FrfSet, typical: float) -> list[str]:
             [np.median(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan for x in some.swapaxes(0, 1)]
         )
     low = of_each < _UNMOVED * typical
+    if not low.any() or typical <= _COHERENT:
+        return []
+    names = ", ".join(f"{frfs.outputs[i].id} ({of_each[i]:.2f})" for i in np.flatnonzero(low).tolist())
+    others = np.nanmedian(of_each[~low])
     return [
-        f"response {c.id}: coherence {x:.2f}, the others have {typical:.2f}: it does not follow the force (a loose "
-        "cable, a dead sensor)"
-        for c, x, bad in zip(frfs.outputs, of_each, low, strict=True)
-        if bad and typical > _COHERENT
+        f"coherence of {names}, {others:.2f} of the others: what does not follow the force has a loose cable or is dead"
     ]
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from ringtrue import __version__
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
+from ringtrue.io.files import absence
 from ringtrue.model.edit import apply_factors, resolve_target
 from ringtrue.study.config import StudyConfig, parse_config, read_config
 from ringtrue.study.results import Provenance
@@ -54,7 +55,7 @@ def _digest(path: Path) -> str:
         state = path.stat()
         return _hashed(path, state.st_mtime_ns, state.st_size)
     except (FileNotFoundError, IsADirectoryError) as e:
-        raise DataError(f"{path}: no such file; the study, its log or its deck names it") from e
+        raise DataError(f"{path}: {absence(path)}; the study, its log or its deck names it") from e
 
 
 @lru_cache(maxsize=4096)

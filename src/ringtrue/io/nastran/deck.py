@@ -13,6 +13,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.errors import DeckError
+from ringtrue.io.files import absence
 
 log = logging.getLogger(__name__)
 _INCLUDE = re.compile(rb"(?i)[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?")
@@ -156,7 +157,7 @@ def load(path: str | Path) -> Deck:
     """
     path = Path(path)
     if not path.is_file():
-        raise DeckError("no such deck", path=path)
+        raise DeckError(absence(path), path=path)
     reading = _Reading(path)
     reading.read(reading.main)
     if lost := reading.left_out:
