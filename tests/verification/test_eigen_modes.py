@@ -272,6 +272,18 @@ def test_ends_of_a_band_that_are_modes(ends):
     assert np.allclose(got.values, want, rtol=1e-8)
 
 
+def test_nearly_all_modes_of_equal_structures():
+    """The dense solution finds them at once: roots that are there six times, from zero on to the last but two."""
+    k, m = plate(4, 5)
+    many = [sparse.csr_array(sparse.block_diag([a] * 6)) for a in (k, m)]
+    one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)
+    top = np.sqrt((one[-3] + one[-2]) / 2) / (2 * np.pi)
+    for got in (solve_modes(Pencil(*many), 6 * (one.size - 2)), solve_modes(Pencil(*many), band=(0.0, top))):
+        assert got.complete
+        assert "were computed" in got.proof
+        assert np.allclose(got.values, np.repeat(one[:-2], 6), rtol=1e-8, atol=1e-9 * one[-1])
+
+
 def test_bodies_without_any_motion_but_rigid_ones():
     """500 free pairs of rows, one with a mass: nothing but modes at zero."""
     K = sparse.csr_array(sparse.block_diag([1e3 * np.array([[1.0, -1], [-1, 1]])] * 500))

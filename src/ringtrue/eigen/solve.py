@@ -10,7 +10,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.progress import Progress
 from ringtrue.eigen import lanczos
-from ringtrue.eigen.dense import DENSE_SIZE, refuse_negative_mass, spectrum
+from ringtrue.eigen.dense import DENSE_LIMIT, DENSE_SHARE, DENSE_SIZE, refuse_negative_mass, spectrum
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes, eigenvalue, frequencies, polish
 from ringtrue.eigen.still import rayleigh_ritz, still_modes
@@ -75,12 +75,17 @@ def solve_modes(
         raise InputError(f"band {band[0]} to {band[1]} Hz is empty")
     if not pencil.mass.nnz or not np.abs(pencil.mass.data).max() > 0:
         raise InputError("the mass matrix is zero: check densities and mass elements")
-    if pencil.size <= DENSE_SIZE:
+    if pencil.size <= DENSE_SIZE or (band is None and _most_of(pencil, count)):
         return _dense(pencil, count, band)
     refuse_negative_mass(pencil.mass, pencil.labels)
     if band is not None:
         return _band(pencil, band, shift, progress)
     return _lowest(pencil, count, shift, progress)
+
+
+def _most_of(pencil: Pencil, count: int) -> bool:
+    """So many of the modes of a small system that the dense solution is faster."""
+    return pencil.size <= DENSE_LIMIT and count > DENSE_SHARE * pencil.size
 
 
 def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> EigenModes:
@@ -350,7 +355,8 @@ def _band(
         proof = f"no eigenvalue between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm)"
         empty = np.zeros((pencil.size, 0))
         return EigenModes(np.zeros(0), empty, np.zeros(0), 0.0, True, proof, pencil.shift)
-
+    if _most_of(pencil, expected):
+        return _dense(pencil, wanted, band)
     pencil.reserve(lanczos.capacity(pencil.size, expected + EXTRA) + 3 * expected)
     none = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
     pairs = _filled(pencil, none, sigma, top, None if few else bottom, progress)
