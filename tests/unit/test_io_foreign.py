@@ -373,6 +373,17 @@ def _stamps(form, ms=True):
     return [x.strftime(form) + (f"{x.microsecond // 1000:03d}" if ms else "") for x in t]
 
 
+TOA5 = (
+    '"TOA5","CR6","CR6","1234","CPU:x.CR6"\n"TIMESTAMP","RECORD","a","b","c"\n'
+    '"TS","RN","m/s^2","m/s^2","m/s^2"\n"","","Smp","Smp","Smp"\n'
+)
+
+
+def _campbell(first: int, last: int) -> list[str]:
+    stamps = _stamps("%Y-%m-%d %H:%M:%S.")
+    return [f'"{stamps[k]}",{77 + k - first},{",".join(map(str, SIGNAL[:, k]))}' for k in range(first, last)]
+
+
 LOGGERS = {
     "german": (
         "Zeit;a [m/s²];b;c\n",
@@ -405,6 +416,10 @@ LOGGERS = {
         "timestamp,a,b,c\n",
         [",".join([f"{1.7145648e12 + 1e3 * t:.3f}", *map(str, y)]) for t, y in zip(TIMES, SIGNAL.T, strict=True)],
     ),
+    "Campbell TOA5, started anew": (
+        TOA5,
+        [*_campbell(0, 200), *TOA5.splitlines(), *_campbell(200, 500), '"2024-05-01 12:0'],
+    ),
     "days of a spreadsheet": (
         "Time,a,b,c\n",
         [",".join([f"{45381.5 + t / 86400:.10f}", *map(str, y)]) for t, y in zip(TIMES, SIGNAL.T, strict=True)],
@@ -418,6 +433,25 @@ LOGGERS = {
         [",".join(["", *map(str, y)]) for y in SIGNAL.T],
     ),
 }
+
+
+LACKING = ["NA", "#N/A", "OVERFLOW", "--", "null", '"NAN"', "####", ""]
+
+
+@pytest.mark.parametrize(("word", "d"), [*((w, ",") for w in LACKING), *((w, ";") for w in LACKING), ("OVL", " ")])
+def test_words_for_values_that_are_lacking(tmp_path, word, d):
+    """They are not numbers, in any column but that of times, also in the first row; a column of words is left out."""
+    cells = [[f"{t:.8f}", *map(str, y), "OK" if k % 7 else "ERR"] for k, (t, y) in enumerate(zip(T, Y.T, strict=True))]
+    for row, column in ((0, 1), (50, 2), (51, 2), (52, 1), (52, 2)):
+        cells[row][column] = word
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join(d.join(x) for x in [["time", "a", "b", "state"], *cells]))
+    got = read_record(path, gaps=True)
+    lost = np.zeros(Y.shape, dtype=bool)
+    lost[0, [0, 52]] = lost[1, [50, 51, 52]] = True
+    assert [c.id for c in got.channels] == ["a", "b"]
+    np.testing.assert_array_equal(np.isnan(got.data), lost)
+    np.testing.assert_array_equal(got.data[~lost], Y[~lost])
 
 
 @pytest.mark.parametrize("name", LOGGERS)

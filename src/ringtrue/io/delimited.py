@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import logging
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +18,11 @@ from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.clock import is_clock, seconds
 from ringtrue.io.complex_cells import parted
+from ringtrue.io.logger_lines import header_cells, is_lacking, without_headers, without_words
 from ringtrue.io.plain import TIME_NAMES, RawTable, even_grid, in_seconds, numbered, read_text
 from ringtrue.io.si import known
+
+log = logging.getLogger(__name__)
 
 _TIMES = {*TIME_NAMES, "timestamp", "datetime", "date", "datum", "uhrzeit", "elapsed", "elapsed time", "relative time"}
 _TIMES |= {"unix", "epoch", "time stamp", "date time", "date/time", "datum uhrzeit", "temps", "tempo", "tiempo"}
@@ -47,6 +52,7 @@ _STEP = re.compile(
 _COMMA = re.compile(r"[-+]?\d*,\d+([eEdD][-+]?\d+)?$")
 _COMMENT = ("#", "%", "//")
 _MOST_FOOTER = 20  # lines
+_COUNTED = 0.9  # share of the lines that go on from the one before
 _COARSE = 1e-3  # relative deviation of a rate from times written with few digits
 
 
@@ -60,15 +66,17 @@ def read_csv(path: Path) -> RawTable:
     width = len(_cells(lines[-1], delimiter))
     top = _head_rows(lines, delimiter, comma, width)
     head = [_cells(x, delimiter) for x in lines[:top]]
-    body, clock = _clocked(lines[top:], delimiter, path)
+    rows = without_headers(lines[top:], lines[:top], path)
+    body, clock = _clocked(rows, delimiter, path)
     data = numbers(body, delimiter, comma, path) if body and width > clock else np.empty((0, len(body)))
     names = _titles(head, width, path) if head else _commented(told, delimiter, width)
     if names and len(names) - clock != len(data):
         raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
     rate = _told_rate([*told, *lines[:top]])
     if clock:
-        by_clock, rows = _clock_rate(lines[top:], delimiter, clock, path)
-        return replace(_named(data, names[clock:], by_clock or rate), rows=rows)
+        by_clock, places = _clock_rate(rows, delimiter, clock, path)
+        data, names = _without_count(data, names[clock:])
+        return replace(_named(data, names, by_clock or rate), rows=places)
     return _with_time(data, names, rate, path)
 
 
@@ -94,7 +102,7 @@ def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
     lines = [x for x in text if x.strip() and not x.startswith(_COMMENT)]
     if not lines:
         raise DataError(f"{path}: empty, there are no samples")
-    lines = _without_footer(lines)
+    lines = _without_cut_end(_without_footer(lines), path)
     delimiter, comma = _dialect(lines[-1])
     if delimiter != " " and lines[-1].rstrip(" ").endswith(delimiter):  # each line ends in a delimiter
         if not lines[-1].strip(f" {delimiter}"):
@@ -114,6 +122,18 @@ def _without_footer(lines: list[str]) -> list[str]:
         if any(c.isdigit() for c in words) or not any(c.isalpha() for c in words) or "nan" in words.lower():
             return lines[: len(lines) - k]
     return lines
+
+
+def _without_cut_end(lines: list[str], path: Path) -> list[str]:
+    """The lines without a last one of fewer cells than the two before it: the logger died or was still writing."""
+    if len(lines) < 4:
+        return lines
+    delimiter = _dialect(lines[-2])[0]
+    before, last, cut = (len(_cells(x, delimiter)) for x in lines[-3:])
+    if not before == last > cut:
+        return lines
+    log.warning("%s: the last line is cut, and left out: %s", path, lines[-1][:60])
+    return lines[:-1]
 
 
 def _dialect(line: str) -> tuple[str, bool]:
@@ -139,14 +159,21 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _head_rows(lines: Sequence[str], delimiter: str, comma: bool, width: int) -> int:
-    """How many lines stand above the samples: other numbers of cells than below, or not one number."""
+    """How many lines stand above the samples: other cells than below, or a word where these begin with a number."""
+    led = not _is_word(_cells(lines[-1], delimiter)[0], comma)
     for at, line in enumerate(lines):
         cells = _cells(line, delimiter)
+        if led and _is_word(cells[0], comma):
+            continue
         if len(cells) == width and any(_is_number(x, comma) or is_clock(x) for x in cells if x.strip()):
             return at
         if at and len(cells) > 1 and len(cells) != width and all(_is_number(x, comma) for x in cells if x.strip()):
             return at  # a line of samples that lacks some
     return min(1, len(lines))
+
+
+def _is_word(cell: str, comma: bool) -> bool:
+    return bool(cell.strip()) and not (_is_number(cell, comma) or is_clock(cell) or is_lacking(cell))
 
 
 def _is_number(cell: str, comma: bool) -> bool:
@@ -155,6 +182,10 @@ def _is_number(cell: str, comma: bool) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _is_finite(cell: str, comma: bool) -> bool:
+    return _is_number(cell, comma) and math.isfinite(float(_plain(cell, comma)))
 
 
 def _plain(cell: str, comma: bool) -> str:
@@ -166,7 +197,7 @@ def _titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
     """Names of the columns from the lines above them; a line of units under the names is joined to them."""
     if not head:
         return []
-    rows = [[x.strip() for x in cells] for cells in head]
+    rows = header_cells(head)
     if len(head) == 1 and len(rows[0]) != width:
         raise DataError(f"{path}: {len(rows[0])} names in the header, {width} columns")
     fit = [r for r in rows if len(r) == width and width > 1] or [r for r in rows[-1:] if len(r) == width]
@@ -242,10 +273,18 @@ def numbers(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Fl
     if comma and delimiter == ",":  # in quotes
         return np.ascontiguousarray(_by_cell(lines, delimiter, comma, path).T)
     try:
-        a = np.loadtxt(text, delimiter=None if delimiter == " " else delimiter, ndmin=2, dtype=np.float64)
+        a = _loaded(text, delimiter)
     except ValueError:
-        a = _by_cell(lines, delimiter, comma, path)
+        lines = without_words(lines, delimiter)
+        try:
+            a = _loaded((x.replace(",", ".") for x in lines) if comma else iter(lines), delimiter)
+        except ValueError:
+            a = _by_cell(lines, delimiter, comma, path)
     return np.ascontiguousarray(a.T)
+
+
+def _loaded(lines: Iterable[str], delimiter: str) -> Float:
+    return np.loadtxt(lines, delimiter=None if delimiter == " " else delimiter, ndmin=2, dtype=np.float64)
 
 
 def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Float:
@@ -255,7 +294,7 @@ def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> F
     words = {
         c
         for c, x in enumerate(zip(first, last, strict=False))
-        if all(y.strip() and not _is_number(y, comma) for y in x)
+        if all(y.strip() and not _is_finite(y, comma) for y in x) and not all(_is_number(y, comma) for y in x)
     }
     out = np.full((len(lines), width), np.nan)
     for r, line in enumerate(lines):  # such files are rare, and read cell by cell
@@ -269,6 +308,12 @@ def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> F
                 except ValueError:
                     raise DataError(f"{path}: {cell.strip()[:40]!r} at row {r}, column {c} is no number") from None
     return out
+
+
+def _without_count(data: Float, names: list[str]) -> tuple[Float, list[str]]:
+    """Columns and names without a first one that numbers the lines, from one on or from where the logger was."""
+    count = len(data) > 1 and bool(names) and names[0].lower() in _COUNTS and np.mean(np.diff(data[0]) == 1) > _COUNTED
+    return (data[1:], names[1:]) if count else (data, names)
 
 
 def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path) -> RawTable:
