@@ -50,16 +50,19 @@ def test_equal_springs_are_one_group_and_each_by_itself() -> None:
     assert names["PBUSH 901 K1"] == (903,)
 
 
-def test_a_section_given_by_its_dimensions_is_one_candidate_that_can_be_written(tmp_path: Path) -> None:
-    """A PBARL makes a PBAR that has no card of its own; a replicated card has no line of its own."""
+def test_a_section_given_by_its_dimensions_can_be_written(tmp_path: Path) -> None:
+    """A PBARL makes a PBAR that has no card of its own; a tube has no wall if one radius alone is doubled or halved."""
     nodes = [f"GRID,{i},,{i}.,0.,0." for i in range(1, 5)]
     bars = ["CBAR,1,1,1,2,0.,0.,1.", "CBAR,2,2,2,3,0.,0.,1.", "CBEAM,3,3,3,4,0.,0.,1."]
-    cards = ["PBARL,1,1,,BOX", ",.2,.1,.01,.01,5.", "PBAR,2,1,.01,1.-5,1.-5,2.-5", "PBEAML,3,1,,ROD", ",.1"]
+    cards = ["PBARL,1,1,,BOX", ",.2,.1,.01,.01,5.", "PBAR,2,1,.01,1.-5,1.-5,2.-5", "PBEAML,3,1,,TUBE", ",.1,.09"]
     cards += ["MAT1,1,2.1+11,,.3,7850."]
     (tmp_path / "a.bdf").write_text("\n".join(["BEGIN BULK", *nodes, *bars, *cards, "ENDDATA"]))
     model = read_deck(tmp_path / "a.bdf")
     found = {c.name: c for c in generate(model, CandidateSettings(kinds=("property",), units="SI"))}
-    assert {n for n in found if n.split()[1] != "2"} == {"PBARL 1 DIM", "PBARL 1 NSM", "PBEAML 3 DIM"}
+    each = {f"PBARL 1 DIM{k}" for k in range(1, 5)}
+    assert {n for n in found if n.split()[1] != "2"} == {"PBARL 1 DIM", "PBARL 1 NSM", "PBEAML 3 DIM", *each}
+    assert found["PBARL 1 DIM3"].what == "dimension 3 (0.01 m) of the BOX section of 1 CBAR"
+    assert [t.field for t in found["PBARL 1 DIM3"].parameter.targets] == ["DIM3"]
     assert [t.field for t in found["PBARL 1 DIM"].parameter.targets] == ["DIM1", "DIM2", "DIM3", "DIM4"]
     assert found["PBARL 1 DIM"].what == "all dimensions of the BOX section of 1 CBAR"
     assert found["PBARL 1 NSM"].parameter.targets[0].field == "NSM"

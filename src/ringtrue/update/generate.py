@@ -14,6 +14,7 @@ from ringtrue.fem.change import rows_of
 from ringtrue.fem.rows import union
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Table
+from ringtrue.model.sections import section
 from ringtrue.update.candidates import (
     Candidate,
     CandidateSettings,
@@ -25,7 +26,7 @@ from ringtrue.update.candidates import (
     listed,
     new_candidate,
 )
-from ringtrue.update.catalogue import MASSES, MATERIALS, SECTIONS, SPRINGS, Catalogue
+from ringtrue.update.catalogue import MASSES, MATERIALS, SECTIONS, SPREAD, SPRINGS, Catalogue
 from ringtrue.update.regions import regions
 
 SAME = 1e-9  # relative distance of values that are one
@@ -112,22 +113,39 @@ def _made(model: Model, card: str) -> set[int]:
 
 
 def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
-    """All dimensions of a section by one factor, which leaves it a section, and its non-structural mass."""
+    """All dimensions of a section by one factor, each by itself where it stays a section, its non-structural mass."""
     for card in MADE:
         for row, ident in enumerate(model[card].ids.tolist() if card in model else []):
             table, rows = model[card], rows_of(model, Target(card, ident, ""))
             if not rows:
                 continue
             kind, where = table["TYPE"][row], ids_of(model, rows)
-            lists = [name for name in ("DIM", "DIMB") if name in table.columns]
-            targets = [Target(card, ident, f"{d}{k + 1}") for d in lists for k in range(table.ragged(d).row(row).size)]
-            what = f"all dimensions of the {kind} section of {counted(rows)}"
-            yield new_candidate(s, "property", f"{card} {ident} DIM", what, "section", where, targets)
+            ends = {name: table.ragged(name).row(row) for name in ("DIM", "DIMB") if name in table.columns}
+            fields = [[f"{n}{k + 1}" for n, values in ends.items() if values.size] for k in range(ends["DIM"].size)]
+            of = f"of the {kind} section of {counted(rows)}"
+            every = [Target(card, ident, f) for one in fields for f in one]
+            yield new_candidate(s, "property", f"{card} {ident} DIM", f"all dimensions {of}", "section", where, every)
+            for k, one in enumerate(fields if len(fields) > 1 else []):
+                if all(_stays(kind, values.tolist(), k) for values in ends.values() if values.size):
+                    what = f"dimension {k + 1} ({amount(float(ends['DIM'][k]), 'length', s)}) {of}"
+                    alone = [Target(card, ident, f) for f in one]
+                    yield new_candidate(s, "property", f"{card} {ident} DIM{k + 1}", what, "length", where, alone)
             if given := given_fields(table, row, "NSM+NSMB"):
                 value = amount(float(table[given[0]][row]), "line", s)
                 what = f"non-structural mass {value} of {counted(rows)}"
                 masses = [Target(card, ident, f) for f in given]
                 yield new_candidate(s, "property", f"{card} {ident} {given[0]}", what, "line", where, masses)
+
+
+def _stays(kind: str, dimensions: list[float], k: int) -> bool:
+    """Whether the k-th dimension makes a section by itself at the bounds of its factor."""
+    most = SPREAD["length"][1]
+    try:
+        for a in (1 / most, most):
+            section(kind, [a * d if i == k else d for i, d in enumerate(dimensions)])
+    except ValueError:
+        return False
+    return True
 
 
 def _grouped(model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue) -> Iterator[Candidate]:
