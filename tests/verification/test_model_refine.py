@@ -71,7 +71,8 @@ def test_tetrahedra_fill_the_same_space_and_come_nearer(name: str) -> None:
     assert (less < 0.9 * off).all()
 
 
-def test_edges_joined_node_by_node_stay_joined() -> None:
+@pytest.mark.parametrize("joint", ["RBE2", "RBAR", "RBAR1", "MPC"])
+def test_edges_joined_node_by_node_stay_joined(joint: str) -> None:
     m = plate(4)
     x = positions(m)
     cantilever = {"GRID": grid(x), "SPC1": spc(np.flatnonzero(x[:, 0] == 0) + 1, "123456")}
@@ -82,13 +83,24 @@ def test_edges_joined_node_by_node_stay_joined() -> None:
     other = np.arange(len(x) + 1)
     other[seam + 1] = twin
     quads[beyond] = other[quads[beyond]]
-    rigid = cards("RBE2", EID=np.arange(500, 500 + seam.size), GN=seam + 1, CM="123456", GM=ragged(*twin[:, None]))
+    number, ends = np.arange(500, 500 + seam.size), {"GA": seam + 1, "GB": twin}
+    tied = ragged(*np.repeat(np.stack([twin, seam + 1], axis=1), 6, axis=0))  # six motions a pair
+    motion = ragged(*np.tile(np.arange(1, 7), seam.size)[:, None].repeat(2, axis=1))
+    rigid = {
+        "RBE2": lambda: cards("RBE2", EID=number, GN=seam + 1, CM="123456", GM=ragged(*twin[:, None])),
+        "RBAR": lambda: cards("RBAR", EID=number, CNA="123456", CMB="123456", **ends),
+        "RBAR1": lambda: cards("RBAR1", EID=number, CB="123456", **ends),
+        "MPC": lambda: cards(
+            "MPC", SID=np.full(6 * seam.size, 3), G=tied, C=motion, A=ragged(*[[1.0, -1.0]] * 6 * seam.size)
+        ),
+    }[joint]()
     apart = {
         "GRID": grid(np.vstack([x, x[seam]])),
         "CQUAD4": fem_cases.shells(quads),
-        "RBE2": rigid,
+        joint: rigid,
     }
-    joined = replace(m, tables={**m.tables, **apart})
+    case = replace(m.case, mpc=3 if joint == "MPC" else 0)
+    joined = replace(m, tables={**m.tables, **apart}, case=case)
     np.testing.assert_allclose(frequencies(joined), frequencies(m), rtol=SAME)
     np.testing.assert_allclose(frequencies(refined(joined)), frequencies(refined(m)), rtol=SAME)
 

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from ringtrue.core.arrays import Bool, Float, Int, frozen
 from ringtrue.errors import UnsupportedError
 from ringtrue.model.cards import NONSTRUCTURAL
+from ringtrue.model.choices import taken_sets
 from ringtrue.model.edit import BOTH_ENDS
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.halves import CURVED, LINES, NODES, RODS, Part, parts, weights
 from ringtrue.model.model import Model, Ragged, Table, stacked, table
 
+_ALL = "123456"
 SECOND = {"CPENTA": 7, "CHEXA": 9}  # first midside node
 _WHOLE = ("CTRIA6", "CQUAD8", "CPYRAM")
 
@@ -77,8 +79,8 @@ def refined(model: Model) -> Model:
     Bars, beams, shells and solids of the first order, and tetrahedra of the second, are split in halves along each
     side, rods where they lie along such a side (by itself a rod in halves is a mechanism), tapered beams not. A new
     node lies midway on a side; it is held where all the nodes about it are, and belongs to the RBE2 or RBE3 that all
-    of these belong to; edges joined node by node by RBE2 stay joined. Springs, masses and other connectors stay at
-    their nodes, all of which keep their ids.
+    of these belong to; edges joined node by node, rigidly or by MPC, stay joined. Springs, masses and other connectors
+    stay at their nodes, all of which keep their ids.
 
     Raises
     ------
@@ -97,7 +99,10 @@ def refined(model: Model) -> Model:
     for card in (c for c in NODES if c in model and len(model[c])):
         tables[card] = _split(model, card, middles, first)
         first += len(tables[card])
-    tables |= dict(_held(model, middles)) | dict(_rigid(model, middles, first))
+    tables |= dict(_held(model, middles)) | dict(_rigid(model, middles))
+    seams = _seams(model, middles, first)
+    if len(seams):
+        tables["RBE2"] = stacked(tables["RBE2"], seams) if "RBE2" in tables else seams
     return replace(model, tables=tables)
 
 
@@ -295,7 +300,7 @@ def _constraints(model: Model) -> Iterator[tuple[int, str, Any]]:
         yield from zip(t["SID"].tolist(), t["C"].tolist(), t["G"], strict=True)
 
 
-def _rigid(model: Model, middles: _Middles, first: int) -> Iterator[tuple[str, Table]]:
+def _rigid(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
     """RBE2 and RBE3 with the new nodes between those that they join, with the mean of the weights about them."""
     for card, name, more in (("RBE2", "GM", ()), ("RBE3", "G", ("C", "WT"))):
         if card not in model:
@@ -310,30 +315,61 @@ def _rigid(model: Model, middles: _Middles, first: int) -> Iterator[tuple[str, T
                 lists[n][i] = np.concatenate([lists[n][i], _common(nodes, lists[n][i], middles.of[new])])
         made = {n: Ragged(np.concatenate(v), np.cumsum([0, *(x.size for x in v)])) for n, v in lists.items()}
         grown = replace(t, columns={**t.columns, **made})
-        yield card, stacked(grown, _seams(t, middles, first)) if card == "RBE2" else grown
+        yield card, grown
 
 
-def _seams(t: Table, middles: _Middles, first: int) -> Table:
-    """RBE2 between new nodes of two edges or faces that RBE2 of one dependent node each join node by node."""
-    one = np.flatnonzero(t.ragged("GM").sizes == 1)
-    dependent = t.ragged("GM").values[t.ragged("GM").offsets[one]]
-    order = np.argsort(dependent, kind="stable")
-    one, dependent = one[order], dependent[order]
+def _joints(model: Model) -> tuple[Int, Int, NDArray[np.str_]]:
+    """Nodes that move as others do, ascending, those others and the components, (k,), by a card for each.
+
+    RBE2 of one dependent node, RBAR and RBAR1, MPC of equal motions of nodes at one place.
+    """
+    found = list[tuple[int, int, str]]()
+    if "RBE2" in model:
+        t = model["RBE2"]
+        nodes = map(t.ragged("GM").row, range(len(t)))
+        found += [(int(d[0]), int(g), str(c)) for d, g, c in zip(nodes, t["GN"], t["CM"], strict=True) if d.size == 1]
+    for card, components in (("RBAR", "CMB"), ("RBAR1", "CB")):
+        if card in model:
+            t = model[card]
+            at_a = t["CNA"] if card == "RBAR" else np.full(len(t), _ALL)
+            each = zip(t["GA"].tolist(), t["GB"].tolist(), at_a, t[components], strict=True)
+            found += [(b, a, str(c) or _ALL) for a, b, n, c in each if n == _ALL]
+    found += _ties(model)
+    dependent, hub, named = zip(*sorted(found), strict=True) if found else ((), (), ())
+    return np.array(dependent, dtype=np.int64), np.array(hub, dtype=np.int64), np.array(named, dtype="<U6")
+
+
+def _ties(model: Model) -> list[tuple[int, int, str]]:
+    """Node, the one at its place that it moves with, and the components in which MPC say so."""
+    if "MPC" not in model or not model.case.mpc:
+        return []
+    t, x, grid, joined = model["MPC"], positions(model), model["GRID"], dict[tuple[int, int], str]()
+    for i in np.flatnonzero(np.isin(t["SID"], taken_sets(model, "MPC"))).tolist():
+        g, c, a = (t.ragged(n).row(i) for n in "GCA")
+        at = grid.find(g)
+        if g.size == 2 and a[0] == -a[1] and c[0] == c[1] > 0 and (at >= 0).all() and np.allclose(x[at[0]], x[at[1]]):
+            joined[int(g[0]), int(g[1])] = joined.get((int(g[0]), int(g[1])), "") + str(int(c[0]))
+    return [(d, h, "".join(sorted(c))) for (d, h), c in joined.items()]
+
+
+def _seams(model: Model, middles: _Middles, first: int) -> Table:
+    """RBE2 between new nodes of two edges or faces that are joined node by node."""
+    dependent, hubs_of, named = _joints(model)
     hubs, more, like = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
-    for size in (2, 4) if one.size else ():
+    for size in (2, 4) if dependent.size else ():
         new = np.flatnonzero((middles.of > 0).sum(axis=1) == size)
         nodes = middles.of[new, -size:]
-        at = np.searchsorted(dependent, nodes).clip(max=one.size - 1)
-        joined = (dependent[at] == nodes).all(axis=1) & (t["CM"][one[at]] == t["CM"][one[at[:, :1]]]).all(axis=1)
-        opposite = t["GN"][one[at[joined]]]
+        at = np.searchsorted(dependent, nodes).clip(max=dependent.size - 1)
+        joined = (dependent[at] == nodes).all(axis=1) & (named[at] == named[at[:, :1]]).all(axis=1)
+        opposite = hubs_of[at[joined]]
         (hub,) = middles.corners(opposite, [(tuple(range(size)),)])
         common = np.where((opposite == opposite[:, :1]).all(axis=1), opposite[:, 0], hub[:, 0])
         hubs.append(common[common > 0])
         more.append(middles.ids[new[joined]][common > 0])
-        like.append(one[at[joined, 0]][common > 0])
+        like.append(at[joined, 0][common > 0])
     gn, gm, row = (np.concatenate(x) for x in (hubs, more, like))
     each = Ragged(gm, np.arange(gm.size + 1))
-    return table("RBE2", EID=first + np.arange(gn.size), GN=gn, CM=t["CM"][row], GM=each)
+    return table("RBE2", EID=first + np.arange(gn.size), GN=gn, CM=named[row], GM=each)
 
 
 def _common(nodes: Int, values: NDArray[Any], of: Int) -> NDArray[Any]:
