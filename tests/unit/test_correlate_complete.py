@@ -115,8 +115,11 @@ def test_json_holds_no_nan_and_nothing_paired_is_no_error() -> None:
     a = replace(b, frequencies=b.frequencies * 9)
     p = pair_modes(a, b)
     assert not len(p)
-    text = json.dumps(complete_json(complete(a, b, p), p), allow_nan=False)
-    assert "at least 3 are needed" in text
+    for lift in (None, lambda m: m.shapes):
+        alone = complete(a, b, p, mass=np.eye(len(CHANNELS)), lift=lift)
+        text = json.dumps(complete_json(alone, p), allow_nan=False)
+        assert "at least 3 are needed" in text
+        assert "orthogonality not checked: no mode has a partner" in alone.notes
     full = complete_json(complete(measured(b), b, pair_modes(measured(b), b)), pair_modes(measured(b), b))
     json.dumps(full, allow_nan=False)
     assert full["suspects"][0]["channel"] == "5+Z"

@@ -173,8 +173,12 @@ def complete(
     left, right = paired_shapes(a, b, pairing, settings)
     notes: list[str] = []
     turn = turning(a, b, pairing, settings)
-    checks = _over_mass(a, b, pairing, turn, mass, mass_name, gate, lift) if mass is not None else ()
-    checks += _over_serep(a, b, pairing, turn, gate, notes, quiet=bool(checks))
+    checks: tuple[Check, ...] = ()
+    if not len(pairing):
+        notes.append("orthogonality not checked: no mode has a partner")
+    else:
+        checks = _over_mass(a, b, pairing, turn, mass, mass_name, gate, lift) if mass is not None else ()
+        checks += _over_serep(a, b, pairing, turn, gate, notes, quiet=bool(checks))
     suspects: tuple[Suspect, ...] = ()
     if len(pairing) < 3:
         notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
@@ -239,12 +243,12 @@ def _read(b: ModeSet, coordinates: Any_, mass: Any_ | sparse.csr_array, lift: Li
     error = READ * np.sqrt((np.abs(b.shapes) ** 2).mean(axis=0))
     if lift is None:
         return read_orthogonality(coordinates, mass, error)
-    n, columns = len(b.channels), []
+    n, out = len(b.channels), np.zeros((len(b), len(b)))
     for j, f in enumerate(b.frequencies.tolist()):  # tens of modes, each lifted at its own frequency
         units = lift(ModeSet(np.full(n, f), np.zeros(n), np.eye(n), b.channels, b.norm, b.source))
         one = np.where(np.arange(len(b)) == j, error, 0.0)
-        columns.append(read_orthogonality(coordinates, mass, one, units)[:, j])
-    return np.stack(columns, axis=1)
+        out[:, j] = read_orthogonality(coordinates, mass, one, units)[:, j]
+    return out
 
 
 def _over_serep(
