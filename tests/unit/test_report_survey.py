@@ -30,7 +30,7 @@ def test_notes_stand_below_the_table() -> None:
     assert len(_tests((record("a", ()),))) == 1
     _, notes = _tests((record("a", ("mains hum", "short")), record("b", ("mains hum",))))
     assert isinstance(notes, Items)
-    assert notes.items == ["a, b: mains hum", "a: short"]
+    assert notes.items == ["a; b: mains hum", "a: short"]
 
 
 def test_records_of_a_setup_are_one_row() -> None:

@@ -245,7 +245,7 @@ def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
     assert [row[1] for row in table.rows] == [f"setup {s}, 2 records" for s in "123"]
     assert [row[5] for row in table.rows] == ["2.0", "3.0", "3.0"]
     notes = next(b for b in section.blocks if isinstance(b, Items))
-    assert notes.items[1] == "setup 2, 2 records, setup 3, 2 records: 9 hits (2 records)"
+    assert notes.items[1] == "setup 2, 2 records; setup 3, 2 records: 9 hits (2 records)"
     signals = measured.signals(data)
     assert signals is not None
     text, *plots = signals.blocks

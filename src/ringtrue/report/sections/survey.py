@@ -70,7 +70,7 @@ def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
     for mine in parts:
         for note in _notes(mine):
             told.setdefault(note, []).append(_name(mine))
-    notes = [f"{', '.join(names)}: {note}" for note, names in told.items()]
+    notes = [f"{'; '.join(names)}: {note}" for note, names in told.items()]
     table = Table(HEADS, [_row(mine) for mine in parts], caption)
     return [table, Items(notes)] if notes else [table]
 
