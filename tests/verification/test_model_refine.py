@@ -218,6 +218,8 @@ def test_rigid_body_modes_have_no_mesh_error() -> None:
     free = Model({c: t for c, t in m.tables.items() if c != "SPC1"} | {"GRID": grid(positions(m))}, {})
     with EmbeddedSolver().open(free) as analysis:
         found = mesh_errors(free, analysis.modes(ModesRequest(9)).modes, EmbeddedSolver())
+        alone = mesh_errors(free, analysis.modes(ModesRequest(6)).modes, EmbeddedSolver())
+    assert np.isnan(alone.relative).all()
     assert np.isnan(found.relative[:6]).all()
     assert np.isfinite(found.relative[6:]).all()
 

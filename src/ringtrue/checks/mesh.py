@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlate.pairing import pair_modes
+from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.model.refine import refined
@@ -18,7 +19,7 @@ ORDER = 2  # of the frequency error in the size of elements: linear shapes, and 
 LOWER, HIGHER = 0.6, 1.25  # of the band of the modes: where those of the refined mesh are sought
 WORTH = 0.02  # of a frequency: mesh errors worth telling
 NAMED = 8  # modes named
-STILL = 1e-4  # of the highest frequency: rigid-body modes, which no mesh changes
+STILL, RIGID = 1e-4, 1e-6  # of the highest frequency, and of a shape that is not rigid: modes that no mesh changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,16 +83,31 @@ def mesh_errors(model: Model, modes: ModeSet, solver: ModalSolver) -> MeshErrors
     """
     fine = refined(model)
     f = modes.frequencies
-    out, moving = np.full(f.size, np.nan), np.flatnonzero(f > STILL * f.max(initial=0.0))
+    nodes, xyz = model["GRID"].ids, positions(model)
+    still = (f <= STILL * f.max(initial=0.0)) | _rigid(_translations(modes, nodes).shapes, xyz)
+    out, moving = np.full(f.size, np.nan), np.flatnonzero(~still)
     if moving.size:
         own = modes.take(moving)
         band = (LOWER * float(own.frequencies[0]), HIGHER * float(own.frequencies[-1]))
         with solver.open(fine) as analysis:
             found = analysis.modes(ModesRequest(band=band)).modes
-        nodes = model["GRID"].ids
         pairs = pair_modes(_translations(own, nodes), _translations(found, nodes))
         out[moving[pairs.a]] = found.frequencies[pairs.b]
     return MeshErrors(f, out, (len(model["GRID"]), len(fine["GRID"])))
+
+
+def _rigid(shapes: Any_, xyz: Float) -> Bool:
+    """Which translations (3n, m) of points (n, 3) are those of one rigid body: t + ω × r."""
+    r, turns = xyz - xyz.mean(axis=0), np.zeros((len(xyz), 3, 3))
+    for i, axis in enumerate(np.eye(3)):
+        turns[:, :, i] = np.cross(axis, r)
+    basis = np.concatenate([np.tile(np.eye(3), (len(xyz), 1)), turns.reshape(-1, 3)], axis=1)
+    u, size, _ = np.linalg.svd(
+        basis / np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny), full_matrices=False
+    )
+    u = u[:, size > RIGID]  # points in a line turn about it in vain
+    rest = shapes - u @ (u.T @ shapes)
+    return np.asarray(np.linalg.norm(rest, axis=0) < RIGID * np.linalg.norm(shapes, axis=0))
 
 
 def _translations(modes: ModeSet, nodes: Int) -> ModeSet:

@@ -99,6 +99,8 @@ def file_to(option: str, what: str, *endings: str) -> Any:
     def check(value: Path | None) -> Path | None:
         if value is not None and not value.parent.is_dir():
             raise ConfigError(f"{option} {value}: no folder {value.parent}")
+        if value is not None and value.is_dir():
+            raise ConfigError(f"{option} {value}: a folder; name a file in it")
         if value is not None and value.suffix.lower() not in endings:
             raise ConfigError(f"{option} {value}: format {value.suffix!r}{did_you_mean(value.suffix, endings)}")
         return value
