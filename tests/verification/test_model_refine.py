@@ -219,6 +219,9 @@ def test_rigid_body_modes_have_no_mesh_error() -> None:
     with EmbeddedSolver().open(free) as analysis:
         found = mesh_errors(free, analysis.modes(ModesRequest(9)).modes, EmbeddedSolver())
         alone = mesh_errors(free, analysis.modes(ModesRequest(6)).modes, EmbeddedSolver())
+        below = analysis.modes(ModesRequest(band=(0.0, 0.1 * float(found.frequencies[6]))))
+    assert len(below.modes) == 6
+    assert "rounding" not in below.proof  # which is all that they are
     assert np.isnan(alone.relative).all()
     assert np.isnan(found.relative[:6]).all()
     assert np.isfinite(found.relative[6:]).all()

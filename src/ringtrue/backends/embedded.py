@@ -101,12 +101,12 @@ class EmbeddedAnalysis:
             Norm.MASS,
             "embedded",
         )
-        proof = found.proof + self._blurred(found)
+        proof = found.proof + self._blurred(found, request.band[1] if request.band else 0.0)
         return ModesResult(modes, found.residuals[:n], found.complete, proof, found.orthogonality)
 
-    def _blurred(self, found: EigenModes) -> str:
+    def _blurred(self, found: EigenModes, highest: float) -> str:
         """A word on a stiffness so large that its rounding moves modes."""
-        share, mode, row = rounding(self.system.stiffness, found)
+        share, mode, row = rounding(self.system.stiffness, found, highest)
         if share < BLURRED:
             return ""
         at = " ".join(self._labels(np.array([row])))

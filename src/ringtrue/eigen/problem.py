@@ -51,11 +51,18 @@ class EigenModes:
         return frequencies(self.values)
 
 
-def rounding(stiffness: sparse.csr_array, modes: EigenModes) -> tuple[float, int, int]:
+def rounding(stiffness: sparse.csr_array, modes: EigenModes, highest: float = 0.0) -> tuple[float, int, int]:
     """How far the rounding of K may move a mode: what is far stiffer than the rest beside it leaves no digits for that.
 
     The entries of K are taken to be off by independent errors of ε of their size. A mode of a λ that is small beside
     the shift, as of a rigid body, is judged by the shift; one that is nothing but rounding is left out.
+
+    Parameters
+    ----------
+    stiffness : (f, f) csr_array float64
+    modes : EigenModes
+    highest : float, Hz
+        Up to where modes were asked for: their scale where all are of rigid bodies.
 
     Returns
     -------
@@ -69,7 +76,9 @@ def rounding(stiffness: sparse.csr_array, modes: EigenModes) -> tuple[float, int
     size = np.abs(modes.values)
     energy = stiffness.diagonal()[:, None] * modes.vectors**2
     off = np.finfo(np.float64).eps * np.linalg.norm(energy, axis=0)
-    share = off / np.maximum(size, max(SMALL * abs(modes.shift), NOISE * float(size.max())))
+    top, wanted = float(size.max()), eigenvalue(highest)
+    top = wanted if top < NOISE * wanted < np.inf else top
+    share = off / np.maximum(size, max(SMALL * abs(modes.shift), NOISE * top))
     share = np.where(share < 1, share, 0.0)
     mode = int(share.argmax())
     return float(share[mode]), mode, int(np.abs(energy[:, mode]).argmax())
