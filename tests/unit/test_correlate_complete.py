@@ -232,7 +232,7 @@ def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
         (["a.json", "b.json", "--diagonal", "95"], "--diagonal 95.0: .* give --complete or --mass"),
         (["a.bdf", "b.bdf", "--off-diagonal", "5"], "--off-diagonal 5.0"),
         (["a.json", "b.json", "--sensors", "s.csv"], "--sensors is for a deck"),
-        (["a.bdf", "b.json"], "against another deck only"),
+        (["a.bdf", "b.json"], "a.bdf is a deck: name the modes of the test first, `b.json a.bdf`"),
     ],
 )
 def test_options_that_would_change_nothing_are_refused(

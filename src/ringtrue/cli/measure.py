@@ -52,8 +52,12 @@ def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[b
     first, second = (x.suffix.lower() not in READ for x in (a, b))
     if sensors is not None and not second:
         raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
-    if first and (sensors is not None or align or not second):
-        raise ConfigError(f"{a}: modes of a deck are held against another deck only, at its nodes, in one frame")
+    if first and not second:
+        raise ConfigError(f"{a} is a deck: name the modes of the test first, `{b} {a}`")
+    if first and (sensors is not None or align):
+        raise ConfigError(
+            f"{a} and {b}: decks are compared at their nodes, in one frame; leave out --sensors and --align"
+        )
     if align and sensors is None:
         raise ConfigError(f"--align {align}: lays the places of a sheet onto a deck; give --sensors")
     return first, second
