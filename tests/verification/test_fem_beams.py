@@ -76,7 +76,7 @@ def test_uniform_cantilever(card: str, section: dict[str, float]) -> None:
 
 def test_the_integral_is_the_closed_form_where_there_is_no_taper() -> None:
     m = beam(SECTION | ALIKE | {"K1": 0.8, "K2": 0.6})
-    iso, s = bar._section(mesh(m), "CBEAM", np.array([0]))
+    iso, s = bar.section(mesh(m), "CBEAM", np.array([0]))
     one = bar.uniform(np.array([L]), iso, s)
     np.testing.assert_allclose(bar.flexible(np.array([L]), iso.E, iso.G, s), one, atol=EXACT * np.abs(one).max())
 

@@ -143,7 +143,7 @@ def test_a_direction_of_a_cylindrical_frame_turns_with_the_place(tmp_path: Path)
         (("PLOAD4,1,1,1.",), "element 1: G1 = 0 and G3/G4 = blank mean no face of the CHEXA"),
         (("PLOAD,1,1.,5,6,77",), "a node of the face is not in the deck"),
         (("PLOAD4,1,2,1.", ",,,,,LINE"), "loads along edges"),
-        (("PLOAD1,1,2,FZ,FR,0.,1.,1.,1.",), "PLOAD1 is not supported: of a static load, FORCE"),
+        (("RFORCE,1,1,,3.",), "RFORCE is not supported: of a static load, FORCE"),
         (("FORCE1,1,6,5.,5,55",), "FORCE names node 55"),
         (("PLOAD,1,1.,5,6",), "PLOAD field G1: three or four nodes span a face"),
         (("FORCE,1,6,,1.+200,0.,0.,1.+200",), "SUBCASE 1: the loads are too large"),

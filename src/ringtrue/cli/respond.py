@@ -203,7 +203,8 @@ def static(
 ) -> int:
     """Deflections of a deck under its own loads, or under single forces, each a load case of its own.
 
-    Directions are those of the basic frame, results in SI. Of the deck forces, moments, pressures and GRAV are read.
+    Directions are those of the basic frame, results in SI. Of the deck forces, moments, pressures, PLOAD1 on beams and
+    GRAV are read.
 
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """

@@ -8,18 +8,22 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from ringtrue.checks.mass import unconstrained
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
+from ringtrue.fem.elements import bar
 from ringtrue.fem.kinds import SOLIDS
+from ringtrue.fem.line_loads import LineKind, line_forces
+from ringtrue.fem.mesh import Mesh, mesh
 from ringtrue.fem.pressure import SURFACES, face, face_forces
-from ringtrue.io.nastran.loads import Load, LoadCase, Pressure
+from ringtrue.io.nastran.loads import LINE_KINDS, LineLoad, Load, LoadCase, Pressure
 from ringtrue.model.choices import taken_sets
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
 from ringtrue.model.places import error
 
+SAME = 1e-6  # of the length of a beam: a load that much beyond its end stands there
 _Face = tuple[list[int], Pressure, float]  # its nodes, the pressure, and its sign along the normal
 
 
@@ -52,6 +56,7 @@ def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
             elif isinstance(ld, Load):
                 gravity[:, j] += _vector(model, xyz, case, ld)
         _press(out[:, j], model, xyz, [ld for ld in case.loads if isinstance(ld, Pressure)])
+        _load_beams(out[:, j], model, [ld for ld in case.loads if isinstance(ld, LineLoad)])
     if gravity.any():  # all masses, those at supports too, which hang on what is free by a consistent mass
         whole = assemble(unconstrained(model))
         out += whole.local.T @ (whole.mass @ (whole.rigid_body()[:, :3] @ gravity))
@@ -97,6 +102,39 @@ def _press(out: Float, model: Model, xyz: Float, pressures: Sequence[Pressure]) 
         along = None if normal else _towards(model, cid, np.array([ld.vector for _, ld, _ in faces]))
         force = face_forces(x, p, along)
         np.add.at(out[: 6 * len(xyz)].reshape(-1, 6)[:, :3], rows[ids > 0], force[ids > 0])
+
+
+def _load_beams(out: Float, model: Model, lines: Sequence[LineLoad]) -> None:
+    """Add the forces of loads on beams to those of all nodes, (dof,)."""
+    if not lines:
+        return
+    m, left = mesh(model), np.ones(len(lines), dtype=bool)
+    ids = np.array([ld.element for ld in lines])
+    for card in ("CBAR", "CBEAM"):
+        if card not in model:
+            continue
+        row = model[card].find(ids)
+        chosen = [ld for ld, r in zip(lines, row, strict=True) if r >= 0]
+        if chosen:
+            out += _of_beams(m, card, row[row >= 0], chosen)
+        left &= row < 0
+    if left.any():
+        ld = lines[int(left.argmax())]
+        raise ld.error(f"names element {ld.element}, which is no CBAR or CBEAM of the deck")
+
+
+def _of_beams(m: Mesh, card: str, at: Int, lines: Sequence[LineLoad]) -> Float:
+    ends, sizes = (np.array([getattr(ld, name) for ld in lines]) for name in ("ends", "sizes"))
+    own, fraction, projected = (
+        np.array(v) for v in zip(*((ld.kind.endswith("E"), ld.fraction, ld.projected) for ld in lines), strict=True)
+    )
+    length = np.where(fraction, 1.0, bar.measure(m, card, at))
+    if (beyond := ends[:, 1] > length * (1 + SAME)).any():
+        i = int(beyond.argmax())
+        raise lines[i].error(f"X2 (or X1) is {ends[i, 1]:g}; the beam ends at {length[i]:g}")
+    along = np.eye(6)[[LINE_KINDS.index(ld.kind[:2]) for ld in lines]]
+    ends = np.minimum(ends, length[:, None])
+    return line_forces(m, card, at, ends, sizes, along, LineKind(own, fraction, projected))
 
 
 def _towards(model: Model, cid: int, vectors: Float) -> Callable[[Float], Float]:

@@ -215,7 +215,8 @@ def _stiff(K: Any_, drop: Int) -> Any_:
     return out
 
 
-def _section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
+def section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
+    """Material and section of the rows `at` (e,) of CBAR or CBEAM."""
     return _pbar(m, card, at) if card == "CBAR" else _pbeam(m, card, at)
 
 
@@ -347,17 +348,31 @@ def measure(m: Mesh, card: str, at: Int) -> Float:
     return segment(m.xyz[nodes] + _offsets(m, card, at, nodes))[0]
 
 
-def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CBAR or CBEAM.
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """Beams where they stand: node rows (e, 2), lengths (e,), axes (e, 3, 3) as rows, `local` (e, 12, 12).
+
+    `local` gives the motions of the ends, offsets included, in the axes from those of the nodes in basic. `released`
+    (e, 12) are the pin flags.
+    """
+
+    nodes: Int
+    L: Float
+    axes: Float
+    local: Float
+    released: Bool
+
+
+def place(m: Mesh, card: str, at: Int) -> Placed:
+    """Where the rows `at` (e,) of CBAR or CBEAM stand.
 
     Raises
     ------
     DeckError
-        If an end, orientation or property is absent or an element has no length.
+        If an end or the orientation is absent or an element has no length.
     """
     t = m.model[card]
     nodes = m.nodes(t.stack("GA", "GB")[at], t, at)
-    iso, s = _section(m, card, at)
     arms = _offsets(m, card, at, nodes)
     x = m.xyz[nodes] + arms
     short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
@@ -368,8 +383,25 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     local = rotation(R, 2)
     if arms.any():
         local = local @ nodal(arm(arms))
-    pins = np.concatenate([components(t["PA"][at]), components(t["PB"][at])], axis=1)
+    return Placed(nodes, L, R, local, np.concatenate([components(t["PA"][at]), components(t["PB"][at])], axis=1))
+
+
+def stiffness(L: Float, iso: Isotropic, s: Section) -> Any_:
+    """Local stiffness (e, 12, 12) at the shear centres of the ends, whose neutral axis may be elsewhere."""
     K = kernel(L, iso, s)
-    K = release(congruent(_axial_at(s.neutral, L), K) if np.any(s.neutral) else K, pins)
-    M = _mass(L, iso, s, m.model.param("COUPMASS", -1) > 0, card == "CBEAM")
-    return Matrices(node_dofs(nodes), congruent(local, K), congruent(local, M), iso.loss, np.empty((0, 12, 12)))
+    return congruent(_axial_at(s.neutral, L), K) if np.any(s.neutral) else K
+
+
+def build(m: Mesh, card: str, at: Int) -> Matrices:
+    """Matrices of the rows `at` (e,) of CBAR or CBEAM.
+
+    Raises
+    ------
+    DeckError
+        If an end, orientation or property is absent or an element has no length.
+    """
+    p = place(m, card, at)
+    iso, s = section(m, card, at)
+    K = release(stiffness(p.L, iso, s), p.released)
+    M = _mass(p.L, iso, s, m.model.param("COUPMASS", -1) > 0, card == "CBEAM")
+    return Matrices(node_dofs(p.nodes), congruent(p.local, K), congruent(p.local, M), iso.loss, np.empty((0, 12, 12)))

@@ -14,6 +14,8 @@ from ringtrue.io.nastran.fields import Reader
 from ringtrue.io.nastran.gather import Cards
 from ringtrue.model.cards import PRELOADS
 
+LINE_KINDS = tuple(f"{what}{axis}{own}" for own in ("", "E") for what in "FM" for axis in "XYZ")
+LINE_SCALES = ("LE", "FR", "LEPR", "FRPR")
 Vector = tuple[float, float, float]
 
 
@@ -63,11 +65,40 @@ class Pressure:
 
 
 @dataclass(frozen=True, slots=True)
+class LineLoad:
+    """A force or moment (PLOAD1) on the beam `element`; deck units.
+
+    `kind` is its TYPE, such as FZ (basic) or MYE (axes of the element). It acts from `ends[0]` to `ends[1]`, lengths
+    or with `fraction` shares of the length, with sizes a length that are linear between, or where the two are one as a
+    single load `sizes[0]`. `projected`: a length is that which a view along the load sees.
+    """
+
+    place: tuple[str, int]
+    element: int
+    kind: str
+    ends: tuple[float, float]
+    sizes: tuple[float, float]
+    fraction: bool
+    projected: bool
+
+    def times(self, factor: float) -> LineLoad:
+        """The load multiplied."""
+        return replace(self, sizes=(factor * self.sizes[0], factor * self.sizes[1]))
+
+    def error(self, why: str) -> DeckError:
+        """An error at the place of the card."""
+        return DeckError(why, path=self.place[0], line=self.place[1], card="PLOAD1")
+
+
+AnyLoad = Load | Pressure | LineLoad
+
+
+@dataclass(frozen=True, slots=True)
 class LoadCase:
     """What acts in a subcase."""
 
     name: str
-    loads: tuple[Load | Pressure, ...]
+    loads: tuple[AnyLoad, ...]
 
 
 def load_cases(found: Cards) -> tuple[LoadCase, ...]:
@@ -85,7 +116,7 @@ def load_cases(found: Cards) -> tuple[LoadCase, ...]:
     return tuple(LoadCase(name, _of_set(found, number)) for name, number in asked)
 
 
-def _of_set(found: Cards, number: int) -> tuple[Load | Pressure, ...]:
+def _of_set(found: Cards, number: int) -> tuple[AnyLoad, ...]:
     for r in (Reader(c, found.deck.files) for c in written_out(found, "LOAD")):
         if r.whole(0, "SID") == number:
             every, last = r.real(1, "S", 0.0), len(r.card.fields) - 1
@@ -94,9 +125,9 @@ def _of_set(found: Cards, number: int) -> tuple[Load | Pressure, ...]:
     return _alone(found, number)
 
 
-def _alone(found: Cards, number: int) -> tuple[Load | Pressure, ...]:
+def _alone(found: Cards, number: int) -> tuple[AnyLoad, ...]:
     """The loads of a set, without LOAD."""
-    out = list[Load | Pressure]()
+    out = list[AnyLoad]()
     for name in (n.decode() for n in found.kinds()[0].tolist()):
         if name == "LOAD" or not name.startswith(PRELOADS):
             continue
@@ -124,14 +155,14 @@ def _node(r: Reader) -> int:
     return node
 
 
-def _force(r: Reader) -> list[Load | Pressure]:
+def _force(r: Reader) -> list[AnyLoad]:
     """FORCE and MOMENT: SID G CID F N1 N2 N3; GRAV: SID CID A N1 N2 N3."""
     at = 1 if r.card.name == "GRAV" else 2
     node, cid = 0 if at == 1 else _node(r), r.whole(at, "CID", 0)
     return [Load(r.card.name, node, cid, _vector(r, at + 2)).times(r.real(at + 1, "the size", 0.0))]
 
 
-def _between(r: Reader) -> list[Load | Pressure]:
+def _between(r: Reader) -> list[AnyLoad]:
     """FORCE1 and MOMENT1: SID G F G1 G2."""
     ends = (r.whole(3, "G1"), r.whole(4, "G2"))
     return [Load(r.card.name[:-1], _node(r), 0, (r.real(2, "F"), 0.0, 0.0), ends)]
@@ -141,7 +172,7 @@ def _place(r: Reader) -> tuple[str, int]:
     return r.files[r.card.file], r.card.line
 
 
-def _pload(r: Reader) -> list[Load | Pressure]:
+def _pload(r: Reader) -> list[AnyLoad]:
     """PLOAD: SID P G1 G2 G3 G4."""
     nodes = tuple(r.whole(i, f"G{i - 1}", 0) for i in (2, 3, 4, 5))
     if min(nodes[:3]) < 1:
@@ -149,7 +180,7 @@ def _pload(r: Reader) -> list[Load | Pressure]:
     return [Pressure("PLOAD", _place(r), (r.real(1, "P"),) * 4, nodes=nodes)]
 
 
-def _pload2(r: Reader) -> list[Load | Pressure]:
+def _pload2(r: Reader) -> list[AnyLoad]:
     """PLOAD2: SID P and elements, or a range of them."""
     size = (r.real(1, "P"),) * 4
     if r.text(3).upper() == "THRU":
@@ -159,7 +190,7 @@ def _pload2(r: Reader) -> list[Load | Pressure]:
     return [Pressure("PLOAD2", _place(r), size, a, b) for a, b in ranges]
 
 
-def _pload4(r: Reader) -> list[Load | Pressure]:
+def _pload4(r: Reader) -> list[AnyLoad]:
     """PLOAD4: SID EID P1 P2 P3 P4 and G1 G3, or THRU EID2; CID N1 N2 N3 SORL LDIR."""
     first = r.real(2, "P1", 0.0)
     sizes = tuple(r.real(i, f"P{i - 1}", first) for i in (2, 3, 4, 5))
@@ -173,10 +204,31 @@ def _pload4(r: Reader) -> list[Load | Pressure]:
     return [Pressure("PLOAD4", _place(r), sizes, eid, last, nodes, r.whole(8, "CID", 0), vector)]
 
 
-_READ: Mapping[str, Callable[[Reader], list[Load | Pressure]]] = {
+def _pload1(r: Reader) -> list[AnyLoad]:
+    """PLOAD1: SID EID TYPE SCALE X1 P1 X2 P2."""
+    kind, scale = r.text(2).upper(), r.text(3).upper()
+    if kind not in LINE_KINDS:
+        raise r.fail("TYPE", f"{kind or 'blank'}; allowed are {' '.join(LINE_KINDS)}")
+    if scale not in LINE_SCALES:
+        raise r.fail("SCALE", f"{scale or 'blank'}; allowed are {' '.join(LINE_SCALES)}")
+    first, size, single = r.real(4, "X1"), r.real(5, "P1"), not r.text(6)
+    last = first if single else r.real(6, "X2")
+    if not 0 <= first <= last:
+        raise r.fail("X1", f"from {first:g} to {last:g}; must be 0 <= X1 <= X2")
+    single = single or last == first
+    projected = scale.endswith("PR")
+    if projected and not single and (kind.endswith("E") or kind[0] == "M"):
+        raise r.fail("SCALE", f"{scale} is read with FX, FY and FZ; for {kind} give {scale[:2]}")
+    sizes = (size, size if single else r.real(7, "P2"))
+    eid = r.whole(1, "EID")
+    return [LineLoad(_place(r), eid, kind, (first, last), sizes, scale[:2] == "FR", projected)]
+
+
+_READ: Mapping[str, Callable[[Reader], list[AnyLoad]]] = {
     **dict.fromkeys(("FORCE", "MOMENT", "GRAV"), _force),
     **dict.fromkeys(("FORCE1", "MOMENT1"), _between),
     "PLOAD": _pload,
+    "PLOAD1": _pload1,
     "PLOAD2": _pload2,
     "PLOAD4": _pload4,
 }

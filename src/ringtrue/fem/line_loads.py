@@ -1,0 +1,118 @@
+"""Loads between the nodes of CBAR and CBEAM as forces at their nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.fem.algebra import arm
+from ringtrue.fem.elements import bar
+from ringtrue.fem.mesh import Isotropic, Mesh
+from ringtrue.fem.place import node_dofs
+
+_POINTS = np.stack(np.polynomial.legendre.leggauss(8), axis=1) / 2 + [0.5, 0.0]  # five do for a uniform beam
+NEAREST = 1e-12  # share of the length: a load nearer to end A moves as end A does
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineKind:
+    """How loads are given, (e,) bool each: in the axes of the element, not of basic; places as shares of the length;
+    sizes for a length as a view along the load, a force, sees it.
+    """
+
+    own: Bool
+    fraction: Bool
+    projected: Bool
+
+
+def line_forces(m: Mesh, card: str, at: Int, ends: Float, sizes: Float, along: Float, kind: LineKind) -> Float:
+    """Forces (dof,) float64 at the full DOFs, in basic, that do the work of loads on beams.
+
+    A load does as much work in a motion of the ends as they do together, and how a beam moves when its ends do is
+    what its stiffness says of the part up to the load: exact for any section, as the stiffness is. Released ends carry
+    nothing.
+
+    Parameters
+    ----------
+    m : Mesh
+    card : {"CBAR", "CBEAM"}
+    at : (e,) int64
+        Rows of the card, one for each load.
+    ends : (e, 2) float64
+        Where on the axis x of the beam the load begins and ends; a single load has them equal.
+    sizes : (e, 2) float64
+        At the two, a length, linear between them; the first of a single load.
+    along : (e, 6) float64
+        The force and moment of unit size.
+    kind : LineKind
+
+    Raises
+    ------
+    DeckError
+        As `ringtrue.fem.elements.bar.build` does.
+    """
+    placed = bar.place(m, card, at)
+    iso, s = bar.section(m, card, at)
+    K = np.asarray(bar.stiffness(placed.L, iso, s), dtype=np.float64)
+    turned = np.einsum("eij,ekj->eki", placed.axes, along.reshape(-1, 2, 3)).reshape(-1, 6)
+    local = np.where(kind.own[:, None], along, turned)
+    share = ends / np.where(kind.fraction, 1.0, placed.L)[:, None]
+    wide = share[:, 1] - share[:, 0]
+    length = placed.L * np.where(kind.projected, np.linalg.norm(local[:, 1:3], axis=1), 1.0)
+    work = np.zeros((at.size, 12))
+    for point, weight in _POINTS.tolist():  # a fixed number of points; all stand at one where the load is single
+        size = sizes[:, 0] + point * (sizes[:, 1] - sizes[:, 0])
+        size = weight * size * np.where(wide > 0, wide * length, 1.0)
+        motion = _motion(K, placed.L, iso, s, share[:, 0] + point * wide)
+        work += np.einsum("eij,ei->ej", motion, local * size[:, None])
+    forces = np.einsum("eij,ei->ej", placed.local, _released(K, placed.released, work))
+    out = np.zeros(m.size)
+    np.add.at(out, node_dofs(placed.nodes), forces)
+    return out
+
+
+def _motion(K: Float, L: Float, iso: Isotropic, s: bar.Section, x: Float) -> Float:
+    """Motion (e, 6) at places of the axis by that of the ends: (e, 6, 12)."""
+    x = np.maximum(x, NEAREST)
+    to_x = np.stack([x * L, 0 * L, 0 * L], axis=1)
+    part = np.asarray(bar.stiffness(x * L, iso, _up_to(s, x)), dtype=np.float64)[:, 6:, 6:]
+    cut = -arm(-to_x).swapaxes(1, 2) @ K[:, :6]  # the force with which the rest pulls at the part up to the load
+    moved = _solve(part, cut)
+    moved[:, :, :6] += arm(to_x)
+    return moved
+
+
+def _up_to(s: bar.Section, end: Float) -> bar.Section:
+    """The sections from end A to the places `end` (e,), which become end B; the masses are not cut."""
+    k = np.clip((s.x <= end[:, None]).sum(axis=1) - 1, 0, s.x.shape[1] - 2)[:, None]
+    a, b = (np.take_along_axis(s.x, i, axis=1) for i in (k, k + 1))
+    t = (end[:, None] - a) / np.where(b > a, b - a, 1.0)
+
+    def cut(v: Any_) -> Any_:
+        at_a, at_b = (np.take_along_axis(v, i, axis=1) for i in (k, k + 1))
+        return np.where(s.x < end[:, None], v, at_a + t * (at_b - at_a))
+
+    A, I1, I2, I12, J = (cut(v) for v in (s.A, s.I1, s.I2, s.I12, s.J))
+    last = s.neutral[:, 0] + end[:, None] * (s.neutral[:, 1] - s.neutral[:, 0])
+    neutral, x = np.stack([s.neutral[:, 0], last], axis=1), np.minimum(s.x / end[:, None], 1.0)
+    return replace(s, x=x, A=A, I1=I1, I2=I2, I12=I12, J=J, neutral=neutral)
+
+
+def _released(K: Float, pins: Bool, ends: Float) -> Float:
+    """Forces (e, 12) at ends of which some DOFs (e, 12) are free: they are passed on to the others."""
+    ends = ends.copy()
+    for i in np.flatnonzero(pins.any(axis=1)):  # few beams between nodes are loaded and have joints
+        drop, keep = np.flatnonzero(pins[i]), np.flatnonzero(~pins[i])
+        ends[i, keep] -= K[i][np.ix_(keep, drop)] @ _solve(K[i][np.ix_(drop, drop)], ends[i, drop, None])[:, 0]
+        ends[i, drop] = 0.0
+    return ends
+
+
+def _solve(K: Float, b: Float) -> Float:
+    """K⁻¹b, 0 along DOFs without stiffness; scaled first."""
+    size = np.einsum("...ii->...i", K)
+    d = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+    scaled = K * d[..., None] * d[..., None, :] + (size <= 0)[..., None] * np.eye(K.shape[-1])
+    return np.asarray(d[..., None] * np.linalg.solve(scaled, d[..., None] * b))
