@@ -31,6 +31,14 @@ def report(folder: Path, text: str, units: str = "SI") -> DeckReport:
     return check_deck(survey(path).model, units)
 
 
+@pytest.mark.parametrize("section", ["1.5,1", "1.5,1,,2", "1.4,1,,1"])
+def test_thick_triangles_that_are_as_nastran_has_them(tmp_path: Path, section: str) -> None:
+    """Rigid in shear because MID3 is blank, flexible by a material of its own, or not that thick."""
+    triangles = f"CTRIA3,1,1,1,2,3\nCTRIA3,2,1,1,3,4\nPSHELL,1,1,{section}\n"
+    got = report(tmp_path, SQUARE + triangles + "MAT1,1,2.1+11,,.3,7850.\nMAT1,2,2.1+11,,.3,7850.\n")
+    assert not [f for f in got.findings if "transverse" in f.text]
+
+
 def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
     got = report(tmp_path, SOUND)
     assert got.ok
@@ -63,6 +71,8 @@ def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
         ("MAT2,2,1.,2.,,1.,,1.\n", "error", 8, "MAT2 2: its elasticity matrix has a negative"),
         ("GRID,9,,.51,.51,0.\nCQUAD4,2,1,1,2,9,4\n", "warning", 9, "CQUAD4 2: has corner Jacobians"),
         ("GRID,9,,.1,0.,0.\nCTRIA6,2,1,1,2,3,9\n", "error", 9, "CTRIA6 2: has a mid-side node outside"),
+        ("PSHELL,2,1,1.5,1,,1\nCTRIA3,2,2,1,2,3\n", "warning", 9, "CTRIA3 2: is thicker than its sides"),
+        ("PSOLID,2,1\nGRID,9,,0.,0.,1.\nCTETRA,2,2,1,2,4,9\n", "warning", 10, "CTETRA 2: has four nodes"),
         ("CTRIA3,1,1,1,2,3\n", "warning", 8, "CTRIA3 1: CQUAD4 has the same number"),
         ("SNORM,1,,0.,0.,1.\n", "info", 0, "SNORM: kept, not applied"),
         ("DESVAR,1,T,2.\n", "info", 0, "DESVAR: kept, not applied"),

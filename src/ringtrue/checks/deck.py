@@ -17,6 +17,7 @@ from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.checks.geometry import check_geometry
 from ringtrue.checks.hinges import hinge_findings
 from ringtrue.checks.materials import check_materials
+from ringtrue.checks.stiff import stiff_findings
 from ringtrue.checks.unapplied import unapplied
 from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
@@ -72,7 +73,7 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
     checks = [*lost, *_unconnected(model), *_shared_numbers(model)]
     if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
         checks += [*check_geometry(model), *_coincident(model), *check_units(model, units), *hinge_findings(model)]
-        checks += wide_findings(model)
+        checks += [*wide_findings(model), *stiff_findings(model)]
     checks += [*_unused(model), *_unchosen(model), *_lost_sets(model), *unapplied(model)]
     checks += [*check_materials(model), *body_findings(model), *edge_findings(model), *double_findings(model)]
     order = {"error": 0, "warning": 1, "info": 2}
