@@ -18,7 +18,7 @@ NO_ENERGY = 1e-13  # of the energy that its DOFs would have alone: a motion is w
 NEGATIVE = 1e-6  # share of the usual mass of a DOF beyond which less than nothing is not rounding
 PIECE = 100_000  # rows looked at in one piece
 DENSE_SIZE = 400  # rows up to which the dense solution is used
-DENSE_SHARE, DENSE_LIMIT = 0.25, 3000  # up to that many rows it is faster where more of the modes are wanted (measured)
+DENSE_SHARE, DENSE_LIMIT = 0.25, 2000  # it is faster for more of the modes of up to so many rows, in 500 MB (measured)
 
 
 def named_rows(rows: Int) -> list[str]:
