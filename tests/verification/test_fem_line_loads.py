@@ -130,3 +130,22 @@ def test_a_load_on_the_projected_length(tmp_path: Path, scale: str, total: float
 def test_what_is_refused(tmp_path: Path, load: str, told: str) -> None:
     with pytest.raises(DeckError, match=told):
         forces(written(tmp_path, load))
+
+
+@pytest.mark.parametrize(
+    ("kind", "section", "released"),
+    [
+        ("MX", "PBAR,1,1,1.-3,2.-6,3.-6", ""),
+        ("FY", "PBAR,1,1,1.-3", ""),
+        ("FX", SLENDER, "1,1"),
+        ("MX", SLENDER, "4,4"),
+    ],
+)
+def test_what_no_beam_can_carry(tmp_path: Path, kind: str, section: str, released: str) -> None:
+    """Without stiffness along the load, or free along it at both ends; a load across is carried then."""
+    path = written(tmp_path, f"PLOAD1,9,1,{kind},FR,.5,7.", section, more=f"\n,{released}")
+    with pytest.raises(DeckError, match="CBAR 1: cannot carry its PLOAD1"):
+        forces(path)
+    if released:
+        across = forces(written(tmp_path, "PLOAD1,9,1,FZ,FR,.5,7.", section, more=f"\n,{released}"))
+        np.testing.assert_allclose(across[:, [2, 4]], [[3.5, -7 * L / 8], [3.5, 7 * L / 8]], rtol=1e-9)

@@ -9,11 +9,13 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.algebra import arm
 from ringtrue.fem.elements import bar
-from ringtrue.fem.mesh import Isotropic, Mesh
+from ringtrue.fem.mesh import Isotropic, Mesh, error
 from ringtrue.fem.place import node_dofs
 
 _POINTS = np.stack(np.polynomial.legendre.leggauss(8), axis=1) / 2 + [0.5, 0.0]  # five do for a uniform beam
 NEAREST = 1e-12  # share of the length: a load nearer to end A moves as end A does
+NOTHING = 1e-9  # share of a load that is rounding
+SINGULAR = 1e-12  # of released ends: a mechanism
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,7 @@ def line_forces(m: Mesh, card: str, at: Int, ends: Float, sizes: Float, along: F
     Raises
     ------
     DeckError
-        As `ringtrue.fem.elements.bar.build` does.
+        As `ringtrue.fem.elements.bar.build` does, and if a beam has no stiffness against its load.
     """
     placed = bar.place(m, card, at)
     iso, s = bar.section(m, card, at)
@@ -67,7 +69,14 @@ def line_forces(m: Mesh, card: str, at: Int, ends: Float, sizes: Float, along: F
         size = weight * size * np.where(wide > 0, wide * length, 1.0)
         motion = _motion(K, placed.L, iso, s, share[:, 0] + point * wide)
         work += np.einsum("eij,ei->ej", motion, local * size[:, None])
-    forces = np.einsum("eij,ei->ej", placed.local, _released(K, placed.released, work))
+    work, carried = _released(K, placed.released, work)
+    carried &= ~((np.abs(local) > NOTHING) & (np.einsum("eii->ei", K)[:, 6:] <= 0)).any(axis=1)
+    if not carried.all():
+        wrong = int(at[int(carried.argmin())])
+        raise error(
+            m.model, m.model[card], wrong, "cannot carry its PLOAD1: no stiffness along it, or both ends released"
+        )
+    forces = np.einsum("eij,ei->ej", placed.local, work)
     out = np.zeros(m.size)
     np.add.at(out, node_dofs(placed.nodes), forces)
     return out
@@ -100,19 +109,31 @@ def _up_to(s: bar.Section, end: Float) -> bar.Section:
     return replace(s, x=x, A=A, I1=I1, I2=I2, I12=I12, J=J, neutral=neutral)
 
 
-def _released(K: Float, pins: Bool, ends: Float) -> Float:
-    """Forces (e, 12) at ends of which some DOFs (e, 12) are free: they are passed on to the others."""
-    ends = ends.copy()
+def _released(K: Float, pins: Bool, ends: Float) -> tuple[Float, Bool]:
+    """Forces (e, 12) at ends of which some DOFs (e, 12) are free: they are passed on to the others, where these can
+    carry them, (e,) bool.
+    """
+    ends, carried = ends.copy(), np.ones(len(ends), dtype=bool)
     for i in np.flatnonzero(pins.any(axis=1)):  # few beams between nodes are loaded and have joints
         drop, keep = np.flatnonzero(pins[i]), np.flatnonzero(~pins[i])
-        ends[i, keep] -= K[i][np.ix_(keep, drop)] @ _solve(K[i][np.ix_(drop, drop)], ends[i, drop, None])[:, 0]
+        d = _scale(K[i][np.ix_(drop, drop)])
+        free, given = K[i][np.ix_(drop, drop)] * d * d[:, None], d * ends[i, drop]
+        moved = np.linalg.lstsq(free, given, rcond=SINGULAR)[0]
+        carried[i] = np.abs(free @ moved - given).max() <= NOTHING * d.max() * np.abs(ends[i]).max()
+        ends[i, keep] -= K[i][np.ix_(keep, drop)] @ (d * moved)
         ends[i, drop] = 0.0
-    return ends
+    return ends, carried
 
 
 def _solve(K: Float, b: Float) -> Float:
     """K⁻¹b, 0 along DOFs without stiffness; scaled first."""
-    size = np.einsum("...ii->...i", K)
-    d = 1 / np.sqrt(np.where(size > 0, size, 1.0))
-    scaled = K * d[..., None] * d[..., None, :] + (size <= 0)[..., None] * np.eye(K.shape[-1])
+    d = _scale(K)
+    scaled = K * d[..., None] * d[..., None, :]
+    scaled += (np.einsum("...ii->...i", K) <= 0)[..., None] * np.eye(K.shape[-1])
     return np.asarray(d[..., None] * np.linalg.solve(scaled, d[..., None] * b))
+
+
+def _scale(K: Float) -> Float:
+    """By which rows and columns of K (..., d, d) get a diagonal of ones."""
+    size = np.einsum("...ii->...i", K)
+    return np.asarray(1 / np.sqrt(np.where(size > 0, size, 1.0)))
