@@ -1,10 +1,12 @@
-"""Modes beyond the usual: just outside the lines of the FRFs, and damped as elastomers and ballast damp.
+"""Beyond the usual: modes just outside the lines, damped as elastomers and ballast damp, or of forty references.
 
 FRFs are sums of the modes of a simply supported plate of 10 kg and unit sides, φ_jk = 2 sin(jπx) sin(kπy)/√m, at random
 places, with white noise of 1 % of the rms of each and the coherence that it leaves.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -18,20 +20,27 @@ EXACT = 0.995  # MAC: ten times what the noise leaves
 SCALE = 0.03  # of a modal mass: what modes far beyond the lines may leave near an end of these
 
 
-def plate(fn: np.ndarray, zeta: np.ndarray, freqs: np.ndarray, rng: np.random.Generator) -> tuple[FrfSet, np.ndarray]:
-    """Accelerances of 20 points by 2 references among them, and the shapes."""
-    x, y = rng.uniform(0.05, 0.95, (2, 20, 1))
+def plate(
+    fn: np.ndarray,
+    zeta: np.ndarray,
+    freqs: np.ndarray,
+    rng: np.random.Generator,
+    points: int = 20,
+    references: Sequence[int] = (0, 5),
+) -> tuple[FrfSet, np.ndarray]:
+    """Accelerances of some points by references among them, and the shapes."""
+    x, y = rng.uniform(0.05, 0.95, (2, points, 1))
     pairs = sorted(((j, k) for j in range(1, 9) for k in range(1, 9)), key=lambda p: p[0] ** 2 + 1.3 * p[1] ** 2)
     j, k = np.array(pairs[: fn.size]).T
     phi = 2 / np.sqrt(MASS) * np.sin(np.pi * j * x) * np.sin(np.pi * k * y)
     s, w = 2j * np.pi * freqs[:, None], 2 * np.pi * fn
-    h = np.einsum("fk,ok,ik->foi", s**2 / (s**2 + 2 * zeta * w * s + w**2), phi, phi[[0, 5]])
+    h = np.einsum("fk,ok,ik->foi", s**2 / (s**2 + 2 * zeta * w * s + w**2), phi, phi[list(references)])
     sigma = LEVEL * np.sqrt(np.mean(np.abs(h) ** 2, axis=0))
     noise = sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
     coherence = 1 / (1 + AVERAGES * (sigma / np.abs(h)) ** 2)
-    out = tuple(Channel(f"{i}+Z", "acceleration", "m/s^2") for i in range(20))
-    forces = tuple(Channel(f"{i}+Z", "force", "N") for i in (0, 5))
-    return FrfSet(h + noise, freqs, out, forces, coherence, np.full(2, AVERAGES), "accelerance"), phi
+    out = tuple(Channel(f"{i}+Z", "acceleration", "m/s^2") for i in range(points))
+    forces = tuple(Channel(f"{i}+Z", "force", "N") for i in references)
+    return FrfSet(h + noise, freqs, out, forces, coherence, np.full(len(references), AVERAGES), "accelerance"), phi
 
 
 def same(found: HammerResult, fn: np.ndarray, zeta: np.ndarray, phi: np.ndarray) -> None:
@@ -61,4 +70,13 @@ def test_heavy_beside_light_damping(seed: int) -> None:
     fn = np.array([120, 310, 480, 560, 1060, 1100, 1650, 2300.0])
     zeta = np.array([0.25, 0.2, 0.03, 0.15, 0.004, 0.02, 0.02, 0.015])
     frfs, phi = plate(fn, zeta, np.arange(1.0, 2500.0), rng)
+    same(identify_hammer(frfs), fn, zeta, phi)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_matrix_of_forty_references(seed: int) -> None:
+    """As for substructuring: overlapping modes of 3 to 6 %, more references than the polynomials have orders for."""
+    rng = np.random.default_rng(seed)
+    fn, zeta = np.arange(22.0, 55.0, 3.0) + rng.uniform(-1, 1, 11), rng.uniform(0.03, 0.06, 11)
+    frfs, phi = plate(fn, zeta, np.arange(10.0, 70.1, 0.25), rng, 50, range(40))
     same(identify_hammer(frfs), fn, zeta, phi)

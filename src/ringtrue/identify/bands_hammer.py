@@ -23,6 +23,7 @@ LEAST_LINES = 64
 MOST_PEAKS = 5
 MOST_BANDS = 40
 MOST_PRINCIPAL = 40
+MOST_INPUTS = 12  # of the polynomials, whose orders all inputs share
 
 
 def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[tuple[float, float], ...]:
@@ -62,13 +63,13 @@ def band_candidates(
 ) -> tuple[Clusters, StableDiagram]:
     """Poles of a band (Hz) that stay in place over the orders, damped up to a ratio, and the diagram of all poles."""
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
-    n_in = frfs.data.shape[2]
-    lowest, highest = order_range(n_in, count_peaks(curve[at]).size, int(at.sum()))
     most = damping_max + frfs.window_decay / (2 * np.pi * band[0])
-    estimator = Plscf(lowest, highest, most)
     white = frfs.data[at] / (np.median(sigma.line[at]) * sigma.response[:, None] * sigma.input)
-    strong = principal(white)
-    poles = plscf(strong, frfs.freqs[at], estimator)
+    strong, driven = few_inputs(white)
+    strong = principal(strong)
+    lowest, highest = order_range(strong.shape[2], count_peaks(curve[at]).size, int(at.sum()))
+    poles = plscf(strong, frfs.freqs[at], Plscf(lowest, highest, most))
+    poles = replace(poles, shape=driven @ poles.shape)
     poles, clusters = grouped(poles, strong, sigma, frfs, at)
     db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
     return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
@@ -85,19 +86,40 @@ def grouped(poles: PoleSet, white: Complex, sigma: Noise, frfs: FrfSet, at: Bool
     return poles, cluster_poles(poles, line_steps(frfs.freqs, poles.pole), responses=responses)
 
 
+def few_inputs(data: Complex) -> tuple[Complex, Float]:
+    """(freq, out, r) the strongest combinations of many inputs, and the real orthonormal combinations (in, r).
+
+    The participation vectors of a band lie in their span, but for noise; few inputs are left as they are.
+    """
+    n_in = data.shape[2]
+    if n_in <= MOST_INPUTS:
+        return data, np.eye(n_in)
+    few = _directions(_stacked(data.transpose(0, 2, 1)), MOST_INPUTS)
+    return np.ascontiguousarray(data @ few), few
+
+
 def principal(data: Complex) -> Complex:
     """(freq, r, in) responses combined along the directions that stand out of the noise; `data` has noise of 1.
 
     The combination is real, for the response space of real modes, and leaves r/out of the noise.
     """
-    n_out = data.shape[1]
-    rows = np.ascontiguousarray(data.transpose(1, 0, 2)).view(np.float64).reshape(n_out, -1)
+    rows = _stacked(data)
+    few = (_directions(rows, MOST_PRINCIPAL).T @ rows).view(np.complex128)
+    return np.ascontiguousarray(few.reshape(len(few), len(data), -1).transpose(1, 0, 2))
+
+
+def _stacked(data: Complex) -> Float:
+    """(n, 2k) real and imaginary parts of `data` (freq, n, m), side by side."""
+    return np.ascontiguousarray(data.transpose(1, 0, 2)).view(np.float64).reshape(data.shape[1], -1)
+
+
+def _directions(rows: Float, most: int) -> Float:
+    """(n, r) orthonormal combinations of `rows` (n, k) that stand out of noise of 1: four at least, `most` at most."""
+    n, k = rows.shape
     values, vectors = np.linalg.eigh(rows @ rows.T)
-    n = rows.shape[1]
-    edge = n * (1 + np.sqrt(n_out / n)) ** 2  # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
-    r = int(np.clip((values > 1.5 * edge).sum(), min(n_out, 4), MOST_PRINCIPAL))
-    few = (vectors[:, -r:].T @ rows).view(np.complex128)
-    return np.ascontiguousarray(few.reshape(r, len(data), -1).transpose(1, 0, 2))
+    edge = k * (1 + np.sqrt(n / k)) ** 2  # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
+    r = int(np.clip((values > 1.5 * edge).sum(), min(n, 4), most))
+    return np.asarray(vectors[:, -r:])
 
 
 def merged(found: Sequence[Clusters], freqs: Float, decay: float) -> Candidates:

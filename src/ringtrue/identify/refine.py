@@ -11,10 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack
 from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.outcome import Outcome
+from ringtrue.identify.augmented import augmented_form, pseudo_inverse, real_form
 from ringtrue.identify.condense import condensed
 from ringtrue.identify.lsfd import Lines, augment, functions_slopes, weighted_rest
 
@@ -93,7 +95,7 @@ class State:
     gradient: Complex
     shape_var: Float
     slope: Complex  # of the augmented shapes by each parameter, times the shape of its mode
-    free: Int
+    free: Int  # positions of values; those of their conjugates follow
 
 
 def refine(
@@ -145,14 +147,16 @@ def refine(
 def _step(state: State, damping: float, start: Complex, reach: Float) -> tuple[Complex, Complex] | None:
     """Poles and participations a Levenberg-Marquardt step on, every pole held within reach of its start.
 
-    None if a pole is no longer one of a damped mode.
+    None if a pole is no longer one of a damped mode, or rounding leaves no step.
     """
-    free = state.free
-    h = state.hessian[np.ix_(free, free)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
-    h = scale[:, None] * h * scale
+    h, scale = _scaled(state)
+    slope = scale * state.gradient[state.free]
+    h.flat[:: len(h) + 1] += damping
+    _, d, fails = lapack.dposv(h, np.concatenate([slope.real, slope.imag]), lower=True)
+    if fails:
+        return None
     step = np.zeros(state.hessian.shape[0], dtype=np.complex128)
-    step[free] = scale * np.linalg.solve(h + damping * np.eye(free.size), scale * state.gradient[free])
+    step[state.free] = scale * (d[: scale.size] + 1j * d[scale.size :])
     m, n_in = state.part.shape
     d = step.reshape(1 + n_in, 2, m)[:, 0]
     away = state.poles + d[0] - start
@@ -163,11 +167,23 @@ def _step(state: State, damping: float, start: Complex, reach: Float) -> tuple[C
     return poles, part / np.linalg.norm(part, axis=1, keepdims=True)
 
 
+def _scaled(state: State) -> tuple[Float, Float]:
+    """Gauss-Newton matrix of the free parameters in their (real, imaginary) parts over `scale`, and that (free,)."""
+    v, m = state.free, state.poles.size
+    scale = 1 / np.sqrt(np.maximum(np.diag(state.hessian).real[v], 1e-300))
+    both = scale[:, None] * scale
+    return real_form(state.hessian[np.ix_(v, v)] * both, state.hessian[np.ix_(v, v + m)] * both), scale
+
+
 def _free(part: Complex, moving: Bool) -> Int:
-    """Positions of the parameters that are `moving` but the largest participation of each mode: it fixes the scale."""
+    """Positions of the parameters that are `moving` but the largest participation of each mode: it fixes the scale.
+
+    Of the values; their conjugates stand as many places further as there are modes.
+    """
     m, n_in = part.shape
     mask = moving.reshape(1 + n_in, 2, m).copy()
-    mask[1 + np.abs(part).argmax(axis=1), :, np.arange(m)] = False
+    mask[:, 1] = False
+    mask[1 + np.abs(part).argmax(axis=1), 0, np.arange(m)] = False
     return np.flatnonzero(mask.ravel())
 
 
@@ -260,12 +276,14 @@ def _covariance(lines: Lines, state: State, rest: Complex | None) -> tuple[Compl
     """
     free = state.free
     data = 2 * lines.y.size
-    error2 = max(state.cost / max(data - free.size - 2 * state.shapes.size, 1), 0.0)
-    h = state.hessian[np.ix_(free, free)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(h).real, 1e-300))
+    error2 = max(state.cost / max(data - 2 * free.size - 2 * state.shapes.size, 1), 0.0)
+    h, scale = _scaled(state)
     cov = np.zeros_like(state.hessian)
-    inner = np.linalg.pinv(scale[:, None] * h * scale, rcond=FLAT, hermitian=True)
-    cov[np.ix_(free, free)] = 2 * scale[:, None] * inner * scale
+    both = 2 * scale[:, None] * scale
+    inner, turned = (both * x for x in augmented_form(pseudo_inverse(h, FLAT)))
+    conjugate = free + state.poles.size
+    cov[np.ix_(free, free)], cov[np.ix_(free, conjugate)] = inner, turned
+    cov[np.ix_(conjugate, conjugate)], cov[np.ix_(conjugate, free)] = inner.conj(), turned.conj()
     everywhere = np.full(state.shapes.shape, error2), np.full(state.poles.size, error2)
     own, shared = everywhere if rest is None else _local_error(lines, state, rest)
     each = np.tile(np.sqrt(shared), state.hessian.shape[0] // shared.size)
