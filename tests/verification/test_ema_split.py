@@ -7,6 +7,8 @@ shift·2ζf/√12 their deviation. True pairs, a part of a bandwidth from each o
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -90,3 +92,27 @@ def test_batches_in_one_file_are_told_by_the_responses_that_agree(references: tu
     assert any("the responses that agree (0+Z 1+Z" in n for n in found.notes)
     assert not any(n.startswith(SAYS) for n in found.notes)
     assert not identify_hammer(frfs(np.tile(FN, (21, 1)), ZETA, phi, references, 3)).groups
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_roving_sensor_that_begins_at_the_node_of_every_other_mode(seed: int) -> None:
+    """One accelerometer on a beam, first at its middle: the batch that leads does not see the modes of even order."""
+    x, order = np.linspace(0.06, 0.94, 13), np.arange(1, FN.size + 1)
+    phi = np.asarray(0.6 * np.sin(np.pi * order * x[:, None]))
+    load = (phi / 0.6) ** 2
+    fn = FN * (1 - ZETA * load)
+    data = frfs(fn, ZETA, phi, (3,), seed)
+    ids = [c.id for c in data.outputs]
+    begin = [6, *(k for k in range(13) if k != 6)]
+    batches = [
+        replace(data, data=data.data[:, [k]], coherence=data.coherence[:, [k]], outputs=(data.outputs[k],))
+        for k in begin
+    ]
+    found = told_apart(identify_hammer(data), batches)
+    modes = found.modes
+    assert len(modes) == FN.size, modes.frequencies
+    assert np.all((modes.frequencies > fn.min(axis=0)) & (modes.frequencies < FN))
+    np.testing.assert_allclose(modes.damping, ZETA, rtol=0.02)
+    row = [ids.index(c) for c in modes.channels]
+    assert np.diag(mac(modes.shapes, phi[row])).min() > 0.999
+    np.testing.assert_allclose(np.linalg.norm(modes.shapes, axis=0), np.linalg.norm(phi, axis=0), rtol=0.02)

@@ -72,7 +72,8 @@ def identify_batches(
 
     The batch with most responses is identified on its own; its modes and participation vectors start the refinement in
     every other batch; where that leaves more than in the first one, from the poles that this batch by itself has for
-    them, where it has. The participation vector, which all batches share, ties the scales of their shapes together.
+    them, where it has. Modes that half of such batches have beside are sought in all. The participation vector, which
+    all batches share, ties the scales of their shapes together.
 
     Parameters
     ----------
@@ -95,12 +96,44 @@ def identify_batches(
     first = identify_hammer(batches[lead], settings, progress=lambda share, text: tell(0.6 * share, text))
     band = float(first.freqs[0]), float(first.freqs[-1])
     found = [_local(b, band, first.model) for b in batches]
+    alone = dict[int, HammerResult]()
     for i, (batch, fit) in enumerate(zip(batches, found, strict=True)):
         tell(0.6 + 0.4 * i / len(batches), f"batch {i + 1} of {len(batches)}")
         if fit.left > STRAYED * found[lead].left:
-            found[i] = _local(batch, band, tracked(first.model, identify_hammer(batch, settings).model))
-    at = np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0)
-    return _joined(batches, [f.take(at) for f in found], first.model.participation[at], lead)
+            alone[i] = identify_hammer(batch, settings)
+    start = _with_unseen(first.model, list(alone.values()))
+    for i in range(len(batches)) if start is not first.model else alone:
+        found[i] = _local(batches[i], band, tracked(start, alone[i].model) if i in alone else start)
+    new = np.arange(first.model.poles.size, start.poles.size)
+    at = np.append(np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0), new)
+    at = at[np.argsort(start.frequencies[at], kind="stable")]
+    return _joined(batches, [f.take(at) for f in found], start.participation[at], lead)
+
+
+def _with_unseen(modes: ModalModel, others: Sequence[HammerResult]) -> ModalModel:
+    """With the modes that the batch of `modes` does not see, and half of the others report."""
+    grown, seen = modes, np.zeros(modes.poles.size)
+    for own in others:
+        here = np.isin(own.model.frequencies, own.modes.frequencies)
+        poles, part = own.model.poles[here], own.model.participation[here]
+        row, column, goes = _assigned(grown, poles, part)
+        seen[row[goes]] += 1
+        new = np.setdiff1d(np.arange(poles.size), column[goes])
+        seen = np.append(seen, np.ones(new.size))
+        grown = _appended(grown, poles[new], part[new])
+    added = np.flatnonzero(seen[modes.poles.size :] >= max(0.5 * len(others), 2)) + modes.poles.size
+    return _appended(modes, grown.poles[added], grown.participation[added]) if added.size else modes
+
+
+def _appended(modes: ModalModel, poles: Complex, participation: Complex) -> ModalModel:
+    """With more poles, whose shapes are not known."""
+    unknown = np.zeros((modes.shapes.shape[0], poles.size), dtype=np.complex128)
+    return replace(
+        modes,
+        poles=np.append(modes.poles, poles),
+        participation=np.concatenate([modes.participation, participation]),
+        shapes=np.concatenate([modes.shapes, unknown], axis=1),
+    )
 
 
 def tracked(modes: ModalModel, own: ModalModel) -> ModalModel:
