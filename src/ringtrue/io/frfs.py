@@ -25,7 +25,8 @@ from ringtrue.io.frf_arrays import holds_frf_arrays, read_frf_arrays
 from ringtrue.io.frf_lines import known_lines
 from ringtrue.io.frf_tables import is_frf_table, read_frf_table, write_frf_table
 from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY
-from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions, write_frf_sets
+from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions
+from ringtrue.io.uff.write_functions import write_frf_sets
 
 log = logging.getLogger(__name__)
 

@@ -33,7 +33,8 @@ from ringtrue.io.record_layout import (
 )
 from ringtrue.io.si import to_si
 from ringtrue.io.tdms import read_tdms, read_tdms_pieces, read_tdms_runs
-from ringtrue.io.uff.functions import read_time, read_time_runs, write_time
+from ringtrue.io.uff.functions import read_time, read_time_runs
+from ringtrue.io.uff.write_functions import write_time
 from ringtrue.io.wav import read_wav
 
 _READERS = {

@@ -14,6 +14,7 @@ from ringtrue.io.uff.fields import numbers, parse_int, reals, row, words
 from ringtrue.io.uff.scan import LINE, Block
 
 TIME, FRF, TRANSMISSIBILITY, COHERENCE = 1, 4, 5, 6  # function types
+TIME_AXIS, FREQUENCY_AXIS = 17, 18  # data types of abscissae
 _PLACE = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
 _FORM = (10, 10, 10, 13, 13, 13)
 _AXIS = (10, 5, 5, 5, 21, 21)

@@ -1,4 +1,4 @@
-"""Data set 58: time records and frequency response functions."""
+"""Data set 58 read: time records and frequency response functions."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.dofs import NAMES, DofSet
+from ringtrue.core.dofs import NAMES
 from ringtrue.core.lines import shared_lines
 from ringtrue.core.motions import FRF_KIND, SI_UNIT, as_motion, base_motion
-from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
-from ringtrue.errors import DataError, InputError, about
-from ringtrue.io.atomic import atomic_write
+from ringtrue.core.signals import Channel, FrfSet, Quantity
+from ringtrue.errors import DataError, about
 from ringtrue.io.frf_lines import known_lines
 from ringtrue.io.plain import RawTable, even_rate
 from ringtrue.io.si import known, to_si
-from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TRANSMISSIBILITY, Function, read_function, write_function
+from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TIME_AXIS, TRANSMISSIBILITY, Function, read_function
 from ringtrue.io.uff.scan import scan
 from ringtrue.io.uff.tables import Units, read_units
 
@@ -35,8 +34,7 @@ _QUANTITY: dict[int, Quantity] = {
 _SI = {**SI_UNIT, "force": "N"}
 _REST = 0.6  # of the functions, that must be left where some pairs are absent
 _DIGITS = 5  # after the first, of a step
-_CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
-_GENERAL, _TIME_AXIS, _FREQUENCY_AXIS = 0, 17, 18
+_GENERAL = 0
 _UNNAMED = ("", "NONE")
 _NO_REFERENCE = "in1"
 
@@ -93,7 +91,7 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
 
 
 def _time_functions(functions: Sequence[Function], path: Path) -> list[Function]:
-    found = [f for f in functions if f.kind == TIME or (f.kind, f.axes[0].data_type) == (_GENERAL, _TIME_AXIS)]
+    found = [f for f in functions if f.kind == TIME or (f.kind, f.axes[0].data_type) == (_GENERAL, TIME_AXIS)]
     if not found:
         types = " ".join(map(str, sorted({f.kind for f in functions})))
         raise DataError(
@@ -353,53 +351,3 @@ def _place(
             data[:, *at] = f.y if not times[at] else data[:, *at] + (f.y - data[:, *at]) / (times[at] + 1)
             times[at] += 1
     return data
-
-
-def write_frf_sets(path: str | Path, frfs: FrfSet, *, binary: bool = False) -> None:
-    """Write the FRFs (and coherence where known) as data sets 58, or 58b, double precision.
-
-    Raises
-    ------
-    DataError
-        If a channel id is not a point and direction such as `101+Z`.
-    """
-    out, inp = DofSet.parse(c.id for c in frfs.outputs), DofSet.parse(c.id for c in frfs.inputs)
-    with atomic_write(path) as part, part.open("wb") as file:
-        for j in range(len(frfs.inputs)):
-            for i, channel in enumerate(frfs.outputs):
-                rsp, ref = _pair(out, i), _pair(inp, j)
-                codes = (_FREQUENCY_AXIS, _CODE.get(channel.quantity, 0), _CODE["force"])
-                h, coherence = frfs.data[:, i, j], frfs.coherence[:, i, j]
-                file.write(write_function(FRF, frfs.freqs, h, rsp, ref, codes=codes, text="FRF", binary=binary))
-                if np.isfinite(coherence).all():
-                    codes = (_FREQUENCY_AXIS, 0, 0)
-                    block = write_function(
-                        COHERENCE, frfs.freqs, coherence, rsp, ref, codes=codes, text="Coherence", binary=binary
-                    )
-                    file.write(block)
-
-
-def _pair(dofs: DofSet, i: int) -> tuple[int, int]:
-    return int(dofs.node[i]), int(dofs.direction[i])
-
-
-def write_time(path: str | Path, history: TimeHistory, *, binary: bool = True) -> None:
-    """Write a time record as data sets 58b (or 58), double precision.
-
-    A force channel `F:101+Z` is written at the point that was struck. A channel whose id is no point and direction
-    (`101+Z`) gets its number as point and no direction; its id is kept as the first line of text.
-    """
-    t = np.arange(history.data.shape[1]) / history.rate
-    with atomic_write(path) as part, part.open("wb") as file:
-        for i, channel in enumerate(history.channels):
-            code = (_TIME_AXIS, _CODE.get(channel.quantity, 0), 0)
-            here = _point(channel.id.removeprefix("F:") if channel.quantity == "force" else channel.id, i)
-            y = np.asarray(history.data[i], dtype=np.float64)
-            file.write(write_function(TIME, t, y, here, (0, 0), codes=code, text=channel.id, binary=binary))
-
-
-def _point(name: str, i: int) -> tuple[int, int]:
-    try:
-        return _pair(DofSet.parse([name]), 0)
-    except InputError:
-        return i + 1, 0
