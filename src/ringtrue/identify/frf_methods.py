@@ -18,7 +18,7 @@ from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.identify.bands_hammer import MOST_PEAKS, choose_bands, grouped, merged, principal
 from ringtrue.identify.frf_band import band_limits, lines_between, refuse_noise
 from ringtrue.identify.frf_input import frf_notes, refuse_bad_frfs, sound_pairs
-from ringtrue.identify.hammer import HammerModes, mode_scale
+from ringtrue.identify.hammer import HammerModes
 from ringtrue.identify.judge import judge
 from ringtrue.identify.lsce import Lsce, lsce
 from ringtrue.identify.lsfd import lsfd, noise, prepare
@@ -27,6 +27,7 @@ from ringtrue.identify.peaks import CmifPeaks, cmif, cmif_modes, count_peaks
 from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.refine import refine
 from ringtrue.identify.rfp import Rfp, rfp
+from ringtrue.identify.scale import mode_scale
 from ringtrue.signal.reciprocal import exchanged
 
 Method = Literal["lsce", "rfp", "cmif"]

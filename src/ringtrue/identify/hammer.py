@@ -46,7 +46,7 @@ from ringtrue.identify.peaks import cmif
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.identify.refine import Refined, refine, shape_deviations
 from ringtrue.identify.repeated_hammer import twins, united
-from ringtrue.identify.scale import scale_deviations
+from ringtrue.identify.scale import mode_scale, scale_deviations
 from ringtrue.identify.split import agreeing, joined, levelled, scattered, split_modes, split_note
 from ringtrue.signal.reciprocal import exchanged
 
@@ -350,15 +350,6 @@ def _joined(fit: _Fit, more: Candidates) -> Candidates:
         np.concatenate([c.support, more.support]),
         np.concatenate([c.scatter, more.scatter]),
     )
-
-
-def mode_scale(model: ModalModel) -> Complex:
-    """(m,) factors to unit modal mass from unit modal A, or to a largest component of 1 from unscaled shapes."""
-    largest = np.take_along_axis(model.shapes, np.abs(model.shapes).argmax(axis=0)[None], axis=0)[0]
-    if model.norm is Norm.UNSCALED:
-        return np.asarray(1 / largest)
-    alpha = np.sqrt(2j * model.poles.imag)
-    return np.asarray(np.where((largest * alpha).real < 0, -alpha, alpha))
 
 
 def _report(

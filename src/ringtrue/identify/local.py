@@ -20,9 +20,10 @@ from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
-from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer, mode_scale
+from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identify.lsfd import blow_factors, noise, normalise, prepare
 from ringtrue.identify.refine import refine, shape_deviations
+from ringtrue.identify.scale import mode_scale
 from ringtrue.identify.split import DISAGREE, FEWEST
 from ringtrue.shapes.mac import mac
 

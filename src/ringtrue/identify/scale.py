@@ -1,4 +1,4 @@
-"""How well driving points tell the modal mass: what the fit of the FRFs alone cannot see.
+"""Unit modal mass by driving points, and how well these tell it: what the fit of the FRFs alone cannot see.
 
 An error that all responses to a blow share is an error of the participation factors and leaves nothing in the fit: the
 noise on the force, known where there are records, and what else the coherence tells. Where points disagree about the
@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import Norm
 from ringtrue.core.signals import FrfSet
 from ringtrue.identify.lsfd import Pairs
 from ringtrue.identify.refine import Refined
@@ -18,6 +20,15 @@ SHARED = 3.0  # times what the fit leaves is noise by the coherence, where respo
 APART = 3.0  # standard deviations of a sum of squares
 TOLD = 0.1  # of the residues at the driving points
 SIDE, LEAST = 1.96, 1 / 9  # deviations to the end of an interval; of a residue, that may be left there
+
+
+def mode_scale(model: ModalModel) -> Complex:
+    """(m,) factors to unit modal mass from unit modal A, or to a largest component of 1 from unscaled shapes."""
+    largest = np.take_along_axis(model.shapes, np.abs(model.shapes).argmax(axis=0)[None], axis=0)[0]
+    if model.norm is Norm.UNSCALED:
+        return np.asarray(1 / largest)
+    alpha = np.sqrt(2j * model.poles.imag)
+    return np.asarray(np.where((largest * alpha).real < 0, -alpha, alpha))
 
 
 def scale_deviations(frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs) -> tuple[Float, str]:
