@@ -336,6 +336,28 @@ def test_csv_of_loggers(tmp_path, head, body):
     _is_the_signal(read_record(path))
 
 
+def test_clocks_that_stumble(tmp_path, caplog):
+    """A stamp and a row that stand twice, and the end of daylight saving time, cost no sample; another fall is told."""
+    path = tmp_path / "r.csv"
+
+    def told(rows: list[str]) -> str:
+        caplog.clear()
+        path.write_text("\n".join(["time,a,b,c", *rows]))
+        _is_the_signal(read_record(path))
+        return caplog.text
+
+    stamps = _stamps("%Y-%m-%d %H:%M:%S.")
+    rows = _rows(stamps).splitlines()
+    held = _rows([*stamps[:100], stamps[99], *stamps[101:]]).splitlines()
+    assert "a stamp stands twice at row 101" in told(held)
+    assert "row 101 and 1 more is that before it" in told([*rows[:100], *rows[99:200], *rows[199:]])
+    winter = [x - 3600 * (k >= 100) for k, x in enumerate(TIMES)]
+    assert "back by an hour behind row 100" in told(_rows([f"{x:.8f}" for x in winter]).splitlines())
+    path.write_text("\n".join(["time,a,b,c", *rows[:100], *rows[50:]]))
+    with pytest.raises(DataError, match=r"goes back by .* behind row 100, 1 times in all"):
+        read_record(path)
+
+
 def test_times_that_jitter_are_stamps_of_even_samples(tmp_path, caplog):
     path, rng = tmp_path / "r.csv", np.random.default_rng(0)
     step = TIMES[1] - TIMES[0]

@@ -1,7 +1,7 @@
 """Files to dataclasses and back. `nastran` decks, `nastran_results` of solvers, `uff` universal files.
 
 Records: `records` of any format: `delimited`, `lvm`, `matfile`, `plain`, `tdms`, `wav`, `record_layout` (our
-own); `clock`, `complex_cells` and `si` what stands in their cells, `logger_lines` among their lines.
+own); `clock`, `times`, `complex_cells` and `si` what stands in their cells, `logger_lines` among their lines.
 
 FRFs: `frfs` of any format: `frf_arrays`, `frf_tables`; `frf_lines` that have values. Modes: `modes_json`,
 `mode_tables`. Matrices: `matrices`, `op4`, `mat5`.

@@ -19,8 +19,9 @@ from ringtrue.io.atomic import atomic_write
 from ringtrue.io.clock import is_clock, seconds
 from ringtrue.io.complex_cells import parted
 from ringtrue.io.logger_lines import header_cells, is_lacking, without_headers, without_words
-from ringtrue.io.plain import TIME_NAMES, RawTable, even_grid, in_seconds, numbered, read_text
+from ringtrue.io.plain import TIME_NAMES, RawTable, numbered, read_text
 from ringtrue.io.si import known
+from ringtrue.io.times import even_grid, in_seconds, without_repeated
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +75,8 @@ def read_csv(path: Path) -> RawTable:
         raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
     rate = _told_rate([*told, *lines[:top]])
     if clock:
-        by_clock, places = _clock_rate(rows, delimiter, clock, path)
+        t, data = without_repeated(_clock_times(rows, delimiter, clock, path), data, path)
+        by_clock, places = _rate_of(t, path)
         data, names = _without_count(data, names[clock:])
         return replace(_named(data, names, by_clock or rate), rows=places)
     return _with_time(data, names, rate, path)
@@ -236,14 +238,13 @@ def _clocked(lines: Sequence[str], delimiter: str, path: Path) -> tuple[Sequence
     return out, clock
 
 
-def _clock_rate(lines: Sequence[str], delimiter: str, columns: int, path: Path) -> tuple[float | None, Int | None]:
-    """The rate of lines that begin with dates and times of day, None where these are too coarse; as `_rate_of`."""
+def _clock_times(lines: Sequence[str], delimiter: str, columns: int, path: Path) -> Float:
+    """Seconds (row,) of lines that begin with dates and times of day."""
     texts = [" ".join(x.split(None if delimiter == " " else delimiter, columns)[:columns]) for x in lines]
     try:
-        t = seconds([x.replace('"', "") for x in texts])
+        return seconds([x.replace('"', "") for x in texts])
     except ValueError as exc:
         raise DataError(f"{path}: {exc}") from exc
-    return _rate_of(t, path)
 
 
 def _rate_of(t: Float, path: Path) -> tuple[float | None, Int | None]:
@@ -331,6 +332,7 @@ def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path
     if len(data) < 2 and not named:
         return _named(data, names, told)
     t = in_seconds(data[0] * _SECONDS.get(title[2].strip(), 1.0) if title else data[0])
+    t, data = without_repeated(t, data, path) if named else (t, data)
     rate, rows = _rate_of(t, path) if named else even_grid(t, False, path)
     if rate is None and not named:
         return _named(data, names, told)

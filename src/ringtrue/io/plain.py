@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,23 +12,16 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DataError, did_you_mean
-
-log = logging.getLogger(__name__)
+from ringtrue.io.times import LONG, THIN, even_grid, in_seconds, uneven
 
 _RATE_NAMES = ("rate", "fs", "samplingrate", "samplerate", "fsamp", "fsample", "sr")  # in letters and digits
 _RATE_WORDS = ("samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq")
 _STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep")
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
-_LONG = 64  # samples: a shorter table is no record
 _SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times
-_JITTER = 0.5  # of a step: each time still has a place of its own on the even grid
-_EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # since 1970: above this the unit is that of seconds
-_DAYS = ((2e4, 8e4), (7e5, 8e5))  # since 1900 as spreadsheets count them, since the year 0 as MATLAB does
-_SLOW_DAYS = 0.5 / 86400  # d: longer steps are no samples of vibration
-_THIN = 0.5  # share of the rows that must be there, where some are missing
 _CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
 
 
@@ -69,7 +61,7 @@ class RawTable:
         DataError
         """
         if self.rows is not None and self.rate is not None:
-            raise DataError(f"{path}: {_uneven(np.diff(self.rows) / self.rate)}")
+            raise DataError(f"{path}: {uneven(np.diff(self.rows) / self.rate)}")
 
 
 def joined(pieces: Sequence[tuple[float, RawTable]]) -> RawTable | None:
@@ -85,7 +77,7 @@ def joined(pieces: Sequence[tuple[float, RawTable]]) -> RawTable | None:
     size = np.array([t.data.shape[1] for _, t in pieces])
     begin = np.round((np.array([start for start, _ in pieces]) - pieces[0][0]) * rate).astype(np.int64)
     late = np.diff(begin) - size[:-1]
-    if (late < -1).any() or begin[-1] + size[-1] > size.sum() / _THIN:
+    if (late < -1).any() or begin[-1] + size[-1] > size.sum() / THIN:
         return None
     begin[1:] += np.cumsum(late == -1)  # rounding
     rows = np.concatenate([a + np.arange(n) for a, n in zip(begin, size, strict=True)])
@@ -142,7 +134,7 @@ def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, 
     file.visititems(lambda _, o: found.append(o) if isinstance(o, h5py.Dataset) and o.ndim == 2 else None)
     if not found:
         raise DataError(f"{path}: no 2-D data set in the file")
-    long = [d for d in found if d.dtype.kind in "fiu" and max(d.shape) >= max(_LONG, 4 * min(d.shape))]
+    long = [d for d in found if d.dtype.kind in "fiu" and max(d.shape) >= max(LONG, 4 * min(d.shape))]
     if len(long) > 1:
         told = "; ".join(f"{d.name.lstrip('/')} {d.shape}" for d in long[:8])
         raise DataError(f"{path}: several tables of samples ({told}): choose one with group (--group NAME)")
@@ -263,101 +255,6 @@ def read_text(path: Path) -> str:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         return raw.decode("latin-1")
-
-
-def in_seconds(t: Float) -> Float:
-    """Times (row,), s, of ones that are s, or ms, us or ns since 1970, or days as Excel and MATLAB count them."""
-    if not t.size:
-        return t
-    unit = next((u for above, u in _EPOCHS if t[0] > above), 1.0)
-    if any(low < t[0] < high for low, high in _DAYS) and 0 < (t[-1] - t[0]) / max(t.size - 1, 1) < _SLOW_DAYS:
-        unit = 86400.0
-    return t if unit == 1.0 else np.asarray((t - t[0]) * unit)
-
-
-def even_rate(t: Float, named: bool, path: Path) -> float | None:
-    """The rate of a time column; None if an unnamed column is not one."""
-    step = np.diff(t)
-    rises = step.any() and np.isfinite(step).all() and (step >= 0).all()
-    if not rises or not ((step > 0).all() or _rounded(t)):
-        if named:
-            raise DataError(f"{path}: the time column does not rise, or has fewer than 2 rows")
-        return None
-    mean = float(step.mean())
-    if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max() and not _rounded(t):
-        if t.size >= _LONG and (off := float(np.abs(t - _line(t)).max()) / mean) < _JITTER:
-            log.warning("%s: times jitter by up to %.2g of a step: taken for the stamps of even samples", path, off)
-            return _shortest_rate(t, mean)
-        if named:
-            raise DataError(f"{path}: {_uneven(step)}")
-        return None
-    return _shortest_rate(t, mean)
-
-
-def _line(t: Float) -> Float:
-    """Even times through those of a column (row,), by least squares."""
-    k = np.arange(t.size)
-    return np.asarray(np.polynomial.Polynomial.fit(k, t, 1)(k))
-
-
-def even_grid(t: Float, named: bool, path: Path) -> tuple[float | None, Int | None]:
-    """The rate of a time column as `even_rate`, and where rows are missing the place of each, (row,) int64."""
-    rate = even_rate(t, False, path)
-    if rate is None and (found := _with_missing(t, path)) is not None:
-        return found
-    return even_rate(t, named, path) if rate is None else rate, None
-
-
-def _with_missing(t: Float, path: Path) -> tuple[float, Int] | None:
-    """Rate and place of each row of times that are even but for jumps over missing rows; None where they are not."""
-    step = np.diff(t)
-    if step.size < 2 or not np.isfinite(step).all() or not (step > 0).all():
-        return None
-    parts = np.split(t, np.flatnonzero(step > 1.5 * np.median(step)) + 1)
-    rate = even_rate(max(parts, key=len), False, path)
-    if rate is None or len(parts) == 1:
-        return None
-    first = np.round((np.array([x[0] for x in parts]) - t[0]) * rate).astype(np.int64)
-    rows = np.concatenate([a + np.arange(x.size) for a, x in zip(first, parts, strict=True)])
-    if not (np.diff(rows) > 0).all() or np.abs((t - t[0]) * rate - rows).max() > 1 or rows[-1] + 1 > t.size / _THIN:
-        return None
-    return rate, rows
-
-
-def _shortest_rate(t: Float, step: float) -> float:
-    """The rate with the fewest digits that the times, written with so many decimals, allow: 1024, not 1023.99997."""
-    k = np.arange(t.size)
-    off = 2 * float(np.abs(t - t[0] - k * step).max())
-    rates = (float(f"{1 / step:.{digits}g}") for digits in range(1, 16))
-    return next((r for r in rates if abs(k[-1] / r - (t[-1] - t[0])) <= off), 1 / step)
-
-
-def _uneven(step: Float) -> str:
-    """What is wrong with steps of time: gaps between stretches of even ones, or no even ones at all."""
-    usual = float(np.median(step))
-    odd = np.abs(step - usual) > 0.05 * usual
-    gaps = np.flatnonzero(odd & (step > 1.5 * usual))
-    if 0 < gaps.size == odd.sum():
-        rows = ", ".join(f"{step[g]:g} s behind row {g + 1}" for g in gaps[:3].tolist())
-        more = f" and {gaps.size - 3} more" if gaps.size > 3 else ""
-        return (
-            f"samples are missing: {rows}{more}, where a step is {usual:g} s. Cut the file there, each part with its "
-            "header: the parts are records of their own. An ambient record may lack up to half of its rows (gaps=True)"
-        )
-    at = int(np.abs(step - step.mean()).argmax())
-    return f"the time column has uneven steps: {step[at]:g} s at row {at + 1}, mean {step.mean():g} s"
-
-
-def _rounded(t: Float) -> bool:
-    """Whether the times are even ones, written with few decimals."""
-    line = _line(t)
-    top = max(float(np.abs(t).max()), 1e-300)
-    decade = np.floor(np.log10(np.maximum(np.abs(t), 1e-12 * top) * (1 + 1e-12)))
-    units = [np.full(t.size, 10.0**-k) for k in range(1, 7)] + [10.0 ** (decade + 1 - k) for k in range(3, 10)]
-    for unit in units:  # so many decimals, or so many digits
-        if np.abs(np.round(t / unit) * unit - t).max() < 1e-9 * top and np.abs(t - line).max() <= 0.75 * unit.max():
-            return True
-    return False
 
 
 def without_time(table: RawTable, path: Path) -> RawTable:

@@ -16,8 +16,9 @@ from ringtrue.core.motions import FRF_KIND, SI_UNIT, as_motion, base_motion
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError, about
 from ringtrue.io.frf_lines import known_lines
-from ringtrue.io.plain import RawTable, even_rate
+from ringtrue.io.plain import RawTable
 from ringtrue.io.si import known, to_si
+from ringtrue.io.times import even_rate
 from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TIME_AXIS, TRANSMISSIBILITY, Function, read_function
 from ringtrue.io.uff.scan import scan
 from ringtrue.io.uff.tables import Units, read_units

@@ -1,0 +1,164 @@
+"""Columns of times: their unit, their rate, what is wrong with them, and what of that does not matter."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.errors import DataError
+
+log = logging.getLogger(__name__)
+
+_EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # since 1970: above this the unit is that of seconds
+_DAYS = ((2e4, 8e4), (7e5, 8e5))  # since 1900 as spreadsheets count them, since the year 0 as MATLAB does
+_SLOW_DAYS = 0.5 / 86400  # d: longer steps are no samples of vibration
+_JITTER = 0.5  # of a step: each time still has a place of its own on the even grid
+_RARE = 0.01  # share of the rows: stamps and rows that stand twice more often tell coarse times
+THIN = 0.5  # share of the rows that must be there, where some are missing
+LONG = 64  # samples: a shorter table is no record
+
+
+def in_seconds(t: Float) -> Float:
+    """Times (row,), s, of ones that are s, or ms, us or ns since 1970, or days as Excel and MATLAB count them."""
+    if not t.size:
+        return t
+    unit = next((u for above, u in _EPOCHS if t[0] > above), 1.0)
+    if any(low < t[0] < high for low, high in _DAYS) and 0 < (t[-1] - t[0]) / max(t.size - 1, 1) < _SLOW_DAYS:
+        unit = 86400.0
+    return t if unit == 1.0 else np.asarray((t - t[0]) * unit)
+
+
+def even_rate(t: Float, named: bool, path: Path) -> float | None:
+    """The rate of a time column; None if an unnamed column is not one."""
+    step = np.diff(t)
+    rises = step.any() and np.isfinite(step).all() and (step >= 0).all()
+    if not rises or not ((step > 0).all() or _rounded(t)):
+        if named:
+            raise DataError(f"{path}: {_not_rising(t)}")
+        return None
+    mean = float(step.mean())
+    if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max() and not _rounded(t):
+        if t.size >= LONG and (off := float(np.abs(t - _line(t)).max()) / mean) < _JITTER:
+            log.warning("%s: times jitter by up to %.2g of a step: taken for the stamps of even samples", path, off)
+            return _shortest_rate(t, mean)
+        if named:
+            raise DataError(f"{path}: {uneven(step)}")
+        return None
+    return _shortest_rate(t, mean)
+
+
+def _line(t: Float) -> Float:
+    """Even times through those of a column (row,), by least squares."""
+    k = np.arange(t.size)
+    return np.asarray(np.polynomial.Polynomial.fit(k, t, 1)(k))
+
+
+def even_grid(t: Float, named: bool, path: Path) -> tuple[float | None, Int | None]:
+    """The rate of a time column as `even_rate`, and where rows are missing the place of each, (row,) int64."""
+    t = _settled(t, path) if named else t
+    rate = even_rate(t, False, path)
+    if rate is None and (found := _with_missing(t, path)) is not None:
+        return found
+    return even_rate(t, named, path) if rate is None else rate, None
+
+
+def _settled(t: Float, path: Path) -> Float:
+    """Times (row,) that go on where a clock goes back by an hour, and where a single stamp is the one before it."""
+    usual = float(np.median(np.diff(t))) if t.size > 2 else 0.0
+    if not usual > 0:
+        return t
+    back = np.abs(np.diff(t) + 3600 - usual) < min(usual, 60.0)
+    if back.any():
+        row = int(back.argmax())
+        log.warning("%s: the clock goes back by an hour behind row %d: the end of daylight saving time", path, row + 1)
+        t = t + 3600 * np.cumsum(np.append(False, back))
+    step = np.diff(t)
+    held = 1 + np.flatnonzero((step[:-1] == 0) & (np.abs(step[1:] - 2 * usual) < 0.5 * usual))
+    if 0 < held.size == np.count_nonzero(step == 0) <= _RARE * t.size:
+        log.warning("%s: a stamp stands twice at row %d%s: taken for even ones", path, held[0] + 1, _more(held.size))
+        t = t.copy()
+        t[held] += usual
+    return t
+
+
+def without_repeated(t: Float, data: Float, path: Path) -> tuple[Float, Float]:
+    """Times (row,) and samples (channel, row) without single rows that stand twice."""
+    held = np.diff(t) == 0
+    twice = (
+        1 + np.flatnonzero(held & (data[:, 1:] == data[:, :-1]).all(axis=0)) if held.any() else np.zeros(0, np.int64)
+    )
+    if not twice.size or held.sum() > _RARE * t.size:
+        return t, data
+    log.warning("%s: row %d%s is that before it, and left out", path, twice[0] + 1, _more(twice.size))
+    return np.delete(t, twice), np.delete(data, twice, axis=1)
+
+
+def _more(n: int) -> str:
+    return f" and {n - 1} more" if n > 1 else ""
+
+
+def _not_rising(t: Float) -> str:
+    """Where a column of times does not rise."""
+    if t.size < 2:
+        return "the time column has fewer than 2 rows"
+    if not np.isfinite(t).all():
+        return f"the time column has no number at row {int((~np.isfinite(t)).argmax()) + 1}"
+    step = np.diff(t)
+    at = int((step <= 0).argmax())
+    what = f"goes back by {-step[at]:g} s" if step[at] < 0 else "stands still"
+    return f"the time column does not rise: it {what} behind row {at + 1}, {np.count_nonzero(step <= 0)} times in all"
+
+
+def _with_missing(t: Float, path: Path) -> tuple[float, Int] | None:
+    """Rate and place of each row of times that are even but for jumps over missing rows; None where they are not."""
+    step = np.diff(t)
+    if step.size < 2 or not np.isfinite(step).all() or not (step > 0).all():
+        return None
+    parts = np.split(t, np.flatnonzero(step > 1.5 * np.median(step)) + 1)
+    rate = even_rate(max(parts, key=len), False, path)
+    if rate is None or len(parts) == 1:
+        return None
+    first = np.round((np.array([x[0] for x in parts]) - t[0]) * rate).astype(np.int64)
+    rows = np.concatenate([a + np.arange(x.size) for a, x in zip(first, parts, strict=True)])
+    if not (np.diff(rows) > 0).all() or np.abs((t - t[0]) * rate - rows).max() > 1 or rows[-1] + 1 > t.size / THIN:
+        return None
+    return rate, rows
+
+
+def _shortest_rate(t: Float, step: float) -> float:
+    """The rate with the fewest digits that the times, written with so many decimals, allow: 1024, not 1023.99997."""
+    k = np.arange(t.size)
+    off = 2 * float(np.abs(t - t[0] - k * step).max())
+    rates = (float(f"{1 / step:.{digits}g}") for digits in range(1, 16))
+    return next((r for r in rates if abs(k[-1] / r - (t[-1] - t[0])) <= off), 1 / step)
+
+
+def uneven(step: Float) -> str:
+    """What is wrong with steps of time: gaps between stretches of even ones, or no even ones at all."""
+    usual = float(np.median(step))
+    odd = np.abs(step - usual) > 0.05 * usual
+    gaps = np.flatnonzero(odd & (step > 1.5 * usual))
+    if 0 < gaps.size == odd.sum():
+        rows = ", ".join(f"{step[g]:g} s behind row {g + 1}" for g in gaps[:3].tolist())
+        more = f" and {gaps.size - 3} more" if gaps.size > 3 else ""
+        return (
+            f"samples are missing: {rows}{more}, where a step is {usual:g} s. Cut the file there, each part with its "
+            "header: the parts are records of their own. An ambient record may lack up to half of its rows (gaps=True)"
+        )
+    at = int(np.abs(step - step.mean()).argmax())
+    return f"the time column has uneven steps: {step[at]:g} s at row {at + 1}, mean {step.mean():g} s"
+
+
+def _rounded(t: Float) -> bool:
+    """Whether the times are even ones, written with few decimals."""
+    line = _line(t)
+    top = max(float(np.abs(t).max()), 1e-300)
+    decade = np.floor(np.log10(np.maximum(np.abs(t), 1e-12 * top) * (1 + 1e-12)))
+    units = [np.full(t.size, 10.0**-k) for k in range(1, 7)] + [10.0 ** (decade + 1 - k) for k in range(3, 10)]
+    for unit in units:  # so many decimals, or so many digits
+        if np.abs(np.round(t / unit) * unit - t).max() < 1e-9 * top and np.abs(t - line).max() <= 0.75 * unit.max():
+            return True
+    return False
