@@ -18,7 +18,7 @@ from ringtrue.io.times import LONG, THIN, even_grid, in_seconds, uneven
 
 _RATE_NAMES = ("rate", "fs", "samplingrate", "samplerate", "fsamp", "fsample", "sr")  # in letters and digits
 _RATE_WORDS = ("samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq")
-_STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep")
+_STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep", "ts")
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 _BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
 _SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times

@@ -25,8 +25,9 @@ def in_seconds(t: Float) -> Float:
     """Times (row,), s, of ones that are s, or ms, us or ns since 1970, or days as Excel and MATLAB count them."""
     if not t.size:
         return t
-    unit = next((u for above, u in _EPOCHS if t[0] > above), 1.0)
-    if any(low < t[0] < high for low, high in _DAYS) and 0 < (t[-1] - t[0]) / max(t.size - 1, 1) < _SLOW_DAYS:
+    first, step = float(t[0]), float(t[-1] - t[0]) / max(t.size - 1, 1)
+    unit = next((u for above, u in _EPOCHS if first > above), 1.0)
+    if any(low < first < high for low, high in _DAYS) and 0 < step < _SLOW_DAYS:
         unit = 86400.0
     return t if unit == 1.0 else np.asarray((t - t[0]) * unit)
 
