@@ -222,6 +222,17 @@ def test_a_record_in_stretches_gives_the_same_modes():
         identify_stretches(())
 
 
+def test_a_second_stretch_that_is_too_short_changes_nothing():
+    """Standard deviations of four blocks in place of those of a whole record would stay."""
+    whole = record(4, 20)
+    n = whole.shape[1] // 2
+    a, b = wrap(whole[:, :n], RATE), wrap(whole[:, n : n + n // 10], RATE)
+    alone = identify_ambient(a)
+    both = identify_stretches((a, b))
+    np.testing.assert_array_equal(both.modes.frequencies, alone.modes.frequencies)
+    np.testing.assert_array_equal(both.uncertainty.damping, alone.uncertainty.damping)
+
+
 def test_a_record_too_short_is_refused():
     with pytest.raises(DataError, match="too short"):
         identify_ambient(wrap(np.random.default_rng(1).standard_normal((2, 120)), 100.0), AmbientSettings(fmin=40.0))

@@ -51,7 +51,13 @@ from ringtrue.identify.choice import chosen
 from ringtrue.identify.forced import without_forced
 from ringtrue.identify.poles import StableDiagram
 from ringtrue.identify.ssi import SsiCov
-from ringtrue.identify.stretches import gathered, steady_sines, with_more_lags, without_strokes_sweeps_and_echoes
+from ringtrue.identify.stretches import (
+    SHORTEST,
+    gathered,
+    steady_sines,
+    with_more_lags,
+    without_strokes_sweeps_and_echoes,
+)
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import steady_amplitudes
 from ringtrue.signal.lines import with_feet, without_lines
@@ -211,6 +217,7 @@ def identify_stretches(
     coming = iter(stretches)
     if (first := next(coming, None)) is None:
         raise DataError("no stretch of a record to identify")
+    coming = (x for x in coming if x.duration >= SHORTEST * first.duration)
     second = next(coming, None)
     part, gaps = bridged(first)
     good, states = usable(part)

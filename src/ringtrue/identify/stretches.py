@@ -14,7 +14,7 @@ from ringtrue.errors import DataError
 from ringtrue.identify.bands import BandSums, begin, joined, of_stretch
 from ringtrue.identify.ssi import SsiCov
 from ringtrue.signal.echoes import without_echo
-from ringtrue.signal.events import NONE, Events, find_events
+from ringtrue.signal.events import Events, find_events
 from ringtrue.signal.gaps import Gaps, bridged
 from ringtrue.signal.lines import steady_lines, with_feet, without_lines
 from ringtrue.signal.preprocess import Band, Harmonic
@@ -94,7 +94,7 @@ def gathered(
             duration += part.duration
 
     for got, events in abreast(lambda x: _one(*x, good, places), told()):
-        sums = sums if got is None else joined(sums, got)
+        sums = joined(sums, got)
         heard.append(events)
     return sums, heard
 
@@ -111,14 +111,11 @@ def _events(part: TimeHistory, gaps: Gaps) -> Events:
 
 def _one(
     sums: list[BandSums], coming: TimeHistory, first: TimeHistory, places: list[float]
-) -> tuple[list[BandSums] | None, Events]:
-    """The bands of one more stretch and its events; None if it is too short for the lags of the lowest band."""
+) -> tuple[list[BandSums], Events]:
+    """The bands of one more stretch and its events."""
     part = coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
     if not np.isclose(part.rate, first.rate):
         raise DataError(f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
-    share = part.duration / first.duration
-    if share < SHORTEST:
-        return None, NONE
     whole, gaps = bridged(part)
     if len(whole.channels) < len(part.channels):
         raise DataError(f"{coming.source}: {gaps.notes[0]}: leave it out of all stretches")
