@@ -34,6 +34,7 @@ from ringtrue.plots.picker import picker_page
 from ringtrue.signal.faults import find_faults
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import without_machines
+from ringtrue.signal.overlaps import without_overlap
 from ringtrue.signal.preprocess import harmonics
 
 
@@ -238,9 +239,16 @@ def _parts(
     records: Sequence[Path], read: Callable[[Path], TimeHistory], how: Removal | None, said: list[str]
 ) -> Iterator[TimeHistory]:
     """Each record as it is read, without the lines of machines where that is asked for; what there is to say of it."""
-    first = 0.0
+    first, before = 0.0, None
     for path in records:
-        history, removed = _removed(read(path), how)
+        whole = read(path)
+        kept, twice = without_overlap(before, whole)
+        before = whole
+        if twice:
+            said.append(f"{path.name}: {twice}")
+        if not kept.data.size:
+            continue
+        history, removed = _removed(kept, how)
         first = first or history.duration
         short = ("shorter than half of the first record: left out",) if history.duration < SHORTEST * first else ()
         where = "" if len(records) == 1 else f"{path.name}: "

@@ -1,6 +1,6 @@
 """Records to spectra, correlations and FRFs; what is wrong with records, and what machines put into them.
 
-Preparation: `preprocess`, `sensors` (transfer functions), `windows`, `faults`, `gaps`, `overloads`.
+Preparation: `preprocess`, `sensors` (transfer functions), `windows`, `faults`, `gaps`, `overlaps`, `overloads`.
 
 Recorders: `align`, `phases` and `drifts` of their clocks.
 
