@@ -14,7 +14,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.identify.environment import fit_environment
 from ringtrue.identify.inertia import Followed, behind, thermal_lag
-from ringtrue.identify.tracking import Stretch, TrackSettings, track_modes
+from ringtrue.identify.tracking import Stretch, TrackSettings, track_modes, unseen
 
 CHANNELS = tuple(f"{i}+Z" for i in range(1, 7))
 PHI = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 4)))[0]
@@ -77,6 +77,17 @@ def test_new_and_rare_modes() -> None:
     found = track_modes(sets)
     assert [(t.name, int(t.at[0]), t.at.size) for t in found.tracks] == [("1", 0, 12), ("2", 0, 12), ("3", 5, 7)]
     assert [(t.name, t.at.tolist()) for t in found.rare] == [("", [4])]
+
+
+def test_modes_that_come_and_go_are_told_from_those_seen_now_and_then() -> None:
+    """Of 20 stretches one mode has the last 8, one the first 12, one each third, one all but the last."""
+    rng, sets = np.random.default_rng(8), []
+    for k in range(20):
+        keep = [m for m, here in enumerate((k >= 12, k < 12, k % 3 == 2, k < 19)) if here]
+        sets.append(stretch(k, np.array([2.0, 5.0, 7.0, 9.0])[keep], PHI[:, keep], rng))
+    found = track_modes(sets)
+    told = {round(float(t.frequency.mean())): unseen(found, t) for t in found.tracks}
+    assert told == {2: (12, 0), 5: (0, 8), 7: (0, 0), 9: (0, 0)}
 
 
 def test_stretches_with_other_channels() -> None:

@@ -22,7 +22,7 @@ from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.environment import EnvironmentFit, fit_environment
 from ringtrue.identify.inertia import Followed, behind, thermal_lag
-from ringtrue.identify.tracking import ModeTrack, Stretch, Tracked, ticks, track_modes
+from ringtrue.identify.tracking import ModeTrack, Stretch, Tracked, ticks, track_modes, unseen
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.records import read_record, record_blocks, record_info
 from ringtrue.plots.tracking import tracking_page
@@ -147,7 +147,7 @@ def track(
     if drift:
         regressors["time"] = tracked.times
     fits = {t.name: _fit(t, tracked, regressors) for t in tracked.tracks if t.at.size >= LEAST_FITTED}
-    notes += _rare(tracked)
+    notes += [*_come_and_gone(tracked), *_rare(tracked)]
     if table:
         _write(table, _csv(tracked, fits, regressors))
     if plot:
@@ -263,6 +263,17 @@ def _late(
         if lag:
             notes.append(f"{name}: the modes follow it with an inertia of {lag:g} h, as which they are regressed on it")
     return out, notes
+
+
+def _come_and_gone(tracked: Tracked) -> list[str]:
+    notes = []
+    for t in tracked.tracks:
+        before, after = unseen(tracked, t)
+        if before:
+            notes.append(f"mode {t.name}: not seen before {tracked.times[t.at[0]]:.4g} h, in {before} stretches")
+        if after:
+            notes.append(f"mode {t.name}: not seen after {tracked.times[t.at[-1]]:.4g} h, in {after} stretches")
+    return notes
 
 
 def _rare(tracked: Tracked) -> list[str]:

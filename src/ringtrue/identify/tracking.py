@@ -15,6 +15,7 @@ from ringtrue.errors import ConfigError, DataError
 from ringtrue.shapes.mac import mac
 
 _FAR = 1e6
+_CHANCE = 0.01  # of a row of stretches without a mode
 _PLAIN = 0.95  # MAC that leaves no doubt
 
 
@@ -327,3 +328,14 @@ def _mean(psi: Complex) -> Complex:
     turned = filled * (turn.conj() / np.maximum(np.abs(turn), 1e-300))
     mean = np.where(known.any(axis=1), turned.sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
     return np.asarray(mean / np.linalg.norm(mean[np.isfinite(mean)]))
+
+
+def unseen(tracked: Tracked, track: ModeTrack) -> tuple[int, int]:
+    """For how many stretches a mode is not seen before it first is, and after it last was.
+
+    0 where this may be chance: where stretches that show it as often as those between would leave out so many in a
+    row in more than one case of a hundred.
+    """
+    before, after = int(track.at[0]), tracked.times.size - 1 - int(track.at[-1])
+    missed = 1 - track.at.size / (track.at[-1] - track.at[0] + 2)
+    return (before if missed**before < _CHANCE else 0), (after if missed**after < _CHANCE else 0)
