@@ -8,6 +8,7 @@ left of each varies from stroke to stroke without memory, and does no harm.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -22,6 +23,7 @@ FRAME = 1024  # samples: longer transforms leave the cache
 ORDER = 60  # of the prediction: what it does not foresee is the force of the moment
 WINDOW = 4  # samples
 ABOVE = 10.0  # times the median power of the error: of a normal one none of a million windows
+FAINT = 4.0  # times the same, where a blow is due
 APART = 4  # windows to either side without a second stroke
 FEWEST = 30  # strokes
 REGULAR, ALIKE = 0.8, 0.15  # share of the intervals that are within so much of the median
@@ -44,14 +46,19 @@ def without_strokes(history: TimeHistory, heard: Any_ | None = None) -> tuple[Ti
     `heard` are its `sweeps.mixes`, if known.
     """
     at = _strokes(mixes(history.data) if heard is None else heard)
-    if at.size < FEWEST:
-        return history, None
-    interval = np.diff(at)
-    usual = float(np.median(interval))
-    if (np.abs(interval / usual - 1) < ALIKE).mean() < REGULAR:
+    if not _regular(at):
         return history, None
     taps = min(TAPS, int(SHARE * history.data.shape[1]))
+    usual = float(np.median(np.diff(at)))
     return replace(history, data=_left(history.data, at, taps)), Strokes(at.size, usual / history.rate)
+
+
+def _regular(at: Int) -> bool:
+    """Whether there are many blows (k,), most of them at equal intervals."""
+    if at.size < FEWEST:
+        return False
+    interval = np.diff(at)
+    return bool((np.abs(interval / np.median(interval) - 1) < ALIKE).mean() >= REGULAR)
 
 
 def _strokes(some: Any_) -> Int:
@@ -63,10 +70,25 @@ def _strokes(some: Any_) -> Int:
     if not n or not (typical > 0).all():
         return np.empty(0, dtype=np.int64)
     power = (power / typical).mean(axis=0)
-    top = np.flatnonzero((power > ABOVE) & (power >= maximum_filter1d(power, 2 * APART + 1)))
+    top = _with_faint(np.flatnonzero((power > ABOVE) & (power >= maximum_filter1d(power, 2 * APART + 1))), power)
     around = np.clip(WINDOW * top[:, None] + np.arange(-2, WINDOW + 2), 0, error.shape[1] - 1)
     each = (error[:, around] / typical[:, :, None]).mean(axis=0)
     return np.asarray(np.unique(around[np.arange(top.size), each.argmax(axis=1)]), dtype=np.int64)
+
+
+def _with_faint(top: Int, power: Any_) -> Int:
+    """Windows (k,) of regular blows, with the faint ones that are due between them: one left in would sound on."""
+    if not _regular(top):
+        return top
+    usual = float(np.median(np.diff(top)))
+    reach = int(ALIKE * usual)
+    faint = []
+    for a, b in pairwise(top.tolist()):
+        for k in range(1, round((b - a) / usual)):
+            middle = round(a + k * (b - a) / round((b - a) / usual))
+            at = middle - reach + int(power[middle - reach : middle + reach + 1].argmax())
+            faint += [at] if power[at] > FAINT else []
+    return np.union1d(top, np.array(faint, dtype=np.int64))
 
 
 def _unforeseen(x: Any_) -> Any_:
