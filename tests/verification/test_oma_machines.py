@@ -97,7 +97,7 @@ def test_regular_blows_are_taken_out_and_others_left() -> None:
 
 @pytest.mark.parametrize("seed", [2, 5])
 def test_blows_that_come_out_faint_are_found_where_they_are_due(seed: int) -> None:
-    """Of 525 blows of levels that scatter by 25 % the faintest stand among the random forces; one in 100 may be lost."""
+    """Of 525 blows of levels that scatter by 25 % some stand among the random forces; one in 100 may be lost."""
     rng = np.random.default_rng(seed)
     at = np.cumsum(1.7 * (1 + 0.003 * rng.standard_normal(525))) * RATE
     level = 18 * (1 + 0.25 * rng.standard_normal(at.size))
