@@ -99,7 +99,7 @@ def runs(flag: Bool) -> list[tuple[int, int]]:
 
 def equal_runs(x: Any_) -> tuple[Int, Int]:
     """First sample and length of each run of equal samples."""
-    first = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0) + 1]).astype(np.int64)
+    first = np.concatenate([[0], np.flatnonzero(x[1:] != x[:-1]) + 1]).astype(np.int64)
     return first, np.diff(np.append(first, x.size))
 
 
