@@ -245,6 +245,7 @@ def test_frequencies_without_shapes_update_what_they_tell(capsys: Capture, folde
     found = json.loads(call(capsys, folder, "--json", "-")[1])
     assert [p["factor"] for p in found["parameters"]] == pytest.approx([*small_study.TRUTH.values()], rel=0.03)
     assert max(abs(m["deviation_percent"]) for m in found["modes"]) < 0.1
+    assert all(m["mac_percent"] is None for m in found["modes"])
     assert "by frequency" in found["notes"][0]
 
 

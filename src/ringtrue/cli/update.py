@@ -117,7 +117,7 @@ def update(
         seed = config.study.seed if seed is None else seed
         done = solved(problem, config.update, seed, checkpoint, part(show, 0.3, 1.0))
     written = _edited(model, config, done, folder)
-    summary = summary_of(config, problem, done, extra, solver_name) | {
+    summary = summary_of(config, problem, done, extra, solver_name, not notes) | {
         "deck": [str(p) for p in written],
         "notes": notes,
     }

@@ -33,9 +33,9 @@ def _sides(problem: Problem, done: Verified) -> tuple[Evaluated, Evaluated]:
 
 
 def summary_of(
-    config: StudyConfig, problem: Problem, done: Verified, data: Sequence[Data], solver: str
+    config: StudyConfig, problem: Problem, done: Verified, data: Sequence[Data], solver: str, seen: bool
 ) -> dict[str, Any]:
-    """The updating of a problem as JSON has it."""
+    """The updating of a problem as JSON has it; `seen`: shapes were measured."""
     sides, end, parameters = _sides(problem, done), done.solution, config.candidates()
     std = end.std * parameters.slope(end.x) / end.factors
     flags = plausibility(parameters, end.x, end.identifiability)
@@ -52,7 +52,7 @@ def summary_of(
             for n, a, s, t in zip(parameters.names, end.factors, std, end.identifiability, strict=True)
         ],
         "flags": [f.text for f in flags],
-        "modes": _modes(problem.configurations[0].target, *(s.points[0] for s in sides)),
+        "modes": _modes(problem.configurations[0].target, *(s.points[0] for s in sides), seen),
     } | _measured(data, sides)
 
 
@@ -69,13 +69,13 @@ def _measured(data: Sequence[Data], sides: tuple[Evaluated, Evaluated]) -> dict[
     return {"measured": found}
 
 
-def _modes(target: Target, before: Point, after: Point) -> list[dict[str, Any]]:
-    """Deviation and MAC of each test mode, before and after; null without a partner."""
+def _modes(target: Target, before: Point, after: Point, seen: bool) -> list[dict[str, Any]]:
+    """Deviation and MAC of each test mode, before and after; null without a partner, or shapes that were `seen`."""
     f, k = target.frequencies, target.frequencies.size
     found: Float = np.full((4, k), np.nan)
     for i, at in enumerate((before, after)):
         t, j = at.every.T
-        found[2 * i, t], found[2 * i + 1, t] = 100 * (at.now.frequencies[j] / f[t] - 1), 100 * at.mac
+        found[2 * i, t], found[2 * i + 1, t] = 100 * (at.now.frequencies[j] / f[t] - 1), 100 * at.mac if seen else np.nan
     names = ("deviation_before_percent", "mac_before_percent", "deviation_percent", "mac_percent")
     return [
         {"frequency_hz": float(f[i]), "used": bool(target.used[i])}
@@ -100,8 +100,9 @@ def show_summary(study: Path, summary: dict[str, Any]) -> None:
         body = [(m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES)) for m in summary["measured"]]
         rows("beside the modes", ("", "what", "unit", *SIDES), body)
     weighed = weighed_by([(v or 0.0) / 100 for v in summary["discrepancy_percent"].values()])
-    both = [m for m in summary["modes"] if m["used"] and None not in m.values()]
-    worsened = worse(*(np.array([m[f"deviation{when}_percent"] for m in both]) for when in ("_before", "")))
+    deviations = [f"deviation{when}_percent" for when in ("_before", "")]
+    both = [m for m in summary["modes"] if m["used"] and all(m[d] is not None for d in deviations)]
+    worsened = worse(*(np.array([m[d] for m in both]) for d in deviations))
     lines = (
         *summary["notes"],
         summary["why"],
