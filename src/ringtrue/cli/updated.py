@@ -75,7 +75,10 @@ def _modes(target: Target, before: Point, after: Point, seen: bool) -> list[dict
     found: Float = np.full((4, k), np.nan)
     for i, at in enumerate((before, after)):
         t, j = at.every.T
-        found[2 * i, t], found[2 * i + 1, t] = 100 * (at.now.frequencies[j] / f[t] - 1), 100 * at.mac if seen else np.nan
+        found[2 * i, t], found[2 * i + 1, t] = (
+            100 * (at.now.frequencies[j] / f[t] - 1),
+            100 * at.mac if seen else np.nan,
+        )
     names = ("deviation_before_percent", "mac_before_percent", "deviation_percent", "mac_percent")
     return [
         {"frequency_hz": float(f[i]), "used": bool(target.used[i])}
