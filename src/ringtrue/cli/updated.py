@@ -52,7 +52,7 @@ def summary_of(
             for n, a, s, t in zip(parameters.names, end.factors, std, end.identifiability, strict=True)
         ],
         "flags": [f.text for f in flags],
-        "modes": _modes(problem.configurations[0].target, *(s.points[0] for s in sides), seen),
+        "modes": _modes(problem.configurations[0].target, (sides[0].points[0], sides[1].points[0]), seen),
     } | _measured(data, sides)
 
 
@@ -69,11 +69,11 @@ def _measured(data: Sequence[Data], sides: tuple[Evaluated, Evaluated]) -> dict[
     return {"measured": found}
 
 
-def _modes(target: Target, before: Point, after: Point, seen: bool) -> list[dict[str, Any]]:
+def _modes(target: Target, sides: tuple[Point, Point], seen: bool) -> list[dict[str, Any]]:
     """Deviation and MAC of each test mode, before and after; null without a partner, or shapes that were `seen`."""
     f, k = target.frequencies, target.frequencies.size
     found: Float = np.full((4, k), np.nan)
-    for i, at in enumerate((before, after)):
+    for i, at in enumerate(sides):
         t, j = at.every.T
         found[2 * i, t], found[2 * i + 1, t] = (
             100 * (at.now.frequencies[j] / f[t] - 1),
