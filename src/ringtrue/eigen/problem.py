@@ -74,14 +74,15 @@ def rounding(stiffness: sparse.csr_array, modes: EigenModes, highest: float = 0.
     if not modes.values.size:
         return 0.0, 0, 0
     size = np.abs(modes.values)
-    energy = stiffness.diagonal()[:, None] * modes.vectors**2
-    off = np.finfo(np.float64).eps * np.linalg.norm(energy, axis=0)
+    diagonal = stiffness.diagonal()
+    energies = (diagonal * v**2 for v in modes.vectors.T)  # one at a time: vectors of large models fill the memory
+    off = np.finfo(np.float64).eps * np.array([np.linalg.norm(e) for e in energies])
     top, wanted = float(size.max()), eigenvalue(highest)
     top = wanted if top < NOISE * wanted < np.inf else top
     share = off / np.maximum(size, max(SMALL * abs(modes.shift), NOISE * top))
     share = np.where(share < 1, share, 0.0)
     mode = int(share.argmax())
-    return float(share[mode]), mode, int(np.abs(energy[:, mode]).argmax())
+    return float(share[mode]), mode, int(np.abs(diagonal * modes.vectors[:, mode] ** 2).argmax())
 
 
 def frequencies(values: Float) -> Float:
