@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from math import degrees
 from pathlib import Path
@@ -30,6 +30,7 @@ from ringtrue.study.config import CorrelateSection, Tam
 from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import alignment, mesh_points, near_mesh, placed, shared_places, words
+from ringtrue.study.reference import positions
 from ringtrue.study.summary import correlation_json
 
 LOWEST = 26  # modes of a deck in the place of a test
@@ -61,6 +62,13 @@ def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[b
     if align and sensors is None:
         raise ConfigError(f"--align {align}: lays the places of a sheet onto a deck; give --sensors")
     return first, second
+
+
+def _refuse_idle(given: Mapping[str, tuple[object, bool, str]]) -> None:
+    """Refuse options (value, whether it counts here, why not) that would change nothing."""
+    for name, (value, counts, why) in given.items():
+        if value is not None and not counts:
+            raise ConfigError(f"{name} {value}: {why}")
 
 
 def _as_test(deck: Path, units: str) -> tuple[ModeSet, TestModel, str]:
@@ -115,13 +123,11 @@ def _of_deck(
 
 def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], ...]:
     """Pairs such as 3:4, modes from one, as positions from zero."""
-    out = []
     for text in texts or []:
         left, _, right = text.partition(":")
         if not (left.isdigit() and right.isdigit() and int(left) > 0 and int(right) > 0):
             raise ConfigError(f"{option} {text!r}: must be a mode of A and one of B, from 1, such as 3:4")
-        out.append((int(left) - 1, int(right) - 1))
-    return tuple(out)
+    return positions(texts or ())
 
 
 def _mass(path: Path, channels: int) -> Float:
@@ -235,17 +241,21 @@ def correlate(
     settings = PairingSettings(mac_gate=mac_gate / 100, frequency_gate=frequency_gate / 100)
     locks = Locks(_pair_list("--lock", lock), _pair_list("--forbid", forbid))
     both, deck = _decks(a, b, sensors, align)
-    idle = {
-        "--units": (units, deck, "no deck is given"),
-        "--match": (match, sensors is not None, "of the places of a sheet on a deck; give --sensors"),
-        "--tolerance": (tolerance, both or sensors is not None, "of the places of a sheet from a deck; give --sensors"),
-        "--tam": (tam, everything and deck and mass is None, "the mass of a deck, for --complete without --mass"),
-        "--diagonal": (diagonal, everything or mass is not None, OF_ORTHOGONALITY),
-        "--off-diagonal": (off_diagonal, everything or mass is not None, OF_ORTHOGONALITY),
-    }
-    for name, (value_of, counts, why) in idle.items():
-        if value_of is not None and not counts:
-            raise ConfigError(f"{name} {value_of}: {why}")
+    whole = everything or mass is not None
+    _refuse_idle(
+        {
+            "--units": (units, deck, "no deck is given"),
+            "--match": (match, sensors is not None, "of the places of a sheet on a deck; give --sensors"),
+            "--tolerance": (
+                tolerance,
+                both or sensors is not None,
+                "of the places of a sheet from a deck; give --sensors",
+            ),
+            "--tam": (tam, everything and deck and mass is None, "the mass of a deck, for --complete without --mass"),
+            "--diagonal": (diagonal, whole, OF_ORTHOGONALITY),
+            "--off-diagonal": (off_diagonal, whole, OF_ORTHOGONALITY),
+        }
+    )
     own, other = 90.0 if diagonal is None else diagonal, 10.0 if off_diagonal is None else off_diagonal
     gate = Gate(own / 100, other / 100, f"{own:g} % / {other:g} %")
     units, tolerance = units or "SI", 0.05 if tolerance is None else tolerance
@@ -259,14 +269,14 @@ def correlate(
     )
     one, two = _common(test, there, a, b)
     if not one.channels:
-        if everything or mass is not None:
+        if whole:
             raise ConfigError(f"--complete and --mass compare shapes; {a if not test.channels else b} has none")
         notes = (*notes, BY_FREQUENCY)
     names = ("A", "B")
     table = correlation_table(one, two, pair_modes(one, two, settings, names=names, locks=locks), names=names)
     value: dict[str, Any] = correlation_json(table)
     full: CompleteCorrelation | None = None
-    if everything or mass is not None:
+    if whole:
         weight = ChannelMass(_mass(mass, len(one.channels))) if mass is not None else held()
         full = complete(
             one,

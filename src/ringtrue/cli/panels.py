@@ -35,7 +35,7 @@ OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parame
         ),
         "Where to strike and to hang": ("references", "strike_at", "strike", "hang"),
         "Expected and wanted": ("damping", "error", "coherence", "precision"),
-        "Virtual tests": ("trials", "background", "seed"),
+        "Virtual tests": ("trials", "background", "ambient_force", "seed"),
     },
     "oma": BY_HAND,
     "ema": {
