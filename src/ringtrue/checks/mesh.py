@@ -10,6 +10,7 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlate.pairing import pair_modes
+from ringtrue.fem.algebra import arm
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
@@ -98,10 +99,7 @@ def mesh_errors(model: Model, modes: ModeSet, solver: ModalSolver) -> MeshErrors
 
 def _rigid(shapes: Any_, xyz: Float) -> Bool:
     """Which translations (3n, m) of points (n, 3) are those of one rigid body: t + ω × r."""
-    r, turns = xyz - xyz.mean(axis=0), np.zeros((len(xyz), 3, 3))
-    for i, axis in enumerate(np.eye(3)):
-        turns[:, :, i] = np.cross(axis, r)
-    basis = np.concatenate([np.tile(np.eye(3), (len(xyz), 1)), turns.reshape(-1, 3)], axis=1)
+    basis = arm(xyz - xyz.mean(axis=0))[:, :3].reshape(-1, 6)
     u, size, _ = np.linalg.svd(
         basis / np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny), full_matrices=False
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -13,6 +13,7 @@ Motion = Literal["displacement", "velocity", "acceleration"]
 DERIVATIVE: dict[str, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 SI_UNIT: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
 FRF_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
+OF_KIND: dict[str, Motion] = {FRF_KIND[m]: m for m in get_args(Motion)}
 POWER: dict[str, int] = {FRF_KIND[motion]: n for motion, n in DERIVATIVE.items()}  # of s, over the receptance
 
 BASE = "base "  # how the name of a base begins

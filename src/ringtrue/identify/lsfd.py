@@ -156,9 +156,7 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     kind = np.asarray(s ** POWER[frfs.kind], dtype=np.complex128)
     weight, given = 1 / sigma.line, 1 / sigma.input
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
-    if (
-        np.isfinite(frfs.kept) or frfs.hann
-    ):  # λ^p for s^p: a free decay that began with the blow before leaves a polynomial
+    if np.isfinite(frfs.kept) or frfs.hann:  # λ^p for s^p: what is cut off, or faded, leaves a polynomial
         t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
     flat = np.linalg.qr(weight[:, None] * polynomials(s.imag, smooth))[0]
     beside = without(flat, weight[:, None] * t)

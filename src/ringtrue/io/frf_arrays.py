@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.motions import FRF_KIND, SI_UNIT, Motion
+from ringtrue.core.motions import FRF_KIND, OF_KIND, SI_UNIT, Motion
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.frf_lines import known_lines
@@ -36,8 +36,7 @@ _HERTZ = (
 _RADIANS = ("omega", "omegas", "w_rad")
 _OUTPUTS = ("outputs", "output", "responses", "response", "out", "out_dof", "outdof", "rsp")
 _INPUTS = ("inputs", "input", "references", "reference", "refs", "in", "in_dof", "indof", "ref")
-_CALLED: dict[str, Motion] = {FRF_KIND[m]: m for m in get_args(Motion)}  # by what an FRF is called
-_CALLED |= {"compliance": "displacement", "inertance": "acceleration"}
+_CALLED: dict[str, Motion] = OF_KIND | {"compliance": "displacement", "inertance": "acceleration"}
 _LEAST, _LONGEST = 8, 1 << 22  # lines
 _DIRECTIONS = (0, 1, 2, 3, 4, 5, 6, -1, -2, -3, -4, -5, -6)  # of SDT's DOFs 1.01 .. 1.12
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.blows import joined
 from ringtrue.core.lines import shared_lines
-from ringtrue.core.motions import FRF_KIND, SI_UNIT, Motion, as_motion
+from ringtrue.core.motions import OF_KIND, SI_UNIT, as_motion
 from ringtrue.core.signals import FrfKind, FrfSet
 from ringtrue.errors import DataError
 
@@ -109,7 +108,7 @@ def _part(p: FrfSet, at: Int, kind: FrfKind) -> FrfSet:
     """The FRFs at some lines, as those of a kind."""
     if p.kind == kind and at.size == p.freqs.size:
         return p
-    motion, wanted = (cast(Motion, next(m for m, k in FRF_KIND.items() if k == x)) for x in (p.kind, kind))
+    motion, wanted = OF_KIND[p.kind], OF_KIND[kind]
     data = as_motion(p.data[at], p.freqs[at], motion, wanted, p.window_decay)
     outputs = tuple(replace(c, quantity=wanted, unit=SI_UNIT[wanted]) for c in p.outputs)
     return replace(p, data=data, freqs=p.freqs[at], coherence=p.coherence[at], outputs=outputs, kind=kind)
