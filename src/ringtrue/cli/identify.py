@@ -281,7 +281,8 @@ def told(
     if json:
         write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons) | (more or {}), json)
     if json != "-":
-        print_modes(f"{title}: {len(found.modes)} modes", found.modes, found.uncertainty, found.reasons)
+        count = f"{len(found.modes)} mode{'s' if len(found.modes) != 1 else ''}"
+        print_modes(f"{title}: {count}", found.modes, found.uncertainty, found.reasons)
         tell((*notes, *found.notes, *(() if len(found.modes) else if_none)))
     return 0 if len(found.modes) else 1
 
