@@ -20,11 +20,11 @@ from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.identify.linearity import level_dependence
 from ringtrue.identify.local import identify_batches, told_apart
 from ringtrue.identify.lsce import Lsce, lsce
-from ringtrue.identify.lsfd import reciprocity
 from ringtrue.identify.normal import niedbal, normal_modes, rotated
 from ringtrue.identify.peaks import CmifPeaks, cmif_modes, single_mode
 from ringtrue.identify.plscf import cluster_poles
 from ringtrue.identify.poles import PoleSet
+from ringtrue.identify.reciprocity import reciprocity
 from ringtrue.identify.rfp import Rfp, orthogonal, rfp
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.setups import join_frfs

@@ -6,8 +6,9 @@ kept of it, `ambient_band` the modes of one band, `ambient_verdict` the verdict 
 
 Blows, shakers, FRFs: `hammer` is the call; `frf_input` what is refused, `frf_band` the band, `condense` fewer lines,
 `bands_hammer` the candidates, `deflate` what they miss, `refine` the fit in `augmented` unknowns, `lsfd` and
-`scale` residues and modal masses, `normal` real shapes; `leakage` of Hann windows; `split` and `local`
-responses and setups that disagree, `linearity` several force levels; `frf_methods` by another method.
+`scale` residues and modal masses, `reciprocity` what the points struck tell of sensors and hammer, `normal`
+real shapes; `leakage` of Hann windows; `split` and `local` responses and setups that disagree, `linearity`
+several force levels; `frf_methods` by another method.
 
 Methods: `ssi`, `ssi_data`, `era`, `half_spectra`, `fdd`, `bayes` (ambient); `plscf`, `lsce`, `rfp`, `peaks`
 (FRFs); `opinion` asks one of them for a second opinion.

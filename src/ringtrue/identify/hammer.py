@@ -44,6 +44,7 @@ from ringtrue.identify.lsfd import (
 )
 from ringtrue.identify.peaks import cmif
 from ringtrue.identify.poles import PoleSet, StableDiagram
+from ringtrue.identify.reciprocity import reciprocity_note
 from ringtrue.identify.refine import Refined, refine, shape_deviations
 from ringtrue.identify.repeated_hammer import twins, united
 from ringtrue.identify.scale import mode_scale, scale_deviations
@@ -205,7 +206,9 @@ def identify_hammer(
     late = late_channels(result.modes)
     told = tuple(filter(None, (roving, end_note(frfs, settings.fmax, high), faded)))
     odd = tuple(filter(None, (split, odd_channel(used, fit.refined.poles), parted_modes(result.model))))
-    told = (*told, *frf_notes(reported, search.pairs), *result.notes, *said, *late, *odd, *notes)
+    broken = reciprocity_note(result.model, search.pairs)
+    scale = (broken,) if broken else result.notes
+    told = (*told, *frf_notes(reported, search.pairs), *scale, *said, *late, *odd, *notes)
     return replace(result, notes=told, groups=() if roving else groups)
 
 

@@ -377,21 +377,6 @@ def driving_pairs(model: ModalModel | FrfSet) -> list[tuple[int, int, float]]:
     ]
 
 
-def reciprocity(model: ModalModel) -> Float:
-    """(m,) MAC between shape and participation vector at the points that were both hit and measured.
-
-    1 for a reciprocal structure with sound directions and calibrations; NaN with fewer than two such points. The
-    FRFs of the points on themselves need not be among the data: the residues of rank one give them.
-    """
-    pairs = driving_pairs(model)
-    if len(pairs) < 2:
-        return np.full(model.poles.size, np.nan)
-    o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
-    psi, part = model.shapes[o] * sign[:, None], model.participation.T[i]
-    size = (np.abs(psi) ** 2).sum(axis=0) * (np.abs(part) ** 2).sum(axis=0)
-    return np.asarray(np.abs((part.conj() * psi).sum(axis=0)) ** 2 / np.where(size > 0, size, 1.0))
-
-
 def normalise(model: ModalModel, pairs: Pairs | None = None) -> ModalModel:
     """Shapes of unit modal A where there are driving points, residue = φ φᵀ; else the model as it is."""
     pairs = driving_pairs(model) if pairs is None else pairs
