@@ -178,3 +178,34 @@ def test_a_pair_that_the_user_decides_follows_its_shape_through_a_crossing() -> 
     assert known.locks(shapes) == Locks(((0, 1),), ((2, 2),))
     assert known.locks(shapes[:, [1, 2, 0]]) == Locks(((0, 0),), ((2, 1),))
     assert known.locks(shapes[:, :0]) == Locks()
+
+
+def alone(f: list[float]) -> ModeSet:
+    return ModeSet(np.array(f), np.full(len(f), 0.01), np.zeros((0, len(f))), ())
+
+
+def test_frequencies_alone_pair_about_what_the_model_is_off_as_a_whole() -> None:
+    """A deck 14 % too stiff, one mode missed: the nearest frequencies belong to other modes."""
+    deck = [10.0, 12.5, 19.0, 21.8, 25.0, 40.0, 52.0]
+    scatter = np.array([1.0, 1.01, 0.99, 1.01, 1.0, 1.0, 0.99])
+    test = (np.array(deck) / 1.14 * scatter)[[0, 1, 3, 4, 5, 6]]
+    nearest = [int(np.abs(np.array(deck) - f).argmin()) for f in test]
+    p = pair_modes(alone(test.tolist()), alone(deck))
+    assert nearest != [0, 1, 3, 4, 5, 6] == p.b.tolist()
+    assert not p.doubts()
+
+
+def test_what_frequencies_alone_leave_in_doubt_is_told() -> None:
+    p = pair_modes(alone([10.0, 20.1, 35.0]), alone([10.0, 19.9, 20.4, 35.0]))
+    assert len(p) == 3
+    assert p.doubts() == ("test 2 is taken for FE 2, and may as well be FE 3",)
+    decided = pair_modes(alone([10.0, 20.1, 35.0]), alone([10.0, 19.9, 20.4, 35.0]), locks=Locks(((1, 2),)))
+    assert decided.b.tolist() == [0, 2, 3]
+    assert not decided.doubts()
+
+
+def test_a_gate_makes_no_pair_certain() -> None:
+    """The right partner of the first mode lies beyond the gate: the other one is no more likely for that."""
+    gates = PairingSettings(frequency_gate=0.1)
+    p = pair_modes(alone([10.0, 20.0, 40.0]), alone([10.2, 11.1, 22.2, 44.4]), gates)
+    assert p.doubts() == ("test 1 is taken for FE 1, and may as well be FE 2",)

@@ -274,6 +274,7 @@ def correlate(
         notes = (*notes, BY_FREQUENCY)
     names = ("A", "B")
     table = correlation_table(one, two, pair_modes(one, two, settings, names=names, locks=locks), names=names)
+    notes = (*notes, *table.pairing.doubts(names))
     value: dict[str, Any] = correlation_json(table)
     full: CompleteCorrelation | None = None
     if whole:

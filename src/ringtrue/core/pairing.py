@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+
+SURE = -2  # in `rival`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +31,9 @@ class Pairing:
         Positions without a partner.
     why_a, why_b : tuple of str
         The reason for each.
+    rival : (k,) int64
+        Where frequencies alone decide: another mode of B that the mode of A may be, -1 if it may have no partner at
+        all, `SURE` where neither is likely; empty where shapes decide.
     """
 
     a: Int
@@ -41,10 +46,20 @@ class Pairing:
     why_a: tuple[str, ...]
     lone_b: Int
     why_b: tuple[str, ...]
+    rival: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         i, f = np.int64, np.float64
-        freeze_fields(self, a=i, b=i, mac=f, frequency_error=f, sign=f, subspace=np.bool_, lone_a=i, lone_b=i)
+        freeze_fields(self, a=i, b=i, mac=f, frequency_error=f, sign=f, subspace=np.bool_, lone_a=i, lone_b=i, rival=i)
 
     def __len__(self) -> int:
         return int(self.a.size)
+
+    def doubts(self, names: tuple[str, str] = ("test", "FE")) -> tuple[str, ...]:
+        """Each pair that frequencies alone leave in doubt, in words."""
+        a, b = names
+        return tuple(
+            f"{a} {i + 1} is taken for {b} {j + 1}, and may as well be {f'{b} {k + 1}' if k >= 0 else f'no mode of {b}'}"
+            for i, j, k in zip(self.a.tolist(), self.b.tolist(), self.rival.tolist(), strict=False)
+            if k != SURE
+        )

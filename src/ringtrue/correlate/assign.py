@@ -237,6 +237,20 @@ def _merge(
     merged[block] = np.where(gain[:, None], turned[:, None], single[block])
 
 
+def within(
+    score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: Bool, locks: Locks = NO_LOCKS
+) -> tuple[Bool, Bool]:
+    """Which pairs (ma, mb) may be: inside both gates and not forbidden, or forced; and which are forced.
+
+    Without shapes the gate on the MAC holds for none.
+    """
+    allowed = np.isnan(score.merged) | (score.merged >= settings.mac_gate)
+    allowed &= np.abs(score.error) <= settings.frequency_gate
+    allowed &= usable_a[:, None] & usable_b[None, :]
+    forced, free = locks.mask((allowed.shape[0], allowed.shape[1]))
+    return np.asarray((allowed & free) | forced), forced
+
+
 def assign(
     score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: Bool, locks: Locks = NO_LOCKS
 ) -> tuple[Int, Int]:
@@ -244,20 +258,15 @@ def assign(
 
     The worth of a pair is log((1 − gate)/(1 − MAC)), lowered with the square of the frequency error: two poor pairs
     never outvote a good one, which a sum of MACs allows. Forced pairs come before all others, forbidden ones never.
-    Without shapes every MAC counts as 1.
 
     Returns
     -------
     rows, columns : (k,) int64, ascending rows
     """
-    merged, single = (np.nan_to_num(x, nan=1.0) for x in (score.merged, score.mac))
-    value = np.log((1 - settings.mac_gate + SOFT) / (1 - merged + SOFT)) + SOFT
+    value = np.log((1 - settings.mac_gate + SOFT) / (1 - score.merged + SOFT)) + SOFT
     worth = value * (1 - 0.5 * (score.error / settings.frequency_gate) ** 2)
-    worth += TIE * single  # decides between the members of a rotated group
-    allowed = (merged >= settings.mac_gate) & (np.abs(score.error) <= settings.frequency_gate)
-    allowed &= usable_a[:, None] & usable_b[None, :]
-    forced, free = locks.mask((allowed.shape[0], allowed.shape[1]))
-    allowed = (allowed & free) | forced
+    worth += TIE * score.mac  # decides between the members of a rotated group
+    allowed, forced = within(score, settings, usable_a, usable_b, locks)
     worth = np.where(forced, LOCKED, np.where(allowed, worth, 0.0))
     rows, cols = linear_sum_assignment(-worth)
     keep = allowed[rows, cols]

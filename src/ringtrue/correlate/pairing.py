@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -11,7 +11,18 @@ from scipy import linalg
 from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.pairing import Pairing
-from ringtrue.correlate.assign import NO_LOCKS, Locks, PairingSettings, Scores, assign, peak_shares, scores
+from ringtrue.correlate.alone import by_frequency
+from ringtrue.correlate.assign import (
+    HOLD,
+    NO_LOCKS,
+    Locks,
+    PairingSettings,
+    Scores,
+    assign,
+    peak_shares,
+    scores,
+    within,
+)
 from ringtrue.errors import InputError
 from ringtrue.shapes.subspace import rotation
 
@@ -46,7 +57,7 @@ def pair_modes(
     Parameters
     ----------
     a, b : ModeSet
-        B must hold the channels of A. Where A has none, frequencies alone decide, and `mac` is NaN.
+        B must hold the channels of A. Where A has none, frequencies alone decide (`alone.by_frequency`), and `mac` is NaN.
     settings : PairingSettings
     visible_b : (mb,) float64, optional
         Share of each mode's motion that takes place where sensors sit, 0..1.
@@ -68,7 +79,13 @@ def pair_modes(
     hidden = _hidden(b, settings, visible_b)
     sure = a.confidence >= settings.min_confidence
     s = scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings)
-    rows, cols = assign(s, settings, sure, np.array([not why for why in hidden], dtype=np.bool_), locks)
+    plain = np.array([not why for why in hidden], dtype=np.bool_)
+    if a.channels:
+        (rows, cols), rival = assign(s, settings, sure, plain, locks), np.zeros(0, dtype=np.int64)
+    else:
+        wide = within(s, replace(settings, frequency_gate=settings.frequency_gate / HOLD), sure, plain, locks)[0]
+        found = by_frequency(a.frequencies, b.frequencies, *within(s, settings, sure, plain, locks), wide)
+        rows, cols, rival = found.rows, found.columns, found.rival
     lone_a = np.setdiff1d(np.arange(len(a)), rows)
     lone_b = np.setdiff1d(np.arange(len(b)), cols)
     why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure)
@@ -86,6 +103,7 @@ def pair_modes(
         ),
         lone_b=lone_b,
         why_b=tuple(hidden[j] or why.of_b(j, a, b) for j in lone_b.tolist()),
+        rival=rival,
     )
 
 
