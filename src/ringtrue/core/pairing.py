@@ -59,7 +59,8 @@ class Pairing:
         """Each pair that frequencies alone leave in doubt, in words."""
         a, b = names
         return tuple(
-            f"{a} {i + 1} is taken for {b} {j + 1}, and may as well be {f'{b} {k + 1}' if k >= 0 else f'no mode of {b}'}"
+            f"{a} {i + 1} is taken for {b} {j + 1}, and may as well be "
+            + (f"{b} {k + 1}" if k >= 0 else f"no mode of {b}")
             for i, j, k in zip(self.a.tolist(), self.b.tolist(), self.rival.tolist(), strict=False)
             if k != SURE
         )

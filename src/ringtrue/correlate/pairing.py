@@ -57,7 +57,7 @@ def pair_modes(
     Parameters
     ----------
     a, b : ModeSet
-        B must hold the channels of A. Where A has none, frequencies alone decide (`alone.by_frequency`), and `mac` is NaN.
+        B must hold the channels of A. Where A has none, frequencies alone decide (`by_frequency`), and `mac` is NaN.
     settings : PairingSettings
     visible_b : (mb,) float64, optional
         Share of each mode's motion that takes place where sensors sit, 0..1.
