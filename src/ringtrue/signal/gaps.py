@@ -123,7 +123,7 @@ def _each_by_itself(history: TimeHistory, held: dict[str, Bool], lost: Bool) -> 
 
 def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[str, ...]]:
     """The record with straight lines over samples that are not finite, the long runs of these (sample,), and notes."""
-    bad = [i for i, x in enumerate(history.data) if not np.isfinite(x.sum(dtype=np.float64))]
+    bad = [i for i, x in enumerate(history.data) if x.size and not np.isfinite([x.min(), x.max()]).all()]
     if not bad:
         return history, {}, ()
     data = np.array(history.data)
