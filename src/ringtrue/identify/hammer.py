@@ -54,6 +54,7 @@ from ringtrue.signal.reciprocal import exchanged
 TURNS = 6
 LAST_ITERATIONS = 60
 FADED = 0.95  # of the misfit, that blocks of noise under a Hann window leave as such, if they are
+NO_WORSE = 1.05  # times the misfit: of responses that disagree about modes, a mode for each with a pole of its own
 RINGING_TURNS = 6  # of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
 MOST_NEW = 6
 MOST_BYTES = 2e9
@@ -313,6 +314,8 @@ def _whole(search: _Search, fit: _Fit) -> tuple[_Search, _Fit, str, tuple[tuple[
         return search, fit, "", ()
     level = replace(search, lines=levelled(search.lines, split))
     new = level.refined(joined(search.lines, fit.candidates, split))
+    if new.refined.cost > NO_WORSE * fit.refined.cost:  # modes that overlap: as one mode they fit no longer
+        return search, fit, "", ()
     refined = scattered(search.lines, fit.refined, new.refined, split)
     return (
         level,
