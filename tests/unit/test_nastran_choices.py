@@ -206,6 +206,8 @@ def test_matrices_that_are_chosen_or_loads_are_not_called_idle(tmp_path: Path) -
         ("BCSET = 1", "BCTSET,1,2,3"),
         ("BCONTACT = 1", "BCBODY1,1"),
         ("STATSUB(PRELOAD) = 1", "FORCE,1,1,,9.,1."),
+        ("STATSUB = 1", "BOLTFOR,4,100.,1"),
+        ("NLIC STEP 1", "FORCE,1,1,,9.,1."),
     ],
 )
 def test_glue_contact_and_preload_that_are_chosen_stop(tmp_path: Path, command: str, card: str) -> None:
@@ -213,6 +215,26 @@ def test_glue_contact_and_preload_that_are_chosen_stop(tmp_path: Path, command: 
     assert read_deck(write(tmp_path, "CEND\n" + bulk)).kept == {card.split(",")[0]: 1}
     with pytest.raises(UnsupportedCard, match=rf"main\.bdf:7: {card.split(',')[0]}"):
         read_deck(write(tmp_path, f"CEND\n{command}\n" + bulk))
+
+
+@pytest.mark.parametrize("solution", ["SOL 182", "SOL LINEAR PRESTRESS MODAL"])
+def test_solutions_under_load_stop_at_the_load(tmp_path: Path, solution: str) -> None:
+    bulk = f"CEND\nLOAD = 1\nBEGIN BULK\n{SPRING}FORCE,1,1,,9.,1.\n"
+    assert read_deck(write(tmp_path, "SOL 103\n" + bulk)).kept == {"FORCE": 1}
+    with pytest.raises(UnsupportedCard, match=r"main\.bdf:8: FORCE .* preload"):
+        read_deck(write(tmp_path, f"{solution}\n{bulk}"))
+
+
+def test_a_bolt_that_joins_two_parts_stops_and_one_that_lists_elements_does_not(tmp_path: Path) -> None:
+    assert read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}BOLT,1,1,5\n")).kept == {"BOLT": 1}
+    with pytest.raises(UnsupportedCard, match=r"main\.bdf:5: BOLT .* shared nodes"):
+        read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}BOLT,1,9\n,TOP,1,2\n,BOTTOM,3,4\n"))
+
+
+def test_what_no_answer_holds_is_said_by_every_command(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    read_deck(write(tmp_path, f"CEND\nK2PP = KX\nBEGIN BULK\n{SPRING}CYJOIN,1,,1\n"))
+    assert "K2PP = KX: it is left out" in caplog.text
+    assert "CYJOIN: kept, not applied: the modes are those of this segment alone" in caplog.text
 
 
 CHAIN = "SPOINT,1,THRU,9\n" + "".join(

@@ -8,11 +8,10 @@ import numpy as np
 
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.model.cards import TABLES
-from ringtrue.model.choices import untaken_matrices
+from ringtrue.model.choices import left_out, untaken_matrices
 from ringtrue.model.model import Model
 
 _WHOLE = "kept, not applied: the modes here are those of the full model, not of the condensed one"
-_SEGMENT = "kept, not applied: the modes are those of this segment alone, not of the whole; give all segments"
 _KEPT = (  # cards that are kept and what becomes of them
     (("ASET", "ASET1", "OMIT", "OMIT1"), _WHOLE),
     (TABLES, "kept, not applied: the nominal stiffness and damping hold at all frequencies, as in SOL 103"),
@@ -20,7 +19,6 @@ _KEPT = (  # cards that are kept and what becomes of them
         ("ROTORG", "ROTORD", "ROTORAX", "ROTORSE"),
         "kept, not applied: the modes are those at rest, without gyroscopic terms",
     ),
-    (("CYAX", "CYJOIN", "CYSYM"), _SEGMENT),
     (
         ("SNORM",),
         "kept, not applied: normals of shells are the mean of the elements around a node, as PARAM,SNORM has it",
@@ -40,10 +38,8 @@ def unapplied(model: Model) -> Iterator[Finding]:
             yield Finding("info", f"{', '.join(found)}: {what}")
     if "GRID" in model and (rows := np.flatnonzero(model["GRID"]["SEID"] > 0)).size:
         yield at_rows(model, "GRID", rows, "info", f"SEID {_WHOLE}")
-    for command in model.case.unread:
-        yield Finding(
-            "warning", f"case control asks for {command}: it is left out; K2GG, M2GG and B2GG act on the modes"
-        )
+    for text in left_out(model):
+        yield Finding("warning", text)
     yield from _idle_matrices(model)
 
 

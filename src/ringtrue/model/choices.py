@@ -28,6 +28,16 @@ def untaken_matrices(model: Model) -> Int:
     return np.flatnonzero(~np.isin(np.char.upper(model["DMIG"]["NAME"].astype(str)), taken))
 
 
+def left_out(model: Model) -> list[str]:
+    """What a deck asks for that none of the answers holds."""
+    instead = "K2GG, M2GG and B2GG act on the modes"
+    out = [f"case control asks for {command}: it is left out; {instead}" for command in model.case.unread]
+    if cyclic := [card for card in ("CYAX", "CYJOIN", "CYSYM") if card in model.kept]:
+        modes = "the modes are those of this segment alone, not of the whole; give all segments"
+        out.append(f"{', '.join(cyclic)}: kept, not applied: {modes}")
+    return out
+
+
 def idle(model: Model) -> dict[str, Int]:
     """Rows, by card, that take no part, whatever they name: Nastran leaves them alone, too.
 

@@ -20,8 +20,9 @@ STIFFENING = {  # commands that bring in stiffness which is not read, and how th
     "BGSET": ("BGSET", "BGADD"),
     "BCSET": ("BCTSET", "BCTADD"),
     "BCONTACT": ("BCBODY", "BCTABL"),
-    "STATSUB": PRELOADS,
+    **dict.fromkeys(("STATSUB", "NLIC"), (*PRELOADS, "BOLTFOR", "BOLTFRC", "PRETENS", "SPCR")),
 }
+_PRESTRESS = re.compile(r"\s*SOL[\s=]+(18[2-9]|.*PRESTRESS)", re.I)  # modes and responses under load, by Autodesk
 _UNREAD = ("K2PP", "M2PP", "B2PP", "K42GG", "A2GG", "TFL")  # matrices of other solutions
 _LOADING = ("TEMP(LOAD)", "DEFORM", "P2G")  # what else acts in statics, and is not read
 _NAMES = (*_CHOICES, *STIFFENING, *_UNREAD, *_LOADING, "LOAD")
@@ -48,6 +49,12 @@ def commands(top: Sequence[str]) -> dict[str, str]:
     common, *subcases = (choices for _, choices in _sections(top))
     chosen = next((s for s in subcases if "METHOD" in s), subcases[0] if subcases else {})
     return {**common, **chosen}
+
+
+def stiffening(top: Sequence[str]) -> tuple[str, ...]:
+    """How the names of cards begin that carry stiffness because case control chooses them: glue, contact, MATT1."""
+    chosen = set(commands(top)) | ({"STATSUB"} if any(_PRESTRESS.match(line) for line in top) else set())
+    return tuple(start for command, names in STIFFENING.items() if command in chosen for start in names)
 
 
 def _sections(top: Sequence[str]) -> list[tuple[int, dict[str, str]]]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.io.nastran.beams import dimensions
-from ringtrue.io.nastran.case import STIFFENING, case_control, commands, params, value
+from ringtrue.io.nastran.case import case_control, params, stiffening, value
 from ringtrue.io.nastran.constraint_sets import empty_choices, only_sets, unclear_sets
 from ringtrue.io.nastran.damping import modal_damping
 from ringtrue.io.nastran.deck import Deck, load
@@ -24,7 +24,7 @@ from ringtrue.io.nastran.orientations import open_bushes
 from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, columns, is_unsupported, reason
-from ringtrue.model.choices import idle
+from ringtrue.model.choices import idle, left_out
 from ringtrue.model.damping import ModalDamping
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Ragged, Table, stacked
@@ -105,6 +105,8 @@ def _read(deck: Deck) -> tuple[Model, Cards]:
         log.warning("%s: case control asks for %s", path, text)
     if model.case.others:
         log.warning("%s: SUBCASE %s not taken, only the first with a METHOD is", path, list(model.case.others))
+    for text in left_out(model):
+        log.warning("%s: %s", path, text)
     out = idle(model)
     for fault_ in missing(model):
         if not np.isin(fault_.rows, out.get(fault_.reference.card, ())).all():
@@ -124,28 +126,18 @@ def survey(path: str | Path) -> Survey:
     """
     deck = load(path)
     found = cards(deck)
-    unsupported = {}
-    more = _stiffening(found)
+    unsupported = {name: "{}:{}".format(*found.place(at)) for at, name in _stopping(found)}
     if deck.superelements:
         unsupported["BEGIN SUPER"] = f"{deck.files[deck.superelements[0]]}:{deck.superelements[1]}"
-    names, first, count = found.kinds()
-    for name, at in zip(names.tolist(), first.tolist(), strict=True):
-        if _stops(name.decode(), more):
-            unsupported[name.decode()] = "{}:{}".format(*found.place(at))
     unsupported = {card: ": ".join(t for t in (place, reason(card)) if t) for card, place in unsupported.items()}
     model, skipped = _model(found)
     unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
     faults = [_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported))]
     faults += [*unclear_sets(model, chosen=bool(deck.top)), *_misnamed(model)]
     faults += [] if faults else open_bushes(model)
+    names, _, count = found.kinds()
     counts = {n.decode(): c for n, c in zip(names.tolist(), count.tolist(), strict=True)}
     return Survey(model, counts, unsupported, tuple(faults))
-
-
-def _stiffening(found: Cards) -> tuple[str, ...]:
-    """How the names of cards begin that carry stiffness because case control chooses them: glue, contact, MATT1."""
-    chosen = commands(found.deck.top)
-    return tuple(start for command, names in STIFFENING.items() if command in chosen for start in names)
 
 
 def _stops(name: str, more: tuple[str, ...]) -> bool:
@@ -153,12 +145,20 @@ def _stops(name: str, more: tuple[str, ...]) -> bool:
     return name not in EXPAND and (is_unsupported(name) or name[0] == "/" or name.startswith(more))
 
 
-def _refuse(found: Cards) -> None:
+def _stopping(found: Cards) -> list[tuple[int, str]]:
+    """The first card of each name that must not be passed over, in order."""
     names, first, _ = found.kinds()
-    stopping = [(at, name.decode()) for at, name in zip(first.tolist(), names.tolist(), strict=True)]
-    more = _stiffening(found)
-    stopping = sorted((at, name) for at, name in stopping if _stops(name, more))
-    if stopping:
+    more = stiffening(found.deck.top)
+    out = [(at, name.decode()) for at, name in zip(first.tolist(), names.tolist(), strict=True)]
+    out = [(at, name) for at, name in out if _stops(name, more)]
+    cut = [
+        (at, "BOLT") for at in found.named("BOLT").tolist() if b"TOP" in found.fields(at)
+    ]  # MSC's; NX lists elements
+    return sorted([*out, *cut[:1]])
+
+
+def _refuse(found: Cards) -> None:
+    if stopping := _stopping(found):
         at, name = stopping[0]
         path, line = found.place(at)
         raise UnsupportedCard(name, path=path, line=line, why=reason(name))
