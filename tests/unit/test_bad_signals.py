@@ -91,6 +91,13 @@ def test_modes_are_found_and_the_fault_is_said(change: Change, told: str) -> Non
     assert told in r.notes if told else not r.notes
 
 
+def test_a_channel_of_noise_is_named() -> None:
+    noise = 20 * made().std() * np.random.default_rng(5).standard_normal(N)
+    r = found(put(2, noise))
+    assert r.modes.frequencies[:4] == pytest.approx(F, rel=TOLERANCE)
+    assert [n.split(":")[0] for n in r.notes if "broken cable" in n] == ["channel 3+Z"]
+
+
 @pytest.mark.parametrize("rows", [2, slice(None)], ids=["one", "all"])
 def test_overtones_of_clipping_are_doubted_and_modes_are_no_machines(rows: Any) -> None:
     r = found(clipped(rows))

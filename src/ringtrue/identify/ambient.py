@@ -25,6 +25,7 @@ from ringtrue.identify.ambient_record import (
     filter_edges,
     in_phase,
     long_enough,
+    noisy_channels,
     one_motion,
     references,
     response_slope,
@@ -263,7 +264,8 @@ def identify_stretches(
         notes += ("every channel is clipped: machines are not told from modes",)
     if motion:
         notes += (f"channels of different kinds: shapes are those of {motion.kind} in all",)
-    return replace(result, notes=notes + struck(heard) + result.notes)
+    noisy = noisy_channels([c.id for c in good.channels], result.modes.shapes, result.uncertainty.shape)
+    return replace(result, notes=notes + noisy + struck(heard) + result.notes)
 
 
 def _assemble(

@@ -23,6 +23,7 @@ EDGE, LAST = 0.35, 0.49  # of the rate: where filters of recorders begin to end 
 AT_EDGE = "left out: the spectrum ends there: the filter of the recorder"
 BROAD = 0.02  # damping that the edge of a filter may have
 FALL = 0.4  # of the fall of a mode
+UNSURE, WORSE = 0.2, 5.0  # of the RMS of the shapes; times the median channel
 ORDER = {**DERIVATIVE, "strain": 0}
 
 
@@ -173,6 +174,28 @@ def struck(heard: list[Events]) -> tuple[str, ...]:
     use = "the decays after them are used" if any(e.driven for e in heard) else "no correlation reaches across them"
     few = "; so few make the stated deviations rough" if count < FEW and any(e.driven for e in heard) else ""
     return (f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest (a jump, a blow): {use}{few}",)
+
+
+def noisy_channels(ids: Sequence[str], shapes: Complex, std: Float) -> tuple[str, ...]:
+    """A note on channels whose readings are known far worse than those of the others: a cable or sensor that is broken.
+
+    Parameters
+    ----------
+    ids : (ch,) sequence of str
+    shapes : (ch, m) complex128
+    std : (ch, m) float64
+        Standard deviations of their moduli.
+    """
+    if not shapes.size:
+        return ()
+    rms = np.sqrt((np.abs(shapes) ** 2).mean(axis=0))
+    unsure = np.median(std / rms, axis=1)
+    bad = unsure > np.maximum(UNSURE, WORSE * np.median(unsure))
+    return tuple(
+        f"channel {name}: its readings of the shapes are known to {100 * u:.0f} % of their RMS, those of the median "
+        f"channel to {100 * np.median(unsure):.2g} %: noise of a broken cable or sensor? MAC suffers; leave it out"
+        for name, u in zip(np.array(ids)[bad], unsure[bad], strict=True)
+    )
 
 
 def references(history: TimeHistory, names: tuple[str, ...]) -> Int | None:
