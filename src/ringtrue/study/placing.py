@@ -138,10 +138,10 @@ def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str,
     ids, xyz = opened.seats
     points, first = np.unique(test.at, return_index=True)
     place, tree = test.channel_xyz()[first] / opened.length, KDTree(xyz)
-    reach = tree.query(place)[0] + ROUNDING * diagonal(xyz)
+    nearest = xyz[tree.query(place)[1]]
     shared = [
         (point, some)
-        for point, at in zip(points.tolist(), tree.query_ball_point(place, reach), strict=True)
+        for point, at in zip(points.tolist(), tree.query_ball_point(nearest, ROUNDING * diagonal(xyz)), strict=True)
         if point not in (some := sorted(ids[at].tolist())) and _apart(opened.analysis.dofs, some, modes.shapes)
     ]
     if not shared:
