@@ -81,7 +81,9 @@ def test_of_two_moving_nodes_at_one_place_the_one_with_the_number_of_the_point_i
     ("point", "x", "spring", "told"),
     [(7, 1.0, 1e6, True), (2, 1.0, 1e6, False), (7, 1.0, 1e12, False), (7, 0.5, 1e12, False)],
 )
-def test_a_place_whose_nodes_move_apart_is_said(tmp_path: Path, point: int, x: float, spring: float, told: bool) -> None:
+def test_a_place_of_nodes_that_move_apart_is_said(
+    tmp_path: Path, point: int, x: float, spring: float, told: bool
+) -> None:
     """A soft hinge is; one as good as rigid, a point with the number of a node, and one between two nodes are not."""
     text = DECK.format(hub=(1, 3), ground=(101, 103)).replace("CBAR,2,1,2,", "CBAR,2,1,30,")
     hinge = f"CBUSH,13,3,2,30,,,,0\nPBUSH,3,K,{','.join([f'{spring:.1E}'] * 6)}\nENDDATA"

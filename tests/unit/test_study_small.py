@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
 from ringtrue.study.reference import beyond
 from ringtrue.study.run import StudyRun, run_study
+from ringtrue.study.words import told
 
 # the signals have 1 % noise; three records of blows and 400 s of ambient motion tell a modulus to some percent
 CLOSE = 0.03
@@ -65,6 +67,14 @@ def test_only_the_changed_fields_differ_in_the_delivered_deck(done: StudyRun) ->
     for before, after in changed:
         a, b = before.split(","), after.split(",")
         assert [i for i, (x, y) in enumerate(zip(a, b, strict=True)) if x != y] == [2]
+
+
+def test_channels_at_fault_are_told_once(done: StudyRun) -> None:
+    stage = done.results["identify"]
+    one = replace(stage.records[0], notes=("channel 3+X: noise", "a machine at 5 Hz"))
+    two = replace(stage.records[-1], notes=("channel 3+X: noise", "channel 4+X: dead"))
+    lines = told({"identify": replace(stage, records=(one, two))})
+    assert lines[1:] == (f"{one.name}: channel 3+X: noise (1 more note on it)", f"{two.name}: channel 4+X: dead")
 
 
 def test_the_summary_has_the_agreed_keys(done: StudyRun) -> None:

@@ -38,7 +38,7 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         As far as the study was run.
     """
     identify, correlate, final = r.get("identify"), r.get("correlate"), r.get("final")
-    out = [_found(identify), *identify.merge_notes] if identify is not None else []
+    out = [_found(identify), *identify.merge_notes, *_at_fault(identify)] if identify is not None else []
     if correlate is not None:
         out += [*correlate.gaps, *_pairs(correlate, final)]
     out += [_factor(*row) for row in _factors(r)]
@@ -118,6 +118,20 @@ def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str
         if s.channel not in named
     ]
     return [*out, MEND] if out else []
+
+
+def _at_fault(identify: IdentifyStage) -> list[str]:
+    """What the records say of their channels, once for each of these."""
+    notes: dict[str, list[str]] = {}
+    for record in identify.records:
+        for note in record.notes:
+            if note.startswith("channel "):
+                notes.setdefault(note.partition(":")[0], []).append(f"{record.name}: {note}")
+    return [first + _more(len(rest)) for first, *rest in notes.values()]
+
+
+def _more(notes: int) -> str:
+    return f" ({notes} more note{'s' * (notes > 1)} on it)" if notes else ""
 
 
 def _found(identify: IdentifyStage) -> str:
