@@ -52,7 +52,7 @@ def test_a_sound_structure_is_reciprocal_and_nothing_is_said(points: int) -> Non
 def test_a_wrong_sensitivity_is_named_with_its_factor(factor: float) -> None:
     off, named = [], 0
     for seed in range(40):
-        model = scaled(structure(seed, 3), 1, factor)
+        model = scaled(structure(seed, 3, 0.005), 1, factor)
         found, std = calibrations(model)
         off.append(np.log(found[1] / factor) / std[1])
         named += f"{found[1]:.3g} times at 2+Z of what" in reciprocity_note(model, driving_pairs(model))
