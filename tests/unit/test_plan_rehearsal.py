@@ -302,13 +302,18 @@ def test_the_units_of_the_deck_do_not_matter(tmp_path: Path) -> None:
         study = tmp_path / units / "study.toml"
         study.write_text(
             f'[model]\ndeck = "strip.bdf"\nunits = "{units}"\nfmax = 900.0\n[plan]\nfmax = 400.0\nsensors = 4\n'
-            "references = 2\nambient = false\nmin_distance = 0.1\nsensor_mass = 0.05\ntrials = 1\n"
+            "references = 2\nambient = false\nmin_distance = 0.1\nsensor_mass = 0.05\ntrials = 1\nat_hand = 3\n"
         )
         stages.append(run_study(study, until="plan").results["plan"])
     si, mm = stages
     assert si.test.channels == mm.test.channels
     np.testing.assert_allclose(si.test.xyz, mm.test.xyz)
     np.testing.assert_allclose(si.loaded, mm.loaded, rtol=1e-4)
+    assert si.setups.setup.tolist() == mm.setups.setup.tolist()
+    assert si.setups.count == 2  # one of three sensors stays, two rove
+    np.testing.assert_allclose(si.setups.shift, mm.setups.shift, rtol=1e-3)
+    assert (si.setups.shift > 0).all()
+    assert (si.setups.shift < -si.loaded).all()
     assert si.rehearsal.force == pytest.approx(mm.rehearsal.force, rel=1e-4)
     # four masses of 50 g on a strip of 23.55 kg: at most -½·0.2/23.55 times the square of the shape's crest factor, 4
     assert -0.5 * 4 * 0.2 / 23.55 < si.loaded.min() < si.loaded.max() < 0

@@ -154,12 +154,15 @@ PLAN = small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = {}\nreferences = 3\na
 
 @pytest.mark.parametrize(("strike", "told"), [("qr", "M·Φ"), ("mif", "phase resonance"), ("worst", "best set")])
 def test_exciters_by_each_method(tmp_path: Path, strike: str, told: str) -> None:
-    run = run_study(small_study.write_study(tmp_path, PLAN.format(6) + f'strike = "{strike}"\n'))
+    run = run_study(small_study.write_study(tmp_path, PLAN.format(6) + f'strike = "{strike}"\nat_hand = 4\n'))
     deliver(run)
     plan, page = run.results["plan"], (run.folder / "report.html").read_text(encoding="utf-8")
     assert told in plan.rule
     assert len(set(plan.references)) == 3
     assert set(plan.references) <= set(plan.test.channels)
+    measured = [p for k in range(-1, plan.setups.count) for p in plan.roving(k)]
+    assert sorted(measured) == sorted(plan.test.points.tolist())
+    assert f"{plan.setups.count} setups of up to 4 sensors" in page
     found = summary(run)["plan"]
     if strike != "mif":
         assert "indicator" not in found["modes"][0]  # type: ignore[index]

@@ -30,7 +30,7 @@ BY_HAND: dict[str, tuple[str, ...]] = {"Modes by hand": ("choice", "choice_to", 
 OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parameters of its function
     "plan": {
         "Where to measure": (
-            *("points", "directions", "method", "box", "keep_out", "exclude", "fixed"),
+            *("points", "directions", "at_hand", "method", "box", "keep_out", "exclude", "fixed"),
             *("distance", "redundancy", "sensor_mass"),
         ),
         "Where to strike and to hang": ("references", "strike_at", "strike", "hang"),

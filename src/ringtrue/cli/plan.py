@@ -26,7 +26,8 @@ from ringtrue.study.config_plan import Directions, Method, Strike
 from ringtrue.study.measured import LENGTH
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.words import left_by_loss
+from ringtrue.study.summary import plan_json
+from ringtrue.study.words import left_by_loss, setups
 from ringtrue.virtual.sensors import ICP
 
 METHODS, STRIKES, DIRECTIONS = (get_args(kind) for kind in (Method, Strike, Directions))
@@ -39,6 +40,9 @@ def plan(
     band: Annotated[tuple[float, float] | None, typer.Option(help="Target modes from F0 to F1, Hz.")] = None,
     modes: Annotated[str, typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15.")] = "",
     points: Annotated[int, typer.Option(help="Measuring points; sensors, unless triaxial.", min=1)] = 20,
+    at_hand: Annotated[
+        int, typer.Option(metavar="N", help="Sensors recorded at once: more points are measured in setups.", min=0)
+    ] = 0,
     directions: Annotated[str, one_of("--directions", DIRECTIONS, "Of a sensor")] = DIRECTIONS[0],
     references: Annotated[int, typer.Option(help="Points to strike.", min=1)] = 3,
     strike_at: Annotated[
@@ -85,6 +89,7 @@ def plan(
         raise ConfigError(f"--out {folder}: holds a study.toml; name a folder for the plan alone")
     section: dict[str, Any] = {
         "sensors": points,
+        "at_hand": at_hand,
         "min_distance": "even" if distance is None else distance,
         "ambient": False,
         "strike": strike,
@@ -124,6 +129,7 @@ def plan(
         frequencies=stage.target_frequencies,
         reach=_reach(run),
         sensor=ICP,
+        setups=stage.setups,
     )
     told["files"] = [str(p) for p in (*files, folder / "report.html")]
     if json:
@@ -234,6 +240,8 @@ def _told(run: StudyRun) -> dict[str, Any]:
             "motion": stage.suspension_motion,
             "steady": stage.steady,
         }
+    if stage.setups is not None:
+        told["setups"] = plan_json(stage)["setups"]
     if stage.rehearsal is not None:
         told["virtual_test"] = {
             "trials": stage.rehearsal.trials,
@@ -312,6 +320,7 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
         f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, {stage.averages} averages; "
         f"ambient record {stage.record_length / 60:.3g} min, {stage.segments} blocks",
     ]
+    lines += setups(stage)
     if stage.suspension:
         lines.append(f"hang at {' '.join(map(str, stage.suspension))}")
     if told["missed"]:

@@ -13,6 +13,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.uff.testmodel import write_test_model
+from ringtrue.plan.setups import Setups
 from ringtrue.virtual.logbook import direction, write_lines, write_sheet
 from ringtrue.virtual.sensors import Sensor
 
@@ -25,12 +26,13 @@ def write_test_sheet(
     frequencies: Float,
     reach: Float,
     sensor: Sensor | None = None,
+    setups: Setups | None = None,
 ) -> tuple[Path, ...]:
     """Write the plan of a test.
 
     `sensors.csv` (points, directions, channels: what `study.toml` and `read_sensor_sheet` take, with columns for the
     crew to fill in), `lines.csv`, `excitation.csv` (where to strike and in which direction), `modes.csv` (targets and
-    how well they are excited) and `geometry.uff`.
+    how well they are excited) and `geometry.uff`; with setups, `setups.csv` (which sensor is where in each).
 
     Parameters
     ----------
@@ -45,6 +47,7 @@ def write_test_sheet(
         Driving-point residue of each reference over the best of all channels.
     sensor : Sensor, optional
         Planned type.
+    setups : Setups, optional
 
     Returns
     -------
@@ -78,7 +81,23 @@ def write_test_sheet(
         [(k, f"{f:.6g}", f"{b:.3f}", o) for k, f, b, o in rows],
     )
     write_test_model(geometry, test)
-    return sensors, lines, excitation, modes, geometry
+    files = sensors, lines, excitation, modes, geometry
+    if setups is None:
+        return files
+    _table(folder / "setups.csv", ("setup", "sensor", "point", "channels", "stays"), _places(test, setups))
+    return *files, folder / "setups.csv"
+
+
+def _places(test: TestModel, setups: Setups) -> list[tuple[object, ...]]:
+    """A row for each sensor in each setup; those that stay come first and keep their numbers."""
+    each = len(test.channels) // setups.setup.size
+    out: list[tuple[object, ...]] = []
+    for k in range(setups.count):
+        there = [*((s, "yes") for s in setups.references.tolist()), *((s, "") for s in setups.roving(k).tolist())]
+        for number, (s, stays) in enumerate(there, start=1):
+            channels = " ".join(test.channels[s * each : (s + 1) * each])
+            out.append((k + 1, number, int(test.at[s * each]), channels, stays))
+    return out
 
 
 def _blows(struck: TestModel, frequencies: Float, reach: Float) -> list[tuple[object, ...]]:

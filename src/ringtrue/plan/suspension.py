@@ -151,20 +151,3 @@ def loaded_frequencies(frequencies: Float, shapes: Float, mass: Float, stiffness
         K = K + np.einsum("ndi,n,ndj->ij", shapes, np.asarray(stiffness, dtype=np.float64), shapes)
     values = linalg.eigh(K, M, eigvals_only=True)
     return np.asarray(np.sqrt(np.maximum(values, 0)) / (2 * np.pi))
-
-
-def roving_spread(frequencies: Float, shapes: Float, mass: float, setups: Int) -> Float:
-    """Largest difference of each loaded frequency between setups of moved sensors, relative, (m,).
-
-    Parameters
-    ----------
-    frequencies : (m,) float64, Hz
-    shapes : (n, d, m) float64, mass-normalised in SI
-    mass : float, kg
-        Of one sensor.
-    setups : (n,) int64
-        The setup in which each point carries its sensor.
-    """
-    f = np.asarray(frequencies, dtype=np.float64)
-    each = np.stack([loaded_frequencies(f, shapes, mass * (setups == s)) for s in np.unique(setups)])
-    return np.asarray(np.ptp(each, axis=0) / np.where(f > 0, f, np.inf))

@@ -29,6 +29,7 @@ class PlanSection(_Section):
     fmin: float = 0.0
     fmax: float = Field(default=80.0, gt=0)
     sensors: int = Field(default=45, gt=0)  # measuring points for the hammer test, sensors where not triaxial
+    at_hand: int = Field(default=0, ge=0)  # sensors recorded at once: with more planned, setups; 0: all at once
     ambient_sensors: int = Field(default=12, gt=0)  # measuring points for the ambient tests
     references: int = Field(default=4, gt=0)
     candidates: dict[str, list[int]] = {}  # region -> candidate nodes; empty: the skin of the model
@@ -75,6 +76,8 @@ class PlanSection(_Section):
             raise ValueError(
                 f"cost goes with method qr or information, draws with information; method is {self.method}"
             )
+        if self.at_hand == 1:
+            raise ValueError("at_hand: setups need two sensors, one that stays and one that roves; 0: all at once")
         if self.ambient_force and not self.trials:
             raise ValueError("ambient_force is that of virtual ambient tests; give trials, too")
         if lost := [r for r in (*self.kinetic, *self.cost) if r not in self.candidates]:

@@ -94,6 +94,8 @@ def plan_json(plan: PlanStage) -> dict[str, Any]:
         "worst_auto_mac": plan.worst_off_diagonal,
         "modes": [dict(zip(("mode", "frequency_hz", "reach"), m, strict=True)) for m in modes],
     }
+    if plan.setups is not None:
+        out["setups"] = {"stay": plan.roving(-1), "rove": [plan.roving(k) for k in range(plan.setups.count)]}
     for m, value, forces in zip(out["modes"], plan.indicator.tolist(), plan.forces.tolist(), strict=False):
         m |= {"indicator": value, "forces": forces}
     return out

@@ -23,6 +23,8 @@ from ringtrue.study.results import (
 
 MEND = "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out = [...] leaves it out"
 
+HARDLY = 0.5  # of what the typical point sees of a mode
+
 NO_CHANGE = (
     "no change of the candidates pays for its parameters (AICc): nothing is proposed, and the deck is delivered as it "
     "is; first look for what is wrong with the pairs, the sensors, the mesh or the form of the model"
@@ -69,6 +71,26 @@ def left_by_loss(plan: PlanStage) -> str:
     """What a plan still tells of the modes when the worst of its points fail."""
     what = "the most important point" if plan.lost == 1 else f"any {plan.lost} points"
     return f"without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left"
+
+
+def setups(plan: PlanStage) -> list[str]:
+    """How the sensors at hand are moved, the modes that cannot be joined well, and those that their mass shifts."""
+    if (found := plan.setups) is None:
+        return []
+    at_once = found.references.size + max(found.roving(k).size for k in range(found.count))
+    told = [f"{found.count} setups of up to {at_once} sensors; those at {' '.join(map(str, plan.roving(-1)))} stay"]
+    names = np.array([str(k + 1) for k in plan.target_modes.tolist()])
+    if (dim := found.seen < HARDLY).any():
+        told.append(
+            f"the sensors that stay hardly see mode {', '.join(names[dim])}: strike elsewhere or take more sensors"
+        )
+    if (moved := found.shift > plan.damping).any():
+        worst = int(np.nanargmax(found.shift))
+        told.append(
+            f"moving the sensors shifts mode {', '.join(names[moved])} by more than half its resonance is wide (mode "
+            f"{names[worst]} by {100 * found.shift[worst]:.2g} %): rove with the hammer, or leave dummy masses"
+        )
+    return told
 
 
 def validated(band: tuple[float, float]) -> str:

@@ -28,7 +28,7 @@ from ringtrue.report.parts import (
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import IdentifyStage, PlanStage
 from ringtrue.study.summary import precision
-from ringtrue.study.words import left_by_loss
+from ringtrue.study.words import left_by_loss, setups
 
 SURE = 0.9  # of the virtual tests
 
@@ -52,7 +52,7 @@ def section(data: Stages) -> Section | None:
         Facts(facts),
         Text(f"{sentence(plan.rule)} {sentence(left_by_loss(plan))} Hammer references: {', '.join(plan.references)}."),
     ]
-    blocks += [Text(sentence(n)) for n in plan.notes]
+    blocks += [Text(sentence(n)) for n in (*setups(plan), *plan.notes)]
     names = [str(i + 1) for i in plan.target_modes.tolist()]
     if missed := [names[i] for i in np.flatnonzero(plan.missed).tolist()]:
         blocks.append(Text(f"The references miss mode {', '.join(missed)}: strike at more points."))
@@ -206,12 +206,13 @@ def _points(plan: PlanStage) -> Table:
     channels: dict[int, int] = {}
     for p in plan.test.at.tolist():
         channels[p] = channels.get(p, 0) + 1
-    rows = [
-        (str(p), group, *(fixed(v, 3) for v in xyz), str(channels.get(p, 0)), " ".join(struck[p]))
-        for p, xyz, group in zip(plan.test.points.tolist(), plan.test.xyz.tolist(), plan.test.groups, strict=True)
-    ]
+    there = {p: str(k + 1) for k in range(plan.setups.count) for p in plan.roving(k)} if plan.setups else {}
+    rows: list[tuple[str, ...]] = []
+    for p, xyz, group in zip(plan.test.points.tolist(), plan.test.xyz.tolist(), plan.test.groups, strict=True):
+        setup = (there.get(p, "all"),) if plan.setups else ()
+        rows.append((str(p), group, *(fixed(v, 3) for v in xyz), str(channels.get(p, 0)), *setup, " ".join(struck[p])))
     rows.sort(key=lambda row: not row[-1])
-    heads = ("point", "|part", "x, m", "y, m", "z, m", "channels", "|strike")
+    heads = ("point", "|part", "x, m", "y, m", "z, m", "channels", *(("setup",) if plan.setups else ()), "|strike")
     return Table(heads, rows, "Measuring points, on nodes of the model.", scroll=True)
 
 

@@ -10,6 +10,7 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.plan.rehearsal import Rehearsal
+from ringtrue.plan.setups import Setups
 
 MISSED = 0.1  # of the best driving-point residue: below, the references miss a mode
 
@@ -94,11 +95,19 @@ class PlanStage:
     ambient_rehearsal: Rehearsal | None = None  # of the expected modes, by virtual ambient tests
     indicator: Float = field(default_factory=lambda: np.zeros(0))  # (target,) least mode indicator of all references
     forces: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (target, reference) real forces that reach it
+    setups: Setups | None = None  # of the planned sensors, where fewer are at hand
 
     @property
     def missed(self) -> Bool:
         """Which target modes no reference excites well."""
         return np.asarray(self.reach < MISSED)
+
+    def roving(self, setup: int) -> list[int]:
+        """Points that are measured in one setup alone; in all with -1."""
+        if self.setups is None:
+            return []
+        at = self.test.at.reshape(self.setups.setup.size, -1)[:, 0]
+        return list(dict.fromkeys(at[self.setups.roving(setup)].tolist()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.modes import elastic, rigid_below
+from ringtrue.core.modes import elastic
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError
@@ -20,21 +20,15 @@ from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_ai
 from ringtrue.plan.layout import lower_auto_mac, reached, select_points, select_references
 from ringtrue.plan.resolution import resolution
 from ringtrue.plan.selection import auto_mac_points, kinetic_weighted, make_redundant, qr_points, worst_loss
+from ringtrue.plan.setups import Setups, roving_setups, roving_shift
 from ringtrue.plan.suspension import loaded_frequencies, suspension_points
-from ringtrue.plan.targets import (
-    Targets,
-    choose_targets,
-    effective_mass,
-    in_band,
-    kinetic_share,
-    readable,
-    telling_modes,
-)
+from ringtrue.plan.targets import readable
 from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.arrangement import AXES, Arrangement, arranged
 from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.parametric import build
+from ringtrue.study.planned_targets import planned_targets
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import ModelStage, PlanStage
 from ringtrue.study.virtual_test import virtual_ambient_test, virtual_test
@@ -55,7 +49,6 @@ SAID = {
     "mif": "exciters that come closest together to a phase resonance of every mode (mode indicator)",
 }
 SENSORS = {"triaxial": "triaxial points", "uniaxial": "sensors along single axes", "normal": "sensors along normals"}
-MODEL_ERROR = 0.01  # relative, of an eigenvalue: half a percent of a frequency
 METHODS = {
     "independence": "by effective independence (backward elimination)",
     "qr": "by QR with pivoting of the modal matrix",
@@ -104,50 +97,6 @@ def _shapes(desk: Workbench, nodes: Int, modes: Int) -> Float:
     return np.asarray(found.shapes[_rows(desk, nodes)][:, :, modes])
 
 
-def _targets(desk: Workbench, plan: PlanSection, f: Float, edge: float) -> Targets:
-    """The target modes: as named, or those of the band that a criterion asks for."""
-    rigid = plan.fmax <= edge  # a band of rigid-body modes alone is one of them
-    low = max(rigid_below(f) if rigid else edge, plan.fmin)
-    if plan.modes:
-        if max(plan.modes) > f.size:
-            raise ConfigError(f"[plan] modes: {max(plan.modes)} of {f.size} modes below fmax of [model]; raise it")
-        return choose_targets(f, {"named": np.isin(np.arange(1, f.size + 1), plan.modes)})
-    within = in_band(f, low, plan.fmax)
-    criteria = _criteria(desk, plan, within) or {f"{low:.4g} to {plan.fmax:.4g} Hz": within}
-    return choose_targets(f, criteria, within=within)
-
-
-def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Bool]:
-    """What [plan] asks of target modes besides the band."""
-    criteria: dict[str, Bool] = {}
-    if not (plan.effective_mass or plan.sensitive or plan.telling or plan.kinetic):
-        return criteria
-    analysis, modes = desk.initial.analysis, desk.initial.modes(desk.first_fmax).modes
-    free = np.asarray(analysis.system.local @ modes.shapes)
-    if plan.effective_mass:
-        share = effective_mass(free, analysis.system.mass, analysis.system.rigid_body())
-        criteria[f"effective mass over {100 * plan.effective_mass:g} %"] = share.max(axis=1) > plan.effective_mass
-    for name, least in plan.kinetic.items():
-        rows = np.flatnonzero(np.isin(analysis.system.free.node, plan.candidates[name]))
-        share = kinetic_share(free, analysis.system.mass, [rows])[:, 0]
-        criteria[f"kinetic energy of {name} over {100 * least:g} %"] = share > least
-    parameters = desk.config.candidates()
-    if (plan.sensitive or plan.telling) and not len(parameters):
-        raise ConfigError("[plan] sensitive and telling need a [[candidate]]")
-    if plan.sensitive or plan.telling:
-        lam = (2 * np.pi * modes.frequencies) ** 2
-        slopes = analysis.slopes(parameters)
-        d = np.stack([np.einsum("fm,fm->m", free, s.stiffness @ free - (s.mass @ free) * lam) for s in slopes], axis=1)
-        relative = np.where(within, 1 / np.where(within, lam, 1.0), 0.0)[:, None] * d
-        if plan.sensitive:
-            criteria[f"sensitivity over {plan.sensitive:g}"] = np.abs(relative).sum(axis=1) > plan.sensitive
-        if plan.telling:
-            x = relative * parameters.slope(np.zeros(len(parameters)))
-            at = telling_modes(x, np.ones(len(x)), MODEL_ERROR, parameters.std(), plan.telling)
-            criteria["tells parameters apart"] = np.isin(np.arange(len(x)), at)
-    return criteria
-
-
 def _able(desk: Workbench, plan: PlanSection, model: ModelStage) -> tuple[Arrangement, Float]:
     """The candidates that move, and the motion (node, 3, mode) of their nodes."""
     nodes, region = _within(desk, plan, *_candidates(plan, model))
@@ -176,7 +125,7 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     able, motion = _able(desk, plan, model)
     shapes = able.seen(motion)
     seen = readable(shapes, model.mass)
-    wanted, unseen = _targets(desk, plan, f, edge).among(seen)
+    wanted, unseen = planned_targets(desk, plan, f, edge).among(seen)
     targets = wanted.modes
     flexible = elastic(f)
     timed = targets[flexible[targets]] if flexible[targets].any() else targets  # what decays; rigid bodies do not
@@ -381,6 +330,8 @@ def _judged(
         here = motion[order[np.searchsorted(able.nodes, points, sorter=order)]][:, :, flexible]
         shift[flexible] = loaded_frequencies(f[flexible], si * here, added) / f[flexible] - 1
         stage = replace(stage, loaded=shift[targets])
+    if 0 < plan.at_hand < chosen.size:
+        stage = replace(stage, setups=_setups(plan, stage, able, chosen, f, si * motion))
     if plan.suspension:
         xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(able.nodes)] * desk.length
         hung = suspension_points(
@@ -396,6 +347,19 @@ def _judged(
             found, notes = virtual_ambient_test(desk, plan, stage, rows, part(progress, 0.85, 1.0))
             stage = replace(stage, ambient_rehearsal=found, notes=(*stage.notes, *notes))
     return stage
+
+
+def _setups(plan: PlanSection, stage: PlanStage, able: Arrangement, chosen: Int, f: Float, motion: Float) -> Setups:
+    """Which sensors stay and which rove, and what their mass does to the target modes; motion in SI."""
+    targets = stage.target_modes
+    struck = np.array([stage.test.channels.index(r) // able.each for r in stage.references], dtype=np.int64)
+    found = roving_setups(able.seen(motion)[chosen][:, :, targets], able.xyz[chosen], plan.at_hand, struck)
+    if not plan.sensor_mass:
+        return found
+    flexible, shift = elastic(f), np.full(f.size, np.nan)
+    here = motion[able.at[chosen]][:, :, flexible]
+    shift[flexible] = roving_shift(f[flexible], here, plan.sensor_mass, found.setup)
+    return replace(found, shift=shift[targets])
 
 
 def _ambient(plan: PlanSection, able: Arrangement, shapes: Float, apart: float) -> Int:
