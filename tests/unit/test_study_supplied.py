@@ -205,3 +205,74 @@ def test_blows_recorded_as_text(tmp_path: Path) -> None:
     (tmp_path / "data" / "campaign.json").write_text(json.dumps(log))
     text = run_study(tmp_path / "study.toml", until="identify").results["identify"]
     np.testing.assert_allclose(text.hammer.frequencies, ours.hammer.frequencies, rtol=1e-6)
+
+
+ALONE = small_study.MODEL + '[test]\nmodes = "test.csv"\n{}\n'
+
+
+def frequencies_alone(folder: Path, toml: str, lost: int = 9) -> None:
+    """The frame's frequencies without that of one mode, which the test has missed."""
+    f = np.delete(true_modes(folder).frequencies, lost) if lost < 9 else true_modes(folder).frequencies
+    (folder / "test.csv").write_text("mode,frequency [Hz]\n" + "".join(f"{i},{x:.5f}\n" for i, x in enumerate(f)))
+    (folder / "deck").mkdir()
+    (folder / "deck/frame.bdf").write_text(small_study.deck())
+    (folder / "study.toml").write_text(ALONE.format(toml))
+
+
+def test_a_study_of_frequencies_alone_finds_what_they_tell(tmp_path: Path) -> None:
+    frequencies_alone(tmp_path, small_study.candidates((1, 2, 3)), lost=4)
+    done = run_study(tmp_path / "study.toml")
+    correlate, update, final = (done.results[n] for n in ("correlate", "update", "final"))
+    assert correlate.initial.pairing.b.tolist() == [0, 1, 2, 3, 5, 6, 7, 8]
+    assert correlate.left_out.size == 1
+    best = update.sets[update.chosen]
+    found = dict(zip(best.parameters, best.factor.tolist(), strict=True))
+    assert [found[n] for n in sorted(found)] == pytest.approx([*small_study.TRUTH.values()], rel=0.02)
+    assert final.table.max_deviation() < 0.2
+    assert np.isnan(final.table.mean_mac())
+    assert final.evidence is None
+    assert any("taken for" in line or "by frequency" in line for line in told(done.results))
+    page = deliver(done).read_text(encoding="utf-8")
+    assert "Mean MAC" not in page
+    assert "No shapes were measured" in page
+
+
+def test_frequencies_alone_propose_parameters(tmp_path: Path, capsys: Capture) -> None:
+    frequencies_alone(tmp_path, "")
+    assert run(["localise", *(str(tmp_path / n) for n in ("deck/frame.bdf", "test.csv")), "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {p["name"] for p in found["proposed"]} == {"MAT1 1 E", "MAT1 2 E", "MAT1 3 E"}
+    assert found["mean_deviation_percent"][1] < 0.3 * found["mean_deviation_percent"][0]
+    assert found["mean_mac_percent"] == [None, None]
+    assert "by frequency" in found["notes"][0]
+
+
+def test_a_lock_decides_what_a_frequency_is_in_a_study(tmp_path: Path) -> None:
+    frequencies_alone(tmp_path, '[correlate]\nlock = ["1:2"]\nforbid = ["2:3"]')
+    done = run_study(tmp_path / "study.toml", until="correlate")
+    pairs = done.results["correlate"].initial.pairing
+    assert (pairs.a[0], pairs.b[0]) == (0, 1)
+    (tmp_path / "study.toml").write_text(ALONE.format(""))
+    again = run_study(tmp_path / "study.toml", until="correlate")  # what decides it makes it stale
+    assert again.results["correlate"].initial.pairing.b.tolist() == list(range(9))
+
+
+@pytest.mark.parametrize(
+    ("toml", "names"),
+    [
+        ('[test]\nmodes = "m.csv"\n', "needs a \\[model\\]"),
+        ('[model]\ndeck = "a.bdf"\n[test]\nlog = "c.json"\n', "needs a `sheet`"),
+    ],
+)
+def test_only_frequencies_need_no_sheet(tmp_path: Path, toml: str, names: str) -> None:
+    (tmp_path / "study.toml").write_text(toml)
+    with pytest.raises(ConfigError, match=names):
+        run_study(tmp_path / "study.toml")
+
+
+def test_modes_with_shapes_need_the_sheet(tmp_path: Path) -> None:
+    frequencies_alone(tmp_path, "")
+    write_modes(tmp_path / "test.json", true_modes(tmp_path))
+    (tmp_path / "study.toml").write_text(ALONE.format("").replace("test.csv", "test.json"))
+    with pytest.raises(DataError, match="give the `sheet`"):
+        run_study(tmp_path / "study.toml", until="identify")

@@ -5,18 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from ringtrue.cli.show import Json, Units, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.progress import part
-from ringtrue.errors import DataError
+from ringtrue.correlate.assign import NO_LOCKS, PairingSettings
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import LocaliseSection, target_words
+from ringtrue.study.lent import lent
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
 from ringtrue.study.proposing import Proposed, directly_proposed
+from ringtrue.study.reference import measured_part
 from ringtrue.update.candidates import CandidateSettings
 
 POOL: int = LocaliseSection.model_fields["pool"].default
@@ -44,19 +47,23 @@ def localise(
     metres = unit_length(units)
     with progress("localise") as show:
         show(0.0, f"reading {deck}")
-        model, seen = read_deck(deck), realise_modes(read_modes(test))
-        if not seen.channels:
-            raise DataError(f"{test}: frequencies without shapes cannot be localised; `ringtrue update` takes them")
-        opened = Opened(model, metres)
-        bridge = placed(opened, seen.channels, sensors, tolerance=tolerance)
+        opened, seen = Opened(read_deck(deck), metres), read_modes(test)
+        alone, notes = not seen.channels, tuple[str, ...]()
+        if alone:
+            given = lent(seen, opened, PairingSettings(), NO_LOCKS)
+            bridge, notes = opened.observation(given.points, np.inf), given.notes
+            seen = given.modes.take(measured_part(given.modes)[0])
+        else:
+            bridge = placed(opened, seen.channels, sensors, tolerance=tolerance)
+        settings = CandidateSettings(units=units)
         found = directly_proposed(
-            opened, seen, bridge, CandidateSettings(units=units), pool, most, part(show, 0.1, 1.0)
+            opened, realise_modes(seen), bridge, settings, pool, most, part(show, 0.1, 1.0), lent=alone
         )
     if json:
-        write_json(_table(found), json)
+        write_json(_table(found) | {"notes": notes}, json)
     if json != "-":
         _print(deck, found)
-        tell(_tables(found))
+        tell([*notes, *_tables(found)])
     return 0
 
 
@@ -80,7 +87,7 @@ def _table(localised: Proposed) -> dict[str, Any]:
         ],
         "aicc": dict(zip(map(str, found.sizes.tolist()), found.criteria.tolist(), strict=True)),
         "mean_deviation_percent": [100 * found.before, 100 * found.after],
-        "mean_mac_percent": (100 * found.mac).tolist(),
+        "mean_mac_percent": (100 * found.mac).tolist() if found.seen else [None, None],
         "pairs": found.paired.tolist(),
         "insensitive": list(found.insensitive),
         "looked_at": list(what),

@@ -79,7 +79,7 @@ def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) 
 
 
 def _offsets(errors: Float) -> list[float]:
-    return np.linspace(errors.min(initial=0.0), errors.max(initial=0.0), OFFSETS).tolist()
+    return list(map(float, np.linspace(errors.min(initial=0.0), errors.max(initial=0.0), OFFSETS)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

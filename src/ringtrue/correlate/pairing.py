@@ -305,6 +305,11 @@ class CorrelationTable:
         return int(self.test_hz.size)
 
     @property
+    def alone(self) -> bool:
+        """Whether frequencies alone were measured."""
+        return not self.mac.size and bool(self.all_test_hz.size)
+
+    @property
     def deviation_hz(self) -> Float:
         """f_FE − f_test, (k,) Hz."""
         return self.fe_hz - self.test_hz

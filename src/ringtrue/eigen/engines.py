@@ -281,6 +281,8 @@ class Pardiso:
     def solve(self, rhs: Any_) -> Any_:
         """A⁻¹ rhs."""
         dtype = np.complex128 if self._complex else np.float64
+        if not rhs.size:  # refused by MKL
+            return np.zeros(rhs.shape, dtype)
         with self._calls():
             return np.asarray(self._solver.solve(np.asfortranarray(rhs, dtype=dtype)))
 

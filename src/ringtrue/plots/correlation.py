@@ -227,10 +227,12 @@ def fdac(values: Float, lines: Float, title: str) -> go.Figure:
 
 def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
     """Frequency deviation and MAC of each test mode, one mark a stage; hollow marks were left out of the updating."""
+    alone = all(t.alone for _, t in stages)
+    low = 0.0 if alone else 0.44
     fig = figure(
-        470,
+        300 if alone else 470,
         xaxis=axis(type="category", anchor="y", matches="x2", showticklabels=False),
-        yaxis=axis("Δf, % of the test", domain=[0.44, 1], zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1),
+        yaxis=axis("Δf, % of the test", domain=[low, 1], zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1),
         xaxis2=axis("Test mode, Hz", type="category", anchor="y2", tickangle=-45),
         yaxis2=axis("MAC, %", domain=[0, 0.38], anchor="x2"),
     )
@@ -245,8 +247,13 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         drawn = {"x": x, "mode": "markers", "marker": look, "name": name, "text": partner, "legendgroup": name}
         fig.add_scatter(y=f32(table.deviation_percent), **drawn)
         fig.data[-1].hovertemplate = f"{name}, %{{text}}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
+        if alone:
+            continue
         fig.add_scatter(y=f32(table.mac_percent), xaxis="x2", yaxis="y2", showlegend=False, **drawn)
         fig.data[-1].hovertemplate = f"{name}, %{{text}}: MAC %{{y:.1f}} %<extra>%{{x}} Hz</extra>"
     for a in (fig.layout.xaxis, fig.layout.xaxis2):
         a.update(categoryorder="array", categoryarray=list(names.values()))
+    if alone:
+        fig.layout.xaxis.update(title=fig.layout.xaxis2.title, matches=None, showticklabels=True, tickangle=-45)
+        fig.update_layout(xaxis2=None, yaxis2=None)
     return fig

@@ -70,7 +70,10 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of texts or cells; a head that starts with `|` is left-aligned text, others are numbers."""
+    """Rows of texts or cells; a head that starts with `|` is left-aligned text, others are numbers.
+
+    A column of MAC without any number goes: no shapes were measured.
+    """
 
     heads: Sequence[str]
     rows: Sequence[Sequence[str | Cell]]
@@ -79,6 +82,20 @@ class Table:
     scroll: bool = False
     lead: int = 1  # columns that the first cell of the foot spans
     kind: str = field(default="table", init=False)
+
+    def __post_init__(self) -> None:
+        empty = [i for i, head in enumerate(self.heads) if "MAC" in head and not any(_told(r[i]) for r in self.rows)]
+        if not (empty and self.rows):
+            return
+        object.__setattr__(self, "heads", [h for i, h in enumerate(self.heads) if i not in empty])
+        object.__setattr__(self, "rows", [[c for i, c in enumerate(r) if i not in empty] for r in self.rows])
+        kept = [c for i, c in enumerate(self.foot, start=self.lead - 1) if i not in empty]
+        object.__setattr__(self, "foot", kept)
+
+
+def _told(cell: str | Cell) -> bool:
+    """Whether a cell holds a number."""
+    return any(c.isdigit() for c in (cell.text if isinstance(cell, Cell) else cell))
 
 
 @dataclass(frozen=True, slots=True)

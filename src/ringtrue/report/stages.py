@@ -94,7 +94,9 @@ class Stages:
 
     @property
     def test(self) -> TestModel | None:
-        """The test model as measured, else as planned."""
+        """The test model as measured, else as planned; none of frequencies alone."""
+        if self.correlate is not None and self.correlate.initial.alone:
+            return None
         if self.identify is not None:
             return self.identify.test
         return self.plan.test if self.plan is not None else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -51,9 +51,12 @@ class ModelSection(_Section):
 
 
 class TestSection(_Section):
-    """The measurements: the sensor sheet, and a crew's log that lists the records, measured FRFs, or modes."""
+    """The measurements: the sensor sheet, and a crew's log that lists the records, measured FRFs, or modes.
 
-    sheet: str
+    Without a sheet the modes are frequencies alone.
+    """
+
+    sheet: str | None = None
     log: str | None = None
     frfs: list[str] = []  # .uff, .h5, .npz, in place of hammer records
     modes: str | None = None  # .json, .h5, .uff, .csv, .xlsx: identified elsewhere, or by `ringtrue ema` or `oma`
@@ -64,6 +67,8 @@ class TestSection(_Section):
     def _one_source(self) -> Self:
         if self.modes is not None and (self.log is not None or self.frfs):
             raise ValueError("modes take the place of a log and of frfs: give one of the two")
+        if self.sheet is None and (self.modes is None or self.leave_out or self.lines):
+            raise ValueError("a test needs a `sheet`; only `modes` that are frequencies alone have no channels")
         return self
 
 
@@ -103,7 +108,7 @@ class CorrelateSection(_Section):
     accept_percent: float = 5.0
     # judged where results are shown: no stage depends on them
     accept_hz: float | None = Field(default=None, exclude=True)
-    accept_mac: float = Field(default=80.0, exclude=True)
+    accept_mac: float | None = Field(default=80.0, exclude=True)
     accept_pairs: int | None = Field(default=None, ge=0, exclude=True)
     accept_mean_percent: float | None = Field(default=None, ge=0, exclude=True)
     accept_mean_mac: float | None = Field(default=None, ge=0, le=100, exclude=True)
@@ -290,6 +295,10 @@ class StudyConfig(_Section):
     def _something(self) -> Self:
         if self.model is None and self.test is None:
             raise ValueError("a study needs a [model], a [test] or both")
+        if self.alone and self.model is None:
+            raise ValueError(
+                "[test] without a `sheet` is of frequencies alone: it needs a [model] to compare them with"
+            )
         names = [c.name for c in (*self.candidate, *self.suspension)]
         if twice := sorted({n for n in names if names.count(n) > 1}):
             raise ValueError(f"candidates and suspensions need names of their own; twice: {', '.join(twice)}")
@@ -327,6 +336,27 @@ class StudyConfig(_Section):
         given = [c.name for c in self.candidate]
         if wrong := [n for n in names if given and n not in given]:
             raise ValueError(f"{where}: no candidate {wrong[0]!r}{did_you_mean(wrong[0], given)}")
+
+    @property
+    def alone(self) -> bool:
+        """Whether the test tells frequencies alone."""
+        return self.test is not None and self.test.sheet is None
+
+    @property
+    def lending(self) -> dict[str, Any] | None:
+        """What decides which modes of the deck frequencies alone are taken for; None where shapes were measured."""
+        if not self.alone or self.model is None:
+            return None
+        asked = self.correlate.model_dump(include={"frequency_gate", "lock", "forbid"})
+        return self.model.model_dump() | asked
+
+    def compared(self) -> Self:
+        """The study without what needs shapes, where its test has none."""
+        if not self.alone:
+            return self
+        limits = self.correlate.model_copy(update={"accept_mac": None})
+        limits.model_fields_set.discard("accept_mac")
+        return self.model_copy(update={"update": self.update.alone(), "correlate": limits})
 
     @property
     def joint(self) -> bool:
@@ -378,6 +408,6 @@ def parse_config(text: str, path: Path) -> StudyConfig:
     except tomllib.TOMLDecodeError as e:
         raise ConfigError(f"{path}: not TOML: {e}") from e
     try:
-        return StudyConfig.model_validate(raw)
+        return StudyConfig.model_validate(raw).compared()
     except ValidationError as e:
         raise ConfigError(explain(path, e, StudyConfig)) from e

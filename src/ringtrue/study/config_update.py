@@ -10,6 +10,7 @@ ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac", "orthogonalit
 Positive = Annotated[float, Field(gt=0)]
 
 
+ALONE = ("eigenvalues", "frequencies")  # residuals that need no shapes
 Step = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]
 Discrepancy = Literal["found", "assumed", "evidence"]
 Prior = Literal["study", "evidence", "gcv", "l-curve"]
@@ -33,7 +34,7 @@ class UpdateSection(_Section):
 
     propose: bool = False  # the proposal of the localisation is a parameter set; the only one without [[candidate]]
     choose: int = Field(default=6, gt=0)
-    left_out: int = Field(default=5, ge=0)
+    left_out: int | None = Field(default=None, ge=0)  # modes to judge by; None: a fifth, 5 at most
     step: Step = "trust-region"
     shape_weight: float = Field(default=1.0, ge=0)
     iterations: int = Field(default=30, gt=0)
@@ -53,6 +54,11 @@ class UpdateSection(_Section):
         if not value or len(set(value)) < len(value):
             raise ValueError("residuals: at least one kind of the paired modes, each once")
         return value
+
+    def alone(self) -> Self:
+        """The same without what needs shapes: frequencies alone are compared."""
+        kinds = [k for k in self.residuals if k in ALONE] or ["frequencies"]
+        return self.model_copy(update={"residuals": kinds, "shape_weight": 0.0})
 
     @property
     def sharpened(self) -> bool:

@@ -13,7 +13,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
-from ringtrue.correlate.assign import PairingSettings
+from ringtrue.correlate.assign import Locks, PairingSettings
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import DataError, NumericalError
 from ringtrue.io.modes_json import read_modes, read_std
@@ -22,7 +22,7 @@ from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import course_of, further, settled
-from ringtrue.study.lent import compared_alone, lent
+from ringtrue.study.lent import lent
 from ringtrue.study.measured import (
     Data,
     channels_of,
@@ -37,7 +37,7 @@ from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.placing import placed
-from ringtrue.study.reference import measured_part
+from ringtrue.study.reference import measured_part, positions, settings
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.residuals import Weighted
 from ringtrue.update.settle import displaced, whole_cost
@@ -70,8 +70,10 @@ def read_target(
     """
     whole, (spread, _), notes = read_modes(test), read_std(test), tuple[str, ...]()
     if len(whole) and not whole.channels:
-        whole, at, notes = lent(whole, opened, config)
-        spread, config = spread[at], compared_alone(config)
+        gates, locks = settings(config), Locks(positions(config.correlate.lock), positions(config.correlate.forbid))
+        found = lent(whole, opened, gates, locks)
+        whole, notes = found.modes, found.notes
+        config = config.model_copy(update={"test": None, "update": config.update.alone()})
     if config.test and config.test.leave_out:
         whole = whole.rows([c for c in whole.channels if c not in config.test.leave_out])
     kept, channels = measured_part(whole)
@@ -84,7 +86,8 @@ def read_target(
     weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
     shapes = np.asarray(modes.shapes.real, dtype=np.float64)
     used = np.ones(len(modes), dtype=bool)
-    return config, Target(modes.frequencies, shapes, relative, used, weights, gates), modes, notes
+    target = Target(modes.frequencies, shapes, relative, used, weights, gates, lent=bool(notes))
+    return config, target, modes, notes
 
 
 def direct_problem(
@@ -131,7 +134,7 @@ def _observation(
     opened: Opened, config: StudyConfig, channels: tuple[str, ...], base: Path, dofs: DofSet | None = None
 ) -> Observation:
     """The channels of the test modes: on the sheet of the study, if it has one."""
-    sheet, c = base / config.test.sheet if config.test else None, config.correlate
+    sheet, c = base / config.test.sheet if config.test and config.test.sheet else None, config.correlate
     return placed(opened, channels, sheet, tolerance=c.tolerance, method=c.match, align=c.align, dofs=dofs)
 
 

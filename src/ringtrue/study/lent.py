@@ -2,66 +2,71 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from ringtrue.core.arrays import Int
+import numpy as np
+
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.assign import Locks
-from ringtrue.correlate.observe import at_dofs
-from ringtrue.correlate.pairing import pair_modes
+from ringtrue.correlate.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError
-from ringtrue.study.config import StudyConfig
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import mesh_points
-from ringtrue.study.reference import positions, settings
-
-ALONE = ("eigenvalues", "frequencies")  # residuals that need no shapes
 
 
-def lent(test: ModeSet, opened: Opened, config: StudyConfig) -> tuple[ModeSet, Int, tuple[str, ...]]:
-    """The modes of a test without channels, with the shapes of their partners in the deck at some of its nodes.
+@dataclass(frozen=True, slots=True, eq=False)
+class Lent:
+    """The modes of a test without channels, with the shapes of their partners in a deck at some of its nodes.
 
     The shapes say which mode of the model a frequency belongs to while parameters change; they are no measurement.
 
-    Parameters
+    Attributes
     ----------
-    test : ModeSet
-        Frequencies without channels.
-    opened : Opened
-        The deck as it came.
-    config : StudyConfig
-        Gates, and `lock` and `forbid` of [correlate].
-
-    Returns
-    -------
     modes : ModeSet
-        Those that have a partner.
-    at : (k,) int64
-        Their positions in the test.
+        All of the test; NaN where a mode has no partner.
+    points : TestModel
+        The nodes, as channels.
+    taken : tuple (m,) of str
+        Which mode of the deck each is taken for, or why none.
     notes : tuple of str
-        Which mode of the deck each is taken for, and why others have none.
+        The pairs, those in doubt, and modes without partner.
+    """
+
+    modes: ModeSet
+    points: TestModel
+    taken: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def lent(test: ModeSet, opened: Opened, gates: PairingSettings, locks: Locks) -> Lent:
+    """Pair frequencies with modes of the deck as it came, and give them their shapes.
 
     Raises
     ------
     DataError
         If no mode has a partner.
     """
-    gates = settings(config)
     modes = opened.modes((1 + gates.frequency_gate) * float(test.frequencies.max(initial=0.0))).modes
-    locks = Locks(positions(config.correlate.lock), positions(config.correlate.forbid))
     pairing = pair_modes(test, modes.rows(()), gates, locks=locks)
     if not pairing.a.size:
         raise DataError(
             f"{test.source}: no mode of the deck within {100 * gates.frequency_gate:.3g} % of one of the test"
         )
-    look = at_dofs(mesh_points(opened).channels, opened.analysis.dofs)
-    found = replace(test.take(pairing.a), shapes=look(modes.shapes[:, pairing.b]), labels=look.channels)
-    taken = ", ".join(f"{i + 1} for {j + 1}" for i, j in zip(pairing.a.tolist(), pairing.b.tolist(), strict=True))
-    lone = (f"mode {i + 1} is not used: {why}" for i, why in zip(pairing.lone_a.tolist(), pairing.why_a, strict=True))
-    return found, pairing.a, (f"no shapes: mode {taken} of the deck, by frequency", *lone)
-
-
-def compared_alone(config: StudyConfig) -> StudyConfig:
-    """The study without what needs shapes: frequencies alone are compared, and no sheet places channels."""
-    kinds = [k for k in config.update.residuals if k in ALONE] or ["frequencies"]
-    return config.model_copy(update={"test": None, "update": config.update.model_copy(update={"residuals": kinds})})
+    points = mesh_points(opened)
+    look = opened.observation(points, np.inf)
+    shapes = np.full((len(points.channels), len(test)), np.nan)
+    shapes[:, pairing.a] = look(modes.shapes[:, pairing.b])
+    pairs = list(zip(pairing.a.tolist(), pairing.b.tolist(), strict=True))
+    said = dict(zip(pairing.lone_a.tolist(), pairing.why_a, strict=True))
+    said |= {i: f"taken for mode {j + 1} of the deck, by frequency" for i, j in pairs}
+    listed = ", ".join(f"{i + 1} for {j + 1}" for i, j in pairs)
+    lone = (f"mode {i + 1} is not used: {said[i]}" for i in pairing.lone_a.tolist())
+    doubts = pairing.doubts()
+    decide = ("`lock` and `forbid` under [correlate] decide which mode a frequency is",) if doubts else ()
+    return Lent(
+        replace(test, shapes=shapes, labels=points.channels),
+        points,
+        tuple(said[i] for i in range(len(test))),
+        (f"no shapes: mode {listed} of the deck, by frequency", *doubts, *decide, *lone),
+    )

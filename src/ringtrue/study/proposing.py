@@ -20,7 +20,7 @@ from ringtrue.update.effects import Dropped, effective, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import ALIKE
 from ringtrue.update.localise import reduced_errors
-from ringtrue.update.objective import Target, match
+from ringtrue.update.objective import Target, Weights, match
 from ringtrue.update.pool import SMALL, conflicts, drawn
 from ringtrue.update.proposal import Proposal, propose
 from ringtrue.update.screening import screened
@@ -60,6 +60,8 @@ def directly_proposed(
     pool: int,
     most: int,
     progress: Progress = quiet,
+    *,
+    lent: bool = False,
 ) -> Proposed:
     """Which of the candidates made from a deck the modes of a test ask for.
 
@@ -72,10 +74,13 @@ def directly_proposed(
     settings : CandidateSettings
     pool, most : int
         Candidates that are looked at closely, and parameters that are proposed, at most.
+    lent : bool
+        The shapes are the deck's own (`study.lent`): frequencies alone are compared.
     """
     model, analysis = opened.model, opened.analysis
     test = test.take(np.flatnonzero(test.frequencies > 0))
-    aim = Target(test.frequencies, test.shapes, np.zeros(len(test)), np.ones(len(test), dtype=bool))
+    weights, used = Weights(shape=0.0) if lent else Weights(), np.ones(len(test), dtype=bool)
+    aim = Target(test.frequencies, test.shapes, np.zeros(len(test)), used, weights, lent=lent)
     count = int(EXTRA * len(test)) + 4
     modes = analysis.eigen(ModesRequest(modes_of(count)), part(progress, 0.0, 0.1))
     every = generate(model, settings)
@@ -128,7 +133,7 @@ def directly_proposed(
 def _errors(opened: Opened, reduced: ReducedModel, aim: Target, keep: tuple[Candidate, ...]) -> dict[str, Float]:
     """Concentration of the local errors on each candidate."""
     pairs, _, _ = match(aim, reduced.modes(np.zeros(len(keep))))
-    if not len(pairs):
+    if not len(pairs) or aim.lent:
         return {}
     f, shapes = aim.frequencies[pairs[:, 0]], aim.shapes[:, pairs[:, 0]]
     rows = np.arange(len(reduced.basis.observe))

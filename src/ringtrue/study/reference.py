@@ -10,6 +10,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet, rigid_below
+from ringtrue.core.pairing import Pairing
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.assign import NO_LOCKS, Followed, PairingSettings
 from ringtrue.correlate.pairing import CorrelationTable, correlation_table, pair_modes
@@ -103,22 +104,25 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
     every = np.concatenate([found.ambient.frequencies, found.hammer.frequencies if found.hammer else np.zeros(0)])
     edge = elastic_edge(every, config)
     least = config.identify.confidence
-    gaps = tuple[str, ...]()
     rigid, rigid_std = _rigid(found.ambient, found.ambient_uncertainty, edge, least)
     if not len(rigid) and found.hammer is not None and found.hammer_uncertainty is not None:
         rigid, rigid_std = _rigid(found.hammer, found.hammer_uncertainty, edge, least)
     if found.hammer is not None and found.hammer_uncertainty is not None:
-        high = np.flatnonzero(found.hammer.frequencies >= edge)
-        elastic, std = realise_modes(found.hammer.take(high)), found.hammer_uncertainty.take(high)
+        elastic, std, gaps = _full(found.hammer, found.hammer_uncertainty, edge)
     else:
-        high = np.flatnonzero(found.ambient.frequencies >= edge)
-        at, channels = measured_part(found.ambient.take(high))
-        gaps = _gaps(found.ambient.take(high))
-        elastic, std = found.ambient.take(high[at]).rows(channels), found.ambient_uncertainty.take(high[at])
-        elastic = realise_modes(elastic)
+        elastic, std, gaps = _full(found.ambient, found.ambient_uncertainty, edge)
+    if config.alone:
+        gaps = found.frf_notes
     if not len(elastic):
         raise DataError("the test holds no elastic mode: nothing to correlate with")
     return Reference(elastic, std, rigid, rigid_std, gaps)
+
+
+def _full(modes: ModeSet, std: Uncertainty, edge: float) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
+    """The modes from the edge on that were seen at common channels, and what is not used, in words."""
+    high = np.flatnonzero(modes.frequencies >= edge)
+    at, channels = measured_part(modes.take(high))
+    return realise_modes(modes.take(high[at]).rows(channels)), std.take(high[at]), _gaps(modes.take(high))
 
 
 def _rigid(modes: ModeSet, std: Uncertainty, edge: float, least: float) -> tuple[ModeSet, Uncertainty]:
@@ -164,12 +168,14 @@ def beyond(modes: ModeSet, fmax: float) -> tuple[str, ...]:
     )
 
 
-def left_out(modes: ModeSet, count: int, least: float) -> Int:
+def left_out(modes: ModeSet, count: int | None, least: float) -> Int:
     """Positions of the modes kept from the updating: confident ones, evenly spread over the band.
 
-    Fixed by the test alone, before the model is looked at.
+    Fixed by the test alone, before the model is looked at. Where no `count` is given a fifth, 5 at most: few modes are
+    needed to update by.
     """
     sure = np.flatnonzero(modes.confidence >= least)
+    count = min(5, sure.size // 5) if count is None else count
     count = min(count, max(sure.size - 2, 0))
     if not count:
         return np.zeros(0, dtype=np.int64)
@@ -234,11 +240,25 @@ def elastic_table(
     locks = known.locks(elastic.rows(reference.elastic.channels).shapes) if known is not None else NO_LOCKS
     pairing = pair_modes(reference.elastic, elastic, gates, first_b=first, locks=locks)
     table = correlation_table(reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out)
+    mac = np.concatenate([np.zeros((len(reference.elastic), first)), table.mac], axis=1)
+    if config.alone:
+        pairing, mac = _unseen(pairing), np.zeros((0, 0))
     return replace(
         table,
         pairing=replace(pairing, b=pairing.b + first, lone_b=pairing.lone_b + first),
-        mac=np.concatenate([np.zeros((len(reference.elastic), first)), table.mac], axis=1),
+        mac=mac,
         all_fe_hz=fe.frequencies,
+    )
+
+
+def _unseen(pairing: Pairing) -> Pairing:
+    """A pairing by shapes of the deck as it came, which say nothing of it."""
+    return replace(
+        pairing,
+        mac=np.full(len(pairing), np.nan),
+        subspace=np.zeros(len(pairing), dtype=np.bool_),
+        why_a=("no mode is like the one that it was taken for",) * pairing.lone_a.size,
+        why_b=("no frequency of the test is taken for it",) * pairing.lone_b.size,
     )
 
 

@@ -166,10 +166,10 @@ def _found(identify: IdentifyStage) -> str:
 def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
     tables = [t for t in (correlate.initial, final.table if final is not None else None) if t is not None]
     total = correlate.reference.frequencies.size
+    mac = "" if tables[0].alone else f", mean MAC {_arrow([f'{t.mean_mac():.1f}' for t in tables])} %"
     out = [
         f"pairs: {_arrow([str(len(t)) for t in tables])} of {total} test modes; mean |Δf| "
-        f"{_arrow([f'{t.mean_deviation():.2f}' for t in tables])} %, mean MAC "
-        f"{_arrow([f'{t.mean_mac():.1f}' for t in tables])} %"
+        f"{_arrow([f'{t.mean_deviation():.2f}' for t in tables])} %{mac}"
     ]
     if final is not None and any((~t.used).any() for t in tables):
         out.append(f"modes that the updating did not see: mean |Δf| {_arrow([_spared(t) for t in tables])} %")

@@ -93,6 +93,8 @@ class Target:
         Pairs that are not made anew.
     followed : Followed, optional
         Pairs that the user decides.
+    lent : bool
+        The shapes are those of the model's own modes: they tell which mode is which, and were not measured.
     """
 
     frequencies: Float
@@ -105,6 +107,7 @@ class Target:
     lost: float = LOST
     fixed: tuple[Int, tuple[tuple[int, ...], ...]] | None = None
     followed: Followed | None = None
+    lent: bool = False
 
     def __post_init__(self) -> None:
         f = np.float64
@@ -122,8 +125,11 @@ class Target:
 
         A test mode that the model does not have then pulls no more than one without a partner. Shapes say which modes
         belong together: in a dense band some mode always has the right frequency. `spread` is what the pairs deviate
-        by, in units of what the best model is expected to keep.
+        by, in units of what the best model is expected to keep. Pairs of shapes that are lent stay: none was measured
+        that could look otherwise.
         """
+        if self.lent:
+            return self
         return replace(self, rule="capped", lost=DOUBT * spread**2 * max(self.weights.data / 2, 1.0))
 
     def settled(self, now: Linearisation, spread: float = 1.0) -> Target:

@@ -92,7 +92,7 @@ class Proposal:
     before, after : float
         Mean |Δf|/f of the used pairs inside the gates.
     mac : (2,) float64
-        Mean MAC of these before and after.
+        Mean MAC of these before and after; NaN where no shapes were measured.
     paired : (2,) int64
         How many they are before and after.
     discrepancy : (2,) float64
@@ -132,16 +132,21 @@ class Proposal:
             lines.append(f"{_number(len(lost))} cannot be told from these: {', '.join(lost)}")
         if self.insensitive:
             lines.append(f"{_number(len(self.insensitive))} change nothing that was measured")
+        mac = f"mean MAC {100 * self.mac[0]:.1f} -> {100 * self.mac[1]:.1f} %, " if self.seen else ""
         lines.append(
-            f"mean |Δf| {100 * self.before:.2f} -> {100 * self.after:.2f} %, "
-            f"mean MAC {100 * self.mac[0]:.1f} -> {100 * self.mac[1]:.1f} %, "
+            f"mean |Δf| {100 * self.before:.2f} -> {100 * self.after:.2f} %, {mac}"
             f"pairs {self.paired[0]} -> {self.paired[1]}"
         )
         return "\n".join(lines)
 
+    @property
+    def seen(self) -> bool:
+        """Whether shapes were measured."""
+        return bool(np.isfinite(self.mac[0]))
+
     def unexplained(self) -> str:
         """Why nothing is proposed, in words."""
-        stays = f"mean |Δf| {100 * self.before:.2f} %, mean MAC {100 * self.mac[0]:.1f} %"
+        stays = f"mean |Δf| {100 * self.before:.2f} %" + (f", mean MAC {100 * self.mac[0]:.1f} %" if self.seen else "")
         if self.before <= self.discrepancy[0]:
             return f"the model as it is ({stays}) explains the test as well as any change of it"
         return (
@@ -217,7 +222,7 @@ def _explained(found: Subsets, errors: Mapping[str, Float], words: Sequence[str]
         best.x,
         _mean(np.abs(zero.frequency_error[zero.used])),
         _mean(np.abs(found.end.frequency_error[found.end.used])),
-        np.array([_mean(r.mac[r.used]) for r in (zero, found.end)]),
+        np.array([np.nan if search.target.lent else _mean(r.mac[r.used]) for r in (zero, found.end)]),
         np.array([r.used.sum() for r in (zero, found.end)]),
         np.array([found.found.frequency, found.found.mac]),
         _orders(search, zero, alone),
@@ -313,7 +318,7 @@ def _because(
     x = float(search.model.parameters.take([i]).vector(np.array([p.factor]))[0])
     if min(x - low[i], high[i] - x) < 1e-9:
         parts.append("at its bound")
-    parts.append(f"without it AICc rises by {p.worth:.1f} and {_loss(end, without)}")
+    parts.append(f"without it AICc rises by {p.worth:.1f} and {_loss(end, without, search.target.lent)}")
     shares = ((alone.frequency[i], "the squared frequency errors"), (alone.mac[i], "1 − MAC"))
     explained = [f"{100 * share:.0f} % of {what}" for share, what in shares if share > LITTLE]
     parts.append(f"by itself it explains {' and '.join(explained) or 'little: it helps beside the others'}")
@@ -327,8 +332,8 @@ def _because(
     return "; ".join(parts)
 
 
-def _loss(end: Residual, without: Residual) -> str:
-    """What a fit loses without a member."""
+def _loss(end: Residual, without: Residual, lent: bool) -> str:
+    """What a fit loses without a member; shapes that are `lent` tell nothing."""
     lost = int(end.used.sum()) - int(without.used.sum())
     if lost > 0:
         return f"{lost} of {int(end.used.sum())} modes lose their partner"
@@ -337,8 +342,10 @@ def _loss(end: Residual, without: Residual) -> str:
         "mean |Δf|": [f"{100 * _mean(np.abs(r.frequency_error[r.used])):.2f}" for r in both],
         "mean 1 − MAC": [f"{100 * _mean(1 - r.mac[r.used]):.2f}" for r in both],
     }
+    if lent:
+        told.pop("mean 1 − MAC")
     changed = (f"{name} is {b} instead of {a} %" for name, (a, b) in told.items() if a != b)
-    return next(changed, "neither Δf nor MAC changes by 0.01 %")
+    return next(changed, f"{'Δf does not change' if lent else 'neither Δf nor MAC changes'} by 0.01 %")
 
 
 def _some(names: Sequence[str]) -> str:

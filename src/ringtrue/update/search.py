@@ -88,8 +88,8 @@ class Search:
 
     @property
     def data(self) -> float:
-        """Number of data: two a used mode, and what else was measured."""
-        return 2 * self.modes + self.point(np.zeros(self.prior.size)).more
+        """Number of data: a frequency and a shape, where it counts, each used mode, and what else was measured."""
+        return (2 if self.target.weights.shape > 0 else 1) * self.modes + self.point(np.zeros(self.prior.size)).more
 
     def sharper(self, found: Weights) -> Search:
         """The same with the discrepancy that was found, capped (`Target.doubting`): more can be told apart by it."""

@@ -19,16 +19,12 @@ def section(data: Stages) -> Section | None:
     else:
         return None
     one = plots.sensitivity(s, s.d_frequency, "∂ ln f / ∂x", f)
-    two = plots.sensitivity(s, s.d_mac, "∂ MAC / ∂x", f)
     caption = "Sensitivity of the {} to the candidates; x = ln(factor) of logarithmic parameters, else factor − 1."
-    blocks: list[Block] = [
-        Tabs(
-            [
-                ("Frequencies", [Plot(one, caption.format("natural frequencies"))]),
-                ("Mode shapes", [Plot(two, caption.format("MAC with the paired test shape"))]),
-            ]
-        )
-    ]
+    frequencies = Plot(one, caption.format("natural frequencies"))
+    blocks: list[Block] = [frequencies]
+    if s.d_mac.size:
+        two = Plot(plots.sensitivity(s, s.d_mac, "∂ MAC / ∂x", f), caption.format("MAC with the paired test shape"))
+        blocks = [Tabs([("Frequencies", [frequencies]), ("Mode shapes", [two])])]
     rows = [(k, str(len(v)), ", ".join(v), sentence(s.rules.get(k, ""))) for k, v in s.sets.items()]
     blocks.append(Table(("|Set", "Size", "|Parameters", "|Rule"), rows, "Parameter sets and how each was chosen."))
     if s.clusters:

@@ -29,6 +29,10 @@ LEAD = (
     "The test shapes, expanded to the whole model by {0}, do not fulfil its equation of motion. Where the error "
     "gathers beyond its share of strain energy (above 1), stiffness or mass is likely wrong there, or nearby."
 )
+NO_SHAPES = (
+    "No shapes were measured. Frequencies tell stiffness over mass, not on which of like parts of the structure, and "
+    "fewer parameters than there are modes."
+)
 EXPANSIONS = {
     "hybrid": "a balance of readings and equation of motion",
     "serep": "SEREP",
@@ -48,6 +52,8 @@ def section(data: Stages) -> Section | None:
         return None
     which = f", the {plots.BARS} largest of {len(s.regions)}" if len(s.regions) > plots.BARS else ""
     bars = Plot(plots.regions(s), f"Concentration of error by region{which}; dotted: an error that is spread evenly.")
+    if not s.modes.size:
+        return Section("localisation", "Where the model is wrong", [Text(NO_SHAPES, "lead"), *_proposal(s)])
     blocks: list[Block] = [Text(LEAD.format(EXPANSIONS[s.expansion]), "lead"), bars]
     if data.model is not None:
         view = Scene3D(
@@ -85,11 +91,12 @@ def _proposal(s: LocaliseStage) -> list[Block]:
     if not p.members:
         return [Text(f"{origin} {sentence(f'no parameter is proposed: {p.unexplained()}')}"), _candidates(s)]
     before, after = (100 * float(x) for x in p.mac[:2])
+    mac = f", mean MAC {'rises' if after >= before else 'falls'} from {fixed(before, 1)} to {fixed(after, 1)} %"
+    mac = mac if p.seen else ""
     gain = (
         f"With {_count(len(p.members))} of them mean |Δf| of the used modes "
         f"{'falls' if p.after <= p.before else 'rises'} from {fixed(100 * p.before, 2)} to "
-        f"{fixed(100 * p.after, 2)} %, mean MAC {'rises' if after >= before else 'falls'} from {fixed(before, 1)} to "
-        f"{fixed(after, 1)} %, and {p.paired[1]} modes have a partner ({p.paired[0]} before)."
+        f"{fixed(100 * p.after, 2)} %{mac}, and {p.paired[1]} modes have a partner ({p.paired[0]} before)."
     )
     if after < before - FALLS:
         gain += " The frequencies are reached with partners that look otherwise: check the pairs before it is used."

@@ -26,9 +26,10 @@ def first(data: Stages) -> Scene3D | None:
     shown = _final(data)
     if not shown or data.model is None:
         return None
-    return Scene3D(
-        modes(data.model.scene, data.test, shown[:1]), "First pair: test in orange over the final model.", 350
+    caption = (
+        "First pair: test in orange over the final model." if data.test is not None else "First pair, final model."
     )
+    return Scene3D(modes(data.model.scene, data.test, shown[:1]), caption, 350)
 
 
 def _paired(stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, skin: ModeSet | None) -> list[Shown]:
@@ -37,8 +38,12 @@ def _paired(stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, s
         t, k = r.test - 1, r.fe - 1
         label = f"test {r.test} · FE {r.fe} · {fixed(r.test_hz, 2)} Hz"
         info = f"test {fixed(r.test_hz, 3)} Hz, FE {fixed(r.fe_hz, 3)} Hz, "
-        info += f"Δf {fixed(r.deviation_percent, 2, sign=True)} %, MAC {fixed(r.mac_percent, 1)} %"
+        info += f"Δf {fixed(r.deviation_percent, 2, sign=True)} %"
         fe = (skin, k) if skin is not None and k < len(skin) else None
+        if table.alone:
+            out += [Shown(stage, label, info, fe, None)] if fe else []
+            continue
+        info += f", MAC {fixed(r.mac_percent, 1)} %"
         out.append(Shown(stage, label, info, fe, (test, t), (seen, k)))
     return out
 

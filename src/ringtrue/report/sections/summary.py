@@ -6,6 +6,7 @@ from ringtrue.correlate.complete import Check, CompleteCorrelation
 from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
+    MISSING,
     Block,
     Cell,
     Checks,
@@ -58,7 +59,7 @@ def _facts(now: CorrelationTable, before: CorrelationTable | None) -> Facts:
     old = _figures(before) if before is not None else ("", "", "", "")
     labels = (("Mean |Δf|", "%"), ("Largest |Δf|", "%"), ("Mean MAC", "%"), ("Paired modes", ""))
     both = zip(labels, _figures(now), old, strict=True)
-    return Facts([Fact(label, value, unit, was) for (label, unit), value, was in both])
+    return Facts([Fact(label, value, unit, was) for (label, unit), value, was in both if value != MISSING])
 
 
 def _figures(table: CorrelationTable) -> tuple[str, str, str, str]:
@@ -76,7 +77,8 @@ def _tables(data: Stages) -> list[tuple[str, CorrelationTable]]:
 
 def _deviations(data: Stages) -> Plot:
     stages = _tables(data)
-    caption = "Frequency deviation of the model from the test and MAC of the pairs, mode by mode."
+    mac = "" if all(t.alone for _, t in stages) else " and MAC of the pairs"
+    caption = f"Frequency deviation of the model from the test{mac}, mode by mode."
     if data.final is not None:
         caption += " Hollow marks: modes left out of the updating, chosen before it."
     return Plot(plots.deviations(stages), caption)

@@ -71,10 +71,12 @@ def _lead(s: UncertaintyStage) -> str:
     assumed = [100 * float(x) for x in s.assumed]
     times = f / max(100 * float(np.median(s.parts[:, 1])), 1e-9)
     exact = f"; the test is about {float(f'{times:.1g}'):.0f} times more exact" if times > 2 else ""
+    seen = np.isfinite(m)
+    of_mac, and_mac = (f" and {fixed(m, 1)} % of MAC", f" and {number(assumed[1], 2)}") if seen else ("", "")
     return (
         "What no parameter can explain is the discrepancy of the model. Estimated from modes predicted unseen it is "
-        f"{fixed(f, 2)} % of a frequency and {fixed(m, 1)} % of MAC (the updating assumed {number(assumed[0], 2)} and "
-        f"{number(assumed[1], 2)} %){exact}. It is part of every interval and band below."
+        f"{fixed(f, 2)} % of a frequency{of_mac} (the updating assumed {number(assumed[0], 2)}{and_mac} %){exact}. "
+        "It is part of every interval and band below."
     )
 
 

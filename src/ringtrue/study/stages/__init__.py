@@ -87,7 +87,15 @@ _BOTH = ("model", "test")
 STAGES = (
     Stage("model", "modes of the deck", model.run, ("model",), (), _deck, ("model",)),
     Stage("plan", "test plan", plan.run, ("model", "plan"), ("model",), _deck, ("model", "plan")),
-    Stage("identify", "modes from the signals", identify.run, ("test", "identify"), (), identify.files, ("test",)),
+    Stage(
+        "identify",
+        "modes from the signals",
+        identify.run,
+        ("test", "identify", "lending"),
+        (),
+        identify.files,
+        ("test",),
+    ),
     Stage("compare", "ambient against hammer", compare.run, ("correlate",), ("identify",), _nothing, ("test",)),
     Stage(
         "correlate",

@@ -36,8 +36,12 @@ def seen(desk: Workbench, opened: Opened, progress: Progress | None = None) -> M
     return ModeSet(modes.frequencies, modes.damping, there(modes.shapes), there.channels, modes.norm, modes.source)
 
 
-def judged(desk: Workbench, opened: Opened, reference: Reference, fe: ModeSet, table: CorrelationTable) -> Evidence:
-    """What the elastic correlation of a model rests on, with the mass of its deck at the channels."""
+def judged(
+    desk: Workbench, opened: Opened, reference: Reference, fe: ModeSet, table: CorrelationTable
+) -> Evidence | None:
+    """What an elastic correlation rests on, with the mass of the deck at the channels; None without measured shapes."""
+    if desk.config.alone:
+        return None
     config = desk.config.correlate
     observation = desk.bridge(opened)
     mass = channel_mass(opened, observation, reference.elastic.channels, config, desk.fmax)
@@ -55,7 +59,7 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
     tables = [elastic_table(reference, fe, config, out, initial) for fe in (initial, remodelled)]
     progress(0.6, "mass at the channels")
     told = judged(desk, desk.remodelled, reference, remodelled, tables[1])
-    first = evidence(reference, initial, tables[0].pairing, config) if config.remodel else told
+    first = evidence(reference, initial, tables[0].pairing, config) if config.remodel and told else told
     files = desk.initial.model.files, desk.remodelled.model.files
     return CorrelateStage(
         reference.elastic,
@@ -103,7 +107,7 @@ def _shared(desk: Workbench) -> tuple[str, ...]:
 
 def _expanded(desk: Workbench, reference: Reference, progress: Progress) -> Expansion | None:
     """The elastic test shapes on the remodelled deck, drawn where its nodes are on the scene."""
-    if not (method := desk.config.correlate.expand):
+    if not (method := desk.config.correlate.expand) or desk.config.alone:
         return None
     progress(0.8, "expansion of the test shapes")
     opened, test = desk.remodelled, reference.elastic

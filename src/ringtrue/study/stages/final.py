@@ -88,10 +88,11 @@ def run(desk: Workbench, progress: Progress) -> FinalStage:
     progress(0.5, "what the correlation rests on")
     told = judged(desk, opened, reference, fe, table)
     upto = int(table.pairing.b.max(initial=-1)) + 1
-    told = replace(told, tracks=followed(fe, before.fe_remodelled, before.fe_initial, upto))
+    if told is not None:
+        told = replace(told, tracks=followed(fe, before.fe_remodelled, before.fe_initial, upto))
     progress(0.8, "frequency responses")
     frfs = _frfs(desk, reference, before, opened, fe, zeta)
-    told = replace(told, frfs=frf_evidence(found, *frfs, desk.config)) if frfs else told
+    told = replace(told, frfs=frf_evidence(found, *frfs, desk.config)) if told and frfs else told
     return FinalStage(
         files,
         tuple(changes),

@@ -32,7 +32,7 @@ from ringtrue.study.forced import forced_frfs
 from ringtrue.study.log import Logged, read_log
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
 from ringtrue.study.stages.ambient import ambient, check_sheet, summary
-from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, supplied_frfs, supplied_modes
+from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, supplied_frequencies, supplied_frfs, supplied_modes
 from ringtrue.study.workbench import Workbench
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
@@ -51,7 +51,8 @@ def files(desk: Workbench) -> list[Path]:
     test = section(desk)
     records, _ = read_log(desk.base / test.log) if test.log else ([], {})
     names = (test.sheet, test.log, test.lines, test.modes, desk.config.identify.choice, *test.frfs)
-    return [*(desk.base / f for f in names if f), *(r.path for r in records)]
+    lending = desk.initial.model.files if desk.config.alone else ()
+    return [*(desk.base / f for f in names if f), *(r.path for r in records), *map(Path, lending)]
 
 
 def _by_hand(desk: Workbench, records: Sequence[Logged]) -> Choice:
@@ -144,6 +145,8 @@ def _floored(found: IdentifiedRecord, duration: float) -> Uncertainty:
 def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     """Identify everything that the log lists, or take the FRFs or modes that were given."""
     test = section(desk)
+    if test.sheet is None:
+        return supplied_frequencies(desk.base / str(test.modes), desk.initial, desk.config)
     sheet = read_sensor_sheet(desk.base / test.sheet, desk.base / test.lines if test.lines else None)
     model = sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
     if unknown := [c for c in test.leave_out if c not in set(model.channels)]:

@@ -74,7 +74,7 @@ def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
     aim, model = target(desk), _model(desk, pool, part(progress, 0.4, 0.6))
     start = model.linearise(np.zeros(len(model.parameters)))
     pairs, _, _ = match(aim, start)
-    pairs = pairs[aim.used[pairs[:, 0]]]
+    pairs = pairs[aim.used[pairs[:, 0]] & (not aim.lent)]  # lent shapes have no local errors
     progress(0.6, "error indicators")
     errors, misfit = _errors(desk, model, aim, pairs)
     member = membership(desk.remodelled.model, pool.candidates)

@@ -54,6 +54,7 @@ def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest, u: UpdateSe
         weights,
         settings(desk.config),
         followed=known,
+        lent=desk.config.alone,
     )
 
 
@@ -115,7 +116,7 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     pairs, _, _ = match(aim, point)
     fe = pairs[:, 1]
     lam = (2 * np.pi * point.frequencies[fe]) ** 2
-    d_mac = np.array([mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist()])
+    d_mac = np.array([mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist() if not aim.lent])
     members, weighted = _sets(desk, model, part(progress, 0.6, 1.0))
     return SensitivityStage(
         names,

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.correlate.assign import Locks
 from ringtrue.errors import DataError
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.setups import join_frfs
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.lent import lent
+from ringtrue.study.opened import Opened
+from ringtrue.study.reference import positions, settings
 from ringtrue.study.results import IdentifyStage
 
 NO_MODES = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
@@ -52,8 +59,32 @@ def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> Identif
     if not len(modes):
         raise DataError(f"{path}: no mode in the file")
     if not modes.channels:
-        raise DataError(f"{path}: frequencies without shapes; a study needs shapes, `ringtrue update` does not")
-    std = Uncertainty.independent(spread, damping, np.zeros(modes.shapes.shape))
+        raise DataError(f"{path}: frequencies without shapes: leave `sheet` out of [test], and they are compared alone")
+    why = (f"as given in {path.name}",) * len(modes)
+    return _stage(path, sheet, modes, why, (spread, damping))
+
+
+def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> IdentifyStage:
+    """Frequencies alone as a test: they take the shapes of modes of the deck, and are no test of these.
+
+    Raises
+    ------
+    DataError
+        If the file holds no mode or shapes, or no mode has a partner in the deck.
+    """
+    modes, std = read_modes(path), read_std(path)
+    if not len(modes):
+        raise DataError(f"{path}: no mode in the file")
+    if modes.channels:
+        raise DataError(f"{path}: has shapes; give the `sheet` of [test] that says where its channels are")
+    c = config.correlate
+    found = lent(modes, opened, settings(config), Locks(positions(c.lock), positions(c.forbid)))
+    return replace(_stage(path, found.points, found.modes, found.taken, std), frf_notes=found.notes)
+
+
+def _stage(
+    path: Path, sheet: TestModel, modes: ModeSet, why: tuple[str, ...], std: tuple[Float, Float]
+) -> IdentifyStage:
     return IdentifyStage(
         test=sheet,
         records=(),
@@ -65,8 +96,8 @@ def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> Identif
         cmif=np.zeros((0, 0)),
         rejected_hits=(),
         hammer=modes,
-        hammer_uncertainty=std,
-        hammer_reasons=(f"as given in {path.name}",) * len(modes),
+        hammer_uncertainty=Uncertainty.independent(*std, np.zeros(modes.shapes.shape)),
+        hammer_reasons=why,
         hammer_diagrams=(),
         synthesis_error=np.zeros((0, 0)),
         source=path.name,

@@ -141,12 +141,13 @@ def _verified(models: Sequence[AtChannels], members: Sequence[str], done: Soluti
 
 def _errors(aims: Sequence[Target], at: Evaluated) -> tuple[Float, Float, Bool]:
     """Relative frequency errors and MAC (k,) of all pairs of all configurations, and which of them are used."""
-    error, used = [], []
+    error, mac, used = [], [], []
     for aim, p in zip(aims, at.points, strict=True):
         test, fe = p.every.T
         error.append(p.now.frequencies[fe] / aim.frequencies[test] - 1)
+        mac.append(np.full(p.mac.size, np.nan) if aim.lent else p.mac)
         used.append(aim.used[test])
-    return np.concatenate(error), np.concatenate([p.mac for p in at.points]), np.concatenate(used)
+    return np.concatenate(error), np.concatenate(mac), np.concatenate(used)
 
 
 def percent(of: Callable[[Float], np.floating[Any]], values: Float, which: Bool) -> float:

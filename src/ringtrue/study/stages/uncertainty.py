@@ -226,6 +226,8 @@ def _result(
     flags = plausibility(p, posterior.x, posterior.ratio) + form_flags(
         p, factor, interval, kept(posterior.x, held.ends), posterior.correlation()
     )
+    if aim.lent:
+        held = replace(held, mac=np.full(held.mac.size, np.nan))
     return UncertaintyStage(
         p,
         factor,
@@ -236,7 +238,7 @@ def _result(
         posterior.moved,
         posterior.correlation(),
         level,
-        np.array([likely.weights.frequency, likely.weights.mac]),
+        np.array([likely.weights.frequency, np.nan if aim.lent else likely.weights.mac]),
         np.array([aim.weights.frequency, aim.weights.mac]),
         aim.frequencies,
         f,
