@@ -13,6 +13,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.identify.environment import fit_environment
+from ringtrue.identify.gains import with_equal_gains
 from ringtrue.identify.inertia import Followed, behind, thermal_lag
 from ringtrue.identify.tracking import Stretch, TrackSettings, track_modes, unseen
 
@@ -66,6 +67,34 @@ def test_branches_of_a_veering_pair_are_followed() -> None:
     assert len(found.tracks) == 2
     for t, branch in zip(found.tracks, np.array(truth).T, strict=True):
         np.testing.assert_allclose(t.frequency, branch, rtol=5e-3)
+
+
+def replaced(fac: float, course: float, hours: int, seed: int) -> list[Stretch]:
+    """From stretch 10 on channel 3+Z gives `fac` times as much; shapes have a daily course of so much."""
+    rng, gain, out = np.random.default_rng(seed), np.ones((6, 1)), []
+    for k in range(hours):
+        gain[2] = fac if k >= 10 else 1.0
+        turn = 1 + course * np.sin(2 * np.pi * k / 24) * np.linspace(-1, 1, 6)[:, None] * np.linspace(0.5, 1, 4)
+        out.append(stretch(k, np.array([2.0, 5.0, 7.0, 9.0]), gain * turn * PHI, rng))
+    return out
+
+
+@pytest.mark.parametrize("fac", [0.5, 10.0])
+def test_a_sensor_of_another_sensitivity_is_named(fac: float) -> None:
+    """With ten times as much of one channel a shape is like no other one before: the mode is the same all the same."""
+    even, (change,) = with_equal_gains(replaced(fac, 0.03, 24, 2))
+    assert (change.channel, change.at) == ("3+Z", 10)
+    assert abs(change.factor - fac) < 4 * change.std < 0.2 * fac
+    found = track_modes(even)
+    assert [t.at.size for t in found.tracks] == [24, 24, 24, 24]
+    assert min(t.mac.min() for t in found.tracks) > 0.95
+
+
+def test_a_course_of_the_day_is_no_other_sensor() -> None:
+    sets = replaced(1.0, 0.2, 60, 3)
+    even, changes = with_equal_gains(sets)
+    assert changes == []
+    assert all(a is b for a, b in zip(even, sets, strict=True))
 
 
 def test_new_and_rare_modes() -> None:

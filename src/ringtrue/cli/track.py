@@ -21,6 +21,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.identify.environment import EnvironmentFit, fit_environment
+from ringtrue.identify.gains import with_equal_gains
 from ringtrue.identify.inertia import Followed, behind, thermal_lag
 from ringtrue.identify.tracking import ModeTrack, Stretch, Tracked, ticks, track_modes, unseen
 from ringtrue.io.atomic import atomic_write
@@ -134,7 +135,13 @@ def track(
     env = _Environment(tuple(t for t in heat if not (given and t in given.names)), tuple(amplitude or ()))
     with progress("modes through time") as show:
         found, values, notes = _collect(records, begin, (rate, hours), (settings, env, given, leave_out or ()), show)
+    found, gains = with_equal_gains(found)
     tracked = track_modes(found)
+    notes += [
+        f"channel {g.channel}: {g.factor:.4g} ± {g.std:.1g} times as much as before from {found[g.at].time:.4g} h on, "
+        "in all modes (another sensor or range?); its part of the shapes is divided by that"
+        for g in gains
+    ]
     if given and not any(given.time[0] <= t <= given.time[-1] for t in tracked.times):
         raise DataError(
             f"{environment}: its times, {given.time[0]:.4g} to {given.time[-1]:.4g} h, are not those of the stretches, "

@@ -20,5 +20,5 @@ than the data tell, `mixing` shapes of close modes; `choice` and `choice_hammer`
 What is no mode, or no steady one: `forced`, `struck`, `wander`.
 
 Several records: `setups` as one, `merge` one by one, `common` their channels; `tracking` through time,
-`environment` and `inertia` (of heat) why.
+`gains` of replaced sensors, `environment` and `inertia` (of heat) why frequencies change.
 """
