@@ -333,9 +333,11 @@ def refine(
                 near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002)
                 near &= bool(abs(np.log(new_z / damping[i])) < reach[i])
                 sharp = c[1, 1] * max(chi, 1.0) < (BLUR * start[i]) ** 2
+                if not (good and near and sharp):
+                    continue
                 waves = fit.waves(theta)
                 chi = max(chi, waves / CHANCE)
-                if good and near and sharp and chi < MISFIT and waves < WAVES:
+                if chi < MISFIT and waves < WAVES:
                     f[i], z[i], cov[i], misfit[i], ok[i] = new_f, new_z, c[:2, :2] * max(chi, 1.0), chi, True
                     break
     return Fitted(f, z, cov, misfit, ok)
