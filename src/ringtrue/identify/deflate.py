@@ -14,7 +14,7 @@ from ringtrue.identify.poles import PoleSet
 from ringtrue.identify.refine import Refined
 from ringtrue.identify.repeated_hammer import twins
 
-ABOVE = 2.0  # of the error over its surroundings
+ABOVE = 1.3  # times the error in its surroundings
 SHARE = 0.03  # amplitude of the error against the data, where the data agree no better than that
 WORSE = 3.0  # times the error at the peak of a typical mode
 

@@ -19,6 +19,8 @@ HIDDEN, REAL = 1e3, 0.9  # gain over the error and MPC of a mode that may hide u
 TOLD, SURE = 1.0, 3.0  # standard deviations of a residue, below and above which its sign tells nothing and all
 COMPLEX = 0.6  # confidence of a mode that is plain to see, but of complex shape
 BESIDE = 1.25  # times the last line, up to where modes count in the fit
+WHITE = 0.4  # correlation of errors at neighbouring lines, below which they are noise and no misfit
+AROUND, LEAST_LINES = 2.0, 8  # half bandwidths, and lines, near a mode that tell
 VISIBLE = 0.3  # share of the response at its own frequency that makes a mode plain to see
 
 
@@ -106,12 +108,13 @@ def judge(
     gains, ratio = _gains(lines, fit, total)
     real = _real(shapes, lines.response, strict)
     share = shares(lines, fit, shapes)
+    needed = _white(lines, fit) & (gains.factor > 0.99)
     clear = _clear(fit, shapes, lines) & (share > VISIBLE) & (gains.factor > 0.99) & (driven.factor > 0.99)
     hidden = (candidates.support > HELD) & (ratio > HIDDEN) & (_mpc(shapes, lines.response) > REAL)
     aspects = [
-        _stable(candidates, clear),
+        _stable(candidates, clear, needed),
         gains,
-        _seen(np.where(hidden, 1.0, share) if strict else np.ones_like(share)),
+        _seen(np.where(hidden | needed, 1.0, share) if strict else np.ones_like(share)),
         _damped(fit, damping_max),
         _placed(lines, fit),
         _double(lines, fit, candidates, shapes, total, strict),
@@ -140,10 +143,26 @@ def _mpc(shapes: Complex, weight: Float) -> Float:
     return mpc(shapes * weight[:, None]) if shapes.shape[0] > 2 else np.ones(shapes.shape[1])
 
 
-def _stable(c: Candidates, clear: Bool) -> _Aspect:
-    """Stability over the orders; a mode whose shape, gain and phase are beyond doubt may do without."""
+def _white(lines: Lines, fit: Refined) -> Bool:
+    """(m,) where the fit leaves nothing but noise, of lines that do not follow each other.
+
+    FRFs that disagree leave smooth errors there, which further poles would patch up.
+    """
+    rest = fit.known.rest
+    along = (rest[:, 1:] * rest[:, :-1].conj()).real.sum(axis=(0, 2))
+    power = (np.abs(rest) ** 2).sum(axis=(0, 2))
+    far = np.abs(lines.s.imag[:, None] - fit.poles.imag)
+    near = far < np.maximum(AROUND * np.abs(fit.poles.real), np.sort(far, axis=0)[min(LEAST_LINES, len(far) - 1)])
+    return np.asarray(along @ near[1:] < WHITE * (power @ near))
+
+
+def _stable(c: Candidates, clear: Bool, needed: Bool) -> _Aspect:
+    """Stability over the orders; a mode whose shape, gain and phase are beyond doubt may do without.
+
+    So may one without which more than noise would be left: it hides under others.
+    """
     factor = np.clip((c.support - 0.15) / 0.35, 0, 1) * np.clip(1.6 - c.scatter, 0.4, 1)
-    factor = np.where(clear, np.maximum(factor, 0.7), factor)
+    factor = np.maximum(factor, np.where(needed, 0.9, np.where(clear, 0.7, 0.0)))
     text = [f"in {100 * s:.0f} % of the orders" for s in c.support]
     return _texts(
         factor, text, [f"{t} only, scatter {x:.2g} half bandwidths" for t, x in zip(text, c.scatter, strict=True)]
