@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from ringtrue.cli.main import run
 from ringtrue.io.frfs import read_frfs, write_frfs
@@ -199,6 +200,59 @@ def test_static_loads_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
     assert cases["SUBCASE 1"]["2+Z"] == pytest.approx(6 * bent, rel=1e-6)
 
 
+def cantilever(path: Path, length: float, mass: float) -> Path:
+    """2 m, 160 kg, clamped at 1, bending in the plane XZ; in units of so many metres and kilograms."""
+    e, rho, i = 2e11 * length / mass, 8000 * length**3 / mass, 2e-6 / length**4
+    path.write_text(
+        f"BEGIN BULK\nPARAM,COUPMASS,1\nGRID,1,,,,,,123456\nGRID,2,,{2 / length:.6g},,,,1246\n"
+        f"CBAR,1,1,1,2,0.,0.,1.\nPBAR*,1,1,{0.01 / length**2:.9e},{i:.9e}\n*,{i:.9e},{2 * i:.9e}\n"
+        f"MAT1*,1,{e:.9e},,0.25\n*,{rho:.9e}\n"
+    )
+    return path
+
+
+@pytest.mark.parametrize(("units", "length", "mass"), [("SI", 1, 1), ("mm-t-s", 1e-3, 1e3), ("mm-kg-s", 1e-3, 1)])
+def test_moments_and_rotations_are_those_of_a_cantilever_in_si(
+    tmp_path: Path, units: str, length: float, mass: float, capsys: Capture
+) -> None:
+    """(EI/L³) [[12, 6L], [6L, 4L²]] of a force along -Z and a moment about Y, and (m/420) [[156, 22L], [22L, 4L²]]."""
+    deck, L, EI, m, target = cantilever(tmp_path / "d.bdf", length, mass), 2.0, 4e5, 160.0, tmp_path / "f.uff"
+    K = EI / L**3 * np.array([[12, -6 * L], [-6 * L, 4 * L**2]])
+    M = m / 420 * np.array([[156, -22 * L], [-22 * L, 4 * L**2]])
+    ends = ["--force", "2-Z", "--force", "2+RY", "--units", units]
+    assert run(["static", str(deck), *ends[:3], "2+RY=30", *ends[4:], "--json", "-"]) == 0
+    cases = json.loads(capsys.readouterr().out)["cases"]
+    moved = [[c["metre"]["2-Z"], c["radian"]["2+RY"]] for c in cases]
+    np.testing.assert_allclose(moved, np.linalg.inv(K) * [[1], [30]], rtol=1e-6)
+    words = ["frf", str(deck), *ends, "--fmax", "200", "--lines", "20", "--damping", "0.01", "--quantity", "velocity"]
+    assert run([*words, "--out", str(target), "--json", "-"]) == 0
+    units_told = [one["unit"] for one in json.loads(capsys.readouterr().out)["frfs"]]
+    assert units_told == ["(m/s)/N", "(m/s)/(N*m)", "(rad/s)/N", "(rad/s)/(N*m)"]
+    found = read_frfs(target)
+    w = 2 * np.pi * found.freqs
+    lam, phi = eigh(K, M)
+    modal = lam - w[:, None] ** 2 + 2j * 0.01 * np.sqrt(lam) * w[:, None]
+    want = 1j * w[:, None, None] * np.einsum("om,fm,im->foi", phi, 1 / modal, phi)
+    np.testing.assert_allclose(found.data, want, rtol=1e-5)
+    assert [(c.id, c.quantity, c.unit) for c in (found.outputs[1], found.inputs[1])] == [
+        ("2+RY", "angular velocity", "rad/s"),
+        ("2+RY", "moment", "N*m"),
+    ]
+    write_frfs(tmp_path / "f.csv", found)
+    again = read_frfs(tmp_path / "f.csv")
+    assert (again.outputs, again.inputs) == (found.outputs, found.inputs)
+    np.testing.assert_allclose(again.data, found.data, rtol=1e-7)
+
+
+def test_rotations_by_modes_and_directly_agree(tmp_path: Path) -> None:
+    deck = cantilever(tmp_path / "d.bdf", 1, 1)
+    deck.write_text(deck.read_text() + "PARAM,G,0.02\n")
+    words = ["frf", str(deck), "--force", "2+RY", "--at", "2+Z,2-RY", "--fmax", "300", "--lines", "30"]
+    assert run([*words, "--out", str(tmp_path / "a.h5")]) == run([*words, "--direct", "--out", str(tmp_path / "b.h5")])
+    modal, direct = read_frfs(tmp_path / "a.h5"), read_frfs(tmp_path / "b.h5")
+    np.testing.assert_allclose(modal.data, direct.data, rtol=1e-8)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
@@ -219,7 +273,8 @@ def test_loads_that_cannot_be_taken(tmp_path: Path, old: str, new: str, told: st
 @pytest.mark.parametrize(
     ("words", "status", "told"),
     [
-        (("frf", "--force", "5+RX", "--fmax", "5"), 2, "must be a node and X, Y or Z"),
+        (("frf", "--force", "5", "--fmax", "5"), 2, "must be a node and a direction, such as 101+Z or 101+RZ"),
+        (("frf", "--force", "5+RX", "--fmax", "5"), 0, "warning: 5+RX is held"),
         (("frf", "--force", "5+X", "--fmax", "5", "--fmin", "6"), 2, "0 <= fmin < fmax"),
         (("frf", "--force", "5+X", "--fmax", "5", "--direct", "--damping", "0.1"), 2, "--damping is for modes"),
         (("frf", "--force", "5+X", "--fmax", "5", "--damping", "2"), 2, "between 0 and 1"),

@@ -63,6 +63,7 @@ def test_channels_named_as_dofs_may_be_of_one_dof() -> None:
     seen = at_dofs(("101-Z", "101+Z", "100:RX"), dofs)
     motion = np.arange(float(len(dofs)))
     np.testing.assert_array_equal(seen(motion), [-8.0, 8.0, 3.0])
+    np.testing.assert_array_equal(at_dofs(("101+Z", "100-RX"), dofs, 1e-3)(motion), [8.0, -3000.0])
     with pytest.raises(DataError, match=r"must be DOFs of the deck.* 2 DOFs are not in the set, first 8-Z 9\+Y"):
         at_dofs(("8-Z", "101+Z", "9+Y"), dofs)
 

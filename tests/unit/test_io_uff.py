@@ -159,6 +159,30 @@ def test_units_of_the_file_become_si(tmp_path: Path) -> None:
     np.testing.assert_allclose(nodes.place, [[1.5, -2.0, 0.0]])
 
 
+def test_rotations_and_moments_of_a_file_in_millimetres(tmp_path: Path) -> None:
+    """Directions 4 to 6: radians stay, moments are in mN mm, strain in none."""
+    units = (
+        b"    -1\n   164\n         5mm (milli-newton)        2\n" + b"  1.0000D+03" * 3 + b"\n  2.7315D+02\n    -1\n"
+    )
+    f, h = np.arange(1.0, 20.0), np.exp(-0.2j * np.arange(1.0, 20.0))
+    ends = [((1, 3), (1, 3)), ((1, -5), (1, 3)), ((1, 3), (1, 5)), ((1, -5), (1, 5))]
+    sets = [write_function(4, f, h, out, ref, codes=(18, 12, 13)) for out, ref in ends]
+    (tmp_path / "f.uff").write_bytes(units + b"".join(sets))
+    found = read_frfs(tmp_path / "f.uff")
+    np.testing.assert_allclose(found.data[0], h[0] * np.array([[1, 1e3], [1e3, 1e6]]))
+    assert [(c.id, c.unit) for c in (*found.outputs, *found.inputs)] == [
+        ("1+Z", "m/s^2"),
+        ("1-RY", "rad/s^2"),
+        ("1+Z", "N"),
+        ("1+RY", "N*m"),
+    ]
+    signals = [write_function(1, f, h.real, (k, 6), (0, 0), codes=(17, code, 0)) for k, code in ((1, 11), (2, 3))]
+    (tmp_path / "t.uff").write_bytes(units + b"".join(signals))
+    record = read_record(tmp_path / "t.uff")
+    np.testing.assert_allclose(record.data, [h.real, h.real])
+    assert [c.quantity for c in record.channels] == ["angular velocity", "strain"]
+
+
 def test_groups_2467_headers_2400_and_beams(tmp_path: Path) -> None:
     group = "         1         0         0         0         0         0         0         3\nfloor\n"
     group += "         7        11         0         0         7        12         0         0\n"

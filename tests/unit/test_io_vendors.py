@@ -166,7 +166,9 @@ def test_a_step_of_three_digits_in_lvm_gives_way_to_its_column_of_times(tmp_path
 
 @pytest.mark.parametrize(
     ("unit", "factor", "quantity"),
-    [("µm/m", 1e-6, "strain"), ("µε", 1e-6, "strain"), ("m/s/s", 1.0, "acceleration"), ("mm/sec", 1e-3, "velocity")],
-)
+    [("µm/m", 1e-6, "strain"), ("µε", 1e-6, "strain"), ("m/s/s", 1.0, "acceleration"), ("mm/sec", 1e-3, "velocity"),
+     ("deg/s", np.pi / 180, "angular velocity"), ("rad/s²", 1.0, "angular acceleration"), ("Nm", 1.0, "moment"),
+     ("nm", 1e-9, "displacement"), ("N·mm", 1e-3, "moment"), ("mrad", 1e-3, "rotation")],
+)  # fmt: skip
 def test_units_as_laboratories_write_them(unit: str, factor: float, quantity: str) -> None:
     assert to_si(unit)[:2] == (quantity, factor)

@@ -22,6 +22,7 @@ from scipy.signal import lfilter
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient, identify_stretches
+from ringtrue.identify.ambient_record import one_motion
 from ringtrue.identify.ssi import SsiCov, ssi_cov
 from ringtrue.shapes.mac import mac
 
@@ -76,6 +77,13 @@ def test_all_modes_are_found_and_none_invented():
         assert len(r.modes) == 6, r.reasons
         assert (r.modes.confidence > 0.33).all()
         assert all("orders" in x for x in r.reasons)
+
+
+def test_rates_of_turning_beside_accelerations_rise_by_one_derivative():
+    kinds = ("acceleration", "angular acceleration", "angular velocity", "acceleration")
+    motion = one_motion([Channel(f"{i}", kind) for i, kind in enumerate(kinds)])
+    assert (motion.kind, motion.power.tolist()) == ("acceleration", [0, 0, 1, 0])
+    np.testing.assert_allclose(motion.turn, [1, 1, 1j, 1], atol=1e-15)
 
 
 def test_accelerations_velocities_and_displacements_are_one_motion():

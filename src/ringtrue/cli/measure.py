@@ -81,7 +81,7 @@ def _as_test(deck: Path, units: str) -> tuple[ModeSet, TestModel, str]:
     if not at.size:
         raise DataError(f"{deck}: none of its {len(found)} lowest modes is elastic")
     modes, points = found.take(at), mesh_points(opened)
-    shapes = at_dofs(points.channels, opened.analysis.dofs)(modes.shapes)
+    shapes = at_dofs(points.channels, opened.analysis.dofs, opened.length)(modes.shapes)
     there = ModeSet(modes.frequencies, modes.damping, shapes, points.channels, modes.norm, str(deck))
     return there, points, f"mode 1 of A is mode {at[0] + 1} of {deck}" if at[0] else ""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from csv import writer
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -15,7 +15,7 @@ from ringtrue.cli.model import Deck
 from ringtrue.cli.show import Json, Units, err, file_to, progress, rows, unit_length, unit_mass, write_json
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.motions import FRF_KIND, SI_UNIT
+from ringtrue.core.motions import FRF_KIND, channel
 from ringtrue.core.progress import part
 from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.errors import ConfigError, InputError
@@ -28,6 +28,7 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
 from ringtrue.study.loads import load_vectors
 
+_SIDES = ("metre", "radian")
 ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
 
 
@@ -63,8 +64,8 @@ def frf(
 ) -> int:
     """Frequency responses of a deck: its modes with residual vectors, or the full model line by line.
 
-    Directions are those of the basic frame, results in SI. Without --damping that of the deck counts: dashpots, GE,
-    PARAM G, SDAMPING.
+    Directions are those of the basic frame, results in SI, of moments and rotations (3+RZ) too. Without --damping that
+    of the deck counts: dashpots, GE, PARAM G, SDAMPING.
 
     Example: ringtrue frf wing.bdf --force 101+Z --at 205+Z --fmax 200 --damping 0.01 --out frf.h5 --plot frf.html
     """
@@ -75,8 +76,8 @@ def frf(
         raise ConfigError("--direct has the damping of the deck; --damping is for modes")
     if damping is not None and not 0 < damping < 1:
         raise ConfigError(f"--damping {damping:g}: must be a ratio between 0 and 1, such as 0.01")
-    into, heard = translations("--force", force), translations("--at", at or force)
-    kilogram, freqs = unit_mass(units), np.linspace(lowest, fmax, lines)
+    into, heard = points("--force", force), points("--at", at or force)
+    kilogram, metre, freqs = unit_mass(units), unit_length(units), np.linspace(lowest, fmax, lines)
     with progress("frf") as show:
         show(0.0, f"reading {deck}")
         model, modal = read_damped_deck(deck)
@@ -90,11 +91,12 @@ def frf(
             _warn_of_held(analysis, heard, into)
             ratios = modal if damping is None else damping
             h = _responses(analysis, (heard, into), freqs, ratios, FRF_KIND[quantity], direct) / kilogram
+            h = h * np.outer(heard.per_length(metre), into.per_length(metre))
     found = FrfSet(
         h,
         freqs,
-        tuple(Channel(c, quantity.value, SI_UNIT[quantity]) for c in heard.labels()),
-        tuple(Channel(c, "force", "N") for c in into.labels()),
+        tuple(channel(c, quantity.value) for c in heard.labels()),
+        tuple(channel(c, "force") for c in into.labels()),
         kind=FRF_KIND[quantity],
         source=str(deck),
         sharp=True,
@@ -111,21 +113,20 @@ def frf(
     return 0
 
 
-def translations(option: str, points: list[str]) -> DofSet:
-    """Points such as 101+Z as DOFs.
+def points(option: str, given: list[str]) -> DofSet:
+    """Points such as 101+Z or, of rotations and moments, 101+RZ as DOFs.
 
     Raises
     ------
     ConfigError
-        If one is no DOF, is a rotation, has no direction or is given twice.
+        If one is no DOF, has no direction or is given twice.
     """
     try:
-        dofs = DofSet.parse(p for text in points for p in text.split(","))
+        dofs = DofSet.parse(p for text in given for p in text.split(","))
     except InputError as e:
         raise ConfigError(f"{option}: {e}") from e
-    turned = np.flatnonzero((np.abs(dofs.direction) > 3) | (dofs.direction == 0))
-    if turned.size:
-        raise ConfigError(f"{option} {dofs.labels()[turned[0]]}: must be a node and X, Y or Z, such as 101+Z")
+    if (bare := np.flatnonzero(dofs.direction == 0)).size:
+        raise ConfigError(f"{option} {dofs.labels()[bare[0]]}: must be a node and a direction, such as 101+Z or 101+RZ")
     return dofs
 
 
@@ -158,21 +159,26 @@ def _warn_of_held(analysis: EmbeddedAnalysis, *ends: DofSet) -> None:
 def _print_frfs(deck: Path, found: FrfSet) -> None:
     size = np.abs(found.data)
     body = [
-        (c.id, f.id, f"{size[:, i, j].max():.4g}", f"{found.freqs[size[:, i, j].argmax()]:.5g}")
+        (c.id, f.id, f"{size[:, i, j].max():.4g}", _unit(c, f), f"{found.freqs[size[:, i, j].argmax()]:.5g}")
         for j, f in enumerate(found.inputs)
         for i, c in enumerate(found.outputs)
     ]
-    heads = ("response", "force", f"largest [{found.outputs[0].unit}/N]", "at Hz")
+    heads = ("response", "force", "largest", "unit", "at Hz")
     rows(f"{deck}: {found.kind}, {found.freqs[0]:.4g} to {found.freqs[-1]:.4g} Hz", heads, body)
+
+
+def _unit(response: Channel, force: Channel) -> str:
+    under = f"({force.unit})" if "*" in force.unit else force.unit
+    return f"({response.unit})/{under}"
 
 
 def _frf_json(found: FrfSet) -> dict[str, object]:
     return {
         "kind": found.kind,
-        "unit": f"({found.outputs[0].unit})/N",
+        "unit": ", ".join(dict.fromkeys(_unit(c, f) for c in found.outputs for f in found.inputs)),
         "frequencies_hz": found.freqs.tolist(),
         "frfs": [
-            {"response": c.id, "force": f.id, "re": h.real.tolist(), "im": h.imag.tolist()}
+            {"response": c.id, "force": f.id, "unit": _unit(c, f), "re": h.real.tolist(), "im": h.imag.tolist()}
             for i, c in enumerate(found.outputs)
             for j, f in enumerate(found.inputs)
             for h in [found.data[:, i, j]]
@@ -187,7 +193,7 @@ def static(
         typer.Option(
             "--force",
             metavar="POINT[=N]",
-            help="A load case: 3+Z=250 is 250 N, 3+Z 1 N; repeat it. If not given: the loads of the deck.",
+            help="A load case: 3+Z=250 is 250 N, 3+RZ=2 2 N m; repeat it. If not given: the loads of the deck.",
         ),
     ] = None,
     at: Annotated[
@@ -203,8 +209,8 @@ def static(
 ) -> int:
     """Deflections of a deck under its own loads, or under single forces, each a load case of its own.
 
-    Directions are those of the basic frame, results in SI. Of the deck forces, moments, pressures, PLOAD1 on beams and
-    GRAV are read.
+    Directions are those of the basic frame, results in SI, of moments (3+RZ=2, N m) and rotations too. Of the deck
+    forces, moments, pressures, PLOAD1 on beams and GRAV are read.
 
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """
@@ -213,7 +219,7 @@ def static(
     if table and not force:
         raise ConfigError("--csv: a static test has forces at points; give --force")
     given = dict(_load(text) for text in force or [])
-    into, heard = translations("--force", list(given)), translations("--at", at or list(given))
+    into, heard = points("--force", list(given)), points("--at", at or list(given))
     newtons = np.array(list(given.values()))
     metres = unit_length(units)
     with progress("static") as show:
@@ -224,19 +230,27 @@ def static(
             _warn_of_held(analysis, heard, into)
             acting = load_vectors(model, analysis.dofs, cases)
             if force:
-                acting = _unit_loads(analysis, into) * (newtons / (unit_mass(units) * metres))
-            moved = (_unit_loads(analysis, heard).T @ analysis.static(acting)).T * metres
+                acting = _unit_loads(analysis, into) * (newtons * into.per_length(metres) / (unit_mass(units) * metres))
+            moved = (_unit_loads(analysis, heard).T @ analysis.static(acting)).T * (metres * heard.per_length(metres))
     names = [f"{p}={n:g}" for p, n in zip(into.labels(), newtons, strict=True)] or [c.name for c in cases]
-    points = heard.labels()
     if table:
-        _write_static(table, list(zip(into.labels(), newtons.tolist(), moved.tolist(), strict=True)), points)
+        _write_static(table, list(zip(into.labels(), newtons.tolist(), moved.tolist(), strict=True)), heard.labels())
+    told = [_deflections(name, heard, u) for name, u in zip(names, moved, strict=True)]
     if json:
-        told = [{"case": c, "metre": dict(zip(points, u, strict=True))} for c, u in zip(names, moved, strict=True)]
         write_json({"deck": str(deck), "cases": told}, json)
     if json != "-":
-        every = [(c, p, f"{x:.6g}") for c, u in zip(names, moved, strict=True) for p, x in zip(points, u, strict=True)]
-        rows(f"{deck}: {len(names)} load case{'s' if len(names) > 1 else ''}", ("case", "at", "deflection [m]"), every)
+        every = [(c["case"], p, f"{x:.6g}", unit) for c in told for unit in _SIDES for p, x in c[unit].items()]
+        heads = ("case", "at", "deflection", "unit")
+        rows(f"{deck}: {len(names)} load case{'s' if len(names) > 1 else ''}", heads, every)
     return 0
+
+
+def _deflections(case: str, heard: DofSet, moved: Float) -> dict[str, Any]:
+    """A load case with the deflections at translations and at rotations."""
+    about = np.abs(heard.direction) > 3
+    found = list(zip(heard.labels(), moved.tolist(), about.tolist(), strict=True))
+    sides = {side: {p: x for p, x, a in found if a == (side == "radian")} for side in _SIDES}
+    return {"case": case, **sides}
 
 
 def _unit_loads(analysis: EmbeddedAnalysis, at: DofSet) -> Float:

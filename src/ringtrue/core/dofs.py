@@ -113,6 +113,13 @@ class DofSet:
         sign = np.where(np.sign(self.direction[index]) * np.sign(direction) < 0, -1.0, 1.0)
         return index, sign
 
+    def per_length(self, unit: float) -> Float:
+        """(n,) float64, 1/`unit` for rotations, else 1: what makes mass-normalised shapes those of another length.
+
+        Shapes of mass-normalised modes at translations hold no length, at rotations one over a length; so do loads.
+        """
+        return np.where(np.abs(self.direction) > 3, 1 / unit, 1.0)
+
 
 def parsed(labels: Iterable[str]) -> tuple[Int, Int]:
     """Nodes (n,) int64 and directions (n,) int8 of text forms such as `101+Z`, a DOF as often as it is named.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Literal, get_args
 
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.signals import Channel, FrfKind
+from ringtrue.core.signals import Channel, FrfKind, Quantity
 
 Motion = Literal["displacement", "velocity", "acceleration"]
 DERIVATIVE: dict[str, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -15,8 +16,31 @@ SI_UNIT: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration
 FRF_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 OF_KIND: dict[str, Motion] = {FRF_KIND[m]: m for m in get_args(Motion)}
 POWER: dict[str, int] = {FRF_KIND[motion]: n for motion, n in DERIVATIVE.items()}  # of s, over the receptance
+ANGULAR: dict[str, Quantity] = {  # the same about an axis, of the same kind of FRF
+    "displacement": "rotation",
+    "velocity": "angular velocity",
+    "acceleration": "angular acceleration",
+    "force": "moment",
+}
+LINEAR: dict[str, Quantity] = {about: along for along, about in ANGULAR.items()}  # type: ignore[misc]
+UNIT: dict[str, str] = {
+    **SI_UNIT,
+    "force": "N",
+    "rotation": "rad",
+    "angular velocity": "rad/s",
+    "angular acceleration": "rad/s^2",
+    "moment": "N*m",
+}
+FORCES = ("force", "moment")
 
+_ABOUT = re.compile(r"[+-]R[XYZ]$")
 BASE = "base "  # how the name of a base begins
+
+
+def channel(name: str, quantity: Quantity) -> Channel:
+    """A motion or force at a point; of a rotation or moment where the name says so, as `3+RX`."""
+    kind = ANGULAR.get(quantity, quantity) if _ABOUT.search(name) else quantity
+    return Channel(name, kind, UNIT.get(kind, ""))
 
 
 def base_motion(name: str) -> Channel:

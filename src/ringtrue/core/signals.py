@@ -12,7 +12,10 @@ from ringtrue.core.arrays import Any_, Complex, Float, freeze_fields
 from ringtrue.core.blows import Blows
 from ringtrue.errors import DataError
 
-Quantity = Literal["acceleration", "velocity", "displacement", "force", "strain", "unknown"]
+Quantity = Literal[
+    "acceleration", "velocity", "displacement", "force", "strain", "unknown",
+    "rotation", "angular velocity", "angular acceleration", "moment",
+]  # fmt: skip
 FrfKind = Literal["receptance", "mobility", "accelerance"]
 
 
@@ -26,7 +29,7 @@ class Channel:
         Unique, for instance `101+Z`.
     quantity : str
     unit : str
-        SI after import: `m/s^2`, `m/s`, `N`.
+        SI after import: `m/s^2`, `m/s`, `N`; `rad/s`, `N*m`.
     sensor : str
         Serial number or type of the sensor.
     """

@@ -130,8 +130,10 @@ def _matrix(weights: Float, nodes: Int, dofs: DofSet, channels: tuple[str, ...])
     return sparse.csr_array(sparse.coo_array(entries, shape=(len(channels), len(dofs))))
 
 
-def at_dofs(channels: tuple[str, ...], dofs: DofSet) -> Observation:
+def at_dofs(channels: tuple[str, ...], dofs: DofSet, unit: float = 1.0) -> Observation:
     """The observation of channels whose names are DOFs, such as 101+Z; 101+Z and 101-Z may both be among them.
+
+    Rotations, 101+RX, are those of shapes in metres: by `unit`, metres a model unit, they compare with translations.
 
     Raises
     ------
@@ -142,5 +144,6 @@ def at_dofs(channels: tuple[str, ...], dofs: DofSet) -> Observation:
         index, sign = dofs.signed(*parsed(channels))
     except InputError as e:
         raise DataError(f"channels of the test must be DOFs of the deck, such as 101+Z: {e}") from e
+    sign = sign * dofs.per_length(unit)[index]
     pick = sparse.csr_array((sign, (np.arange(index.size), index)), shape=(index.size, len(dofs)))
     return Observation(pick, channels, dofs, 1.0, np.zeros(index.size))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.choice import Choice
-from ringtrue.core.motions import DERIVATIVE
+from ringtrue.core.motions import ANGULAR, DERIVATIVE
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.whittle import SpectralBins
@@ -24,7 +24,7 @@ AT_EDGE = "left out: the spectrum ends there: the filter of the recorder"
 BROAD = 0.02  # damping that the edge of a filter may have
 FALL = 0.4  # of the fall of a mode
 UNSURE, WORSE = 0.2, 5.0  # of the RMS of the shapes; times the median channel
-ORDER = {**DERIVATIVE, "strain": 0}
+ORDER: dict[str, int] = {**DERIVATIVE, **{ANGULAR[motion]: n for motion, n in DERIVATIVE.items()}, "strain": 0}
 
 
 def spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) -> tuple[Float, Float]:

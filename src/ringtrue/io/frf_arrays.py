@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.motions import FRF_KIND, OF_KIND, SI_UNIT, Motion
-from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.motions import FRF_KIND, OF_KIND, Motion, channel
+from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.frf_lines import known_lines
 from ringtrue.io.matfile import mat_values, texts
@@ -87,8 +87,8 @@ def read_frf_arrays(path: Path) -> FrfSet:
     return FrfSet(
         np.ascontiguousarray(h[order], dtype=np.complex128),
         found.freqs[order],
-        tuple(Channel(n, motion, SI_UNIT[motion]) for n in outputs),
-        tuple(Channel(n, "force", "N") for n in inputs),
+        tuple(channel(n, motion) for n in outputs),
+        tuple(channel(n, "force") for n in inputs),
         np.full((order.size, *h.shape[1:]), np.nan),
         np.full(len(inputs), np.nan),
         FRF_KIND[motion],

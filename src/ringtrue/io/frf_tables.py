@@ -12,8 +12,8 @@ from typing import cast
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import BASE, FRF_KIND, SI_UNIT, Motion, as_motion, base_motion
-from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.motions import BASE, FORCES, FRF_KIND, LINEAR, Motion, as_motion, base_motion, channel
+from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.delimited import read_columns
@@ -100,8 +100,8 @@ def read_frf_table(path: Path) -> FrfSet:
     return FrfSet(
         h[known_at],
         freqs[known_at],
-        tuple(Channel(n, kind, SI_UNIT[kind]) for n in outputs),
-        tuple(base_motion(n) if n in based else Channel(n, "force", "N") for n in inputs),
+        tuple(channel(n, kind) for n in outputs),
+        tuple(base_motion(n) if n in based else channel(n, "force") for n in inputs),
         coherence[known_at],
         np.full(len(inputs), np.nan),
         FRF_KIND[kind],
@@ -133,10 +133,10 @@ def write_frf_table(path: Path, frfs: FrfSet) -> None:
     """Write FRFs as CSV that `read_frf_table` reads: real and imaginary parts, 9 digits, coherence where known."""
     head, columns = ["Frequency [Hz]"], [frfs.freqs]
     for j, force in enumerate(frfs.inputs):
-        based = force.quantity != "force"
+        based = force.quantity not in FORCES
         for i, c in enumerate(frfs.outputs):
             pair = f"{c.id}/{force.id.removeprefix(BASE) if based else force.id}"
-            unit = "g/g" if based else f"{c.unit}/N"  # of one motion over the other
+            unit = "g/g" if based else f"{c.unit}/{force.unit}"  # of one motion over the other
             head += [f"{pair} real [{unit}]", f"{pair} imag [{unit}]"]
             columns += [frfs.data[:, i, j].real, frfs.data[:, i, j].imag]
             if np.isfinite(frfs.coherence[:, i, j]).all():
@@ -191,7 +191,7 @@ def _angle(unit: str) -> bool:
 
 def _points(text: str) -> bool:
     """Whether brackets hold points such as `1+Z,3+Z` and no unit."""
-    return re.search(r"\d[+-][XYZ]", text) is not None
+    return re.search(r"\d[+-]R?[XYZ]", text) is not None
 
 
 def _complex(columns: Mapping[str, Float], title: Mapping[str, str], key: Sequence[str], path: Path) -> Complex:
@@ -212,10 +212,11 @@ def _kind(unit: str, path: Path) -> tuple[Motion, float, bool]:
     """Quantity of the response, the factor to SI of a unit such as `dB re 1 g/N`, and whether it is over a base."""
     level = _LEVEL.search(unit)
     one = float(level["one"] or 1) if level else 1.0
-    text = _RADIANS.sub("", _DEGREES.sub("", _LEVEL.sub("", unit))).strip(" ,()-")
+    bare = _LEVEL.sub("", unit).strip(" ,()-")
+    text = _RADIANS.sub("", _DEGREES.sub("", bare)).strip(" ,()-")
     if not text:
         return "acceleration", one, False
-    found = _ratio(text)
+    found = _ratio(bare) or _ratio(text)
     if found is None:
         raise DataError(
             f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, mm/N, or over the same "
@@ -230,6 +231,7 @@ def _ratio(text: str) -> tuple[Motion, float, bool] | None:
     if not (over and under and known(over) and known(under)):
         return None
     (quantity, factor, _), (other, size, _) = to_si(over), to_si(under)
+    quantity, other = LINEAR.get(quantity, quantity), LINEAR.get(other, other)
     if quantity not in FRF_KIND or other not in ("force", quantity):
         return None
     based = other == quantity  # like the accelerations of a held base for a force of inertia, constants apart

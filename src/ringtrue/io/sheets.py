@@ -12,6 +12,7 @@ import numpy as np
 import openpyxl
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.motions import LINEAR
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, did_you_mean
@@ -288,6 +289,8 @@ def _channel(row: Row, axis: Float, where: str) -> RecordChannel:
     get = defaultdict(str, row)
     try:
         quantity = to_si(get["unit"], get["quantity"])[0]
+        if quantity in LINEAR:
+            raise DataError(f"{where}: {quantity}: a sheet is of translations; name rotations 101+RX, without a sheet")
         return RecordChannel(
             get["channel"] or ("F:" if quantity == "force" else "") + _default_id(point, axis),
             point,

@@ -7,12 +7,13 @@ from typing import get_args
 
 import numpy as np
 
-from ringtrue.core.motions import SI_UNIT
+from ringtrue.core.motions import UNIT
 from ringtrue.core.signals import Quantity
 from ringtrue.errors import DataError, did_you_mean
 
 G = 9.80665  # standard gravity, m/s^2
 _INCH = 0.0254
+_DEGREE = float(np.pi / 180)
 _UNITS: dict[str, tuple[Quantity, float, str]] = {
     "m/s^2": ("acceleration", 1.0, "m/s^2"),
     "mm/s^2": ("acceleration", 1e-3, "m/s^2"),
@@ -41,6 +42,19 @@ _UNITS: dict[str, tuple[Quantity, float, str]] = {
     "n": ("force", 1.0, "N"),
     "kn": ("force", 1e3, "N"),
     "lbf": ("force", 4.4482216152605, "N"),
+    "rad": ("rotation", 1.0, "rad"),
+    "mrad": ("rotation", 1e-3, "rad"),
+    "urad": ("rotation", 1e-6, "rad"),
+    "rad/s": ("angular velocity", 1.0, "rad/s"),
+    "mrad/s": ("angular velocity", 1e-3, "rad/s"),
+    "deg/s": ("angular velocity", _DEGREE, "rad/s"),
+    "rad/s^2": ("angular acceleration", 1.0, "rad/s^2"),
+    "deg/s^2": ("angular acceleration", _DEGREE, "rad/s^2"),
+    "n*m": ("moment", 1.0, "N*m"),
+    "kn*m": ("moment", 1e3, "N*m"),
+    "n*mm": ("moment", 1e-3, "N*m"),
+    "lbf*in": ("moment", 4.4482216152605 * _INCH, "N*m"),
+    "lbf*ft": ("moment", 4.4482216152605 * 12 * _INCH, "N*m"),
     "strain": ("strain", 1.0, "strain"),
     "ustrain": ("strain", 1e-6, "strain"),
     "v": ("unknown", 1.0, "V"),
@@ -63,6 +77,8 @@ _SAME = {
     "mils": "mil",
     "micron": "um",
     "m/m": "strain",
+    "°/s": "deg/s",
+    "dps": "deg/s",
     **dict.fromkeys(("um/m", "uε", "ue", "ustr", "uepsilon", "microstrain"), "ustrain"),
 }
 _AXES = {  # to Hz or s
@@ -91,9 +107,10 @@ def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
     allowed = get_args(Quantity)
     if quantity and quantity not in allowed:
         raise DataError(f"quantity {quantity!r}{did_you_mean(quantity, allowed)}")
-    text = unit.strip().lower().replace("²", "^2").replace("µ", "u").replace("μ", "u")
+    text = "N*m" if unit.strip() == "Nm" else unit  # nm is a billionth of a metre
+    text = text.strip().lower().replace("·", "*").replace("²", "^2").replace("µ", "u").replace("μ", "u")
     if not text:
-        return quantity or "unknown", 1.0, {**SI_UNIT, "force": "N"}.get(quantity, "")  # type: ignore[return-value]
+        return quantity or "unknown", 1.0, UNIT.get(quantity, "")  # type: ignore[return-value]
     text = text.replace("/sec", "/s").replace("/s/s", "/s^2")
     text = _SAME.get(text, text[:-1] + "^2" if text.endswith("/s2") else text)
     if text not in _UNITS:

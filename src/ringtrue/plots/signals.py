@@ -6,6 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.motions import FORCES, LINEAR
 from ringtrue.core.signals import FrfSet
 from ringtrue.plots.style import (
     FINAL,
@@ -28,7 +29,10 @@ _FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "
 
 def frf_unit(data: FrfSet) -> str:
     """Of its values; of transmissibilities 1."""
-    return _FRF_UNITS[data.kind] if all(c.quantity == "force" for c in data.inputs) else "1"
+    if not all(c.quantity in FORCES for c in data.inputs):
+        return "1"
+    turns = any(c.quantity in LINEAR for c in (*data.outputs, *data.inputs))
+    return "SI" if turns else _FRF_UNITS[data.kind]
 
 
 def record(summary: RecordSummary, unit: str) -> go.Figure:

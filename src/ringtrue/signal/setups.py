@@ -11,7 +11,7 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.blows import joined
 from ringtrue.core.lines import shared_lines
-from ringtrue.core.motions import OF_KIND, SI_UNIT, as_motion
+from ringtrue.core.motions import OF_KIND, as_motion, channel
 from ringtrue.core.signals import FrfKind, FrfSet
 from ringtrue.errors import DataError
 
@@ -110,5 +110,5 @@ def _part(p: FrfSet, at: Int, kind: FrfKind) -> FrfSet:
         return p
     motion, wanted = OF_KIND[p.kind], OF_KIND[kind]
     data = as_motion(p.data[at], p.freqs[at], motion, wanted, p.window_decay)
-    outputs = tuple(replace(c, quantity=wanted, unit=SI_UNIT[wanted]) for c in p.outputs)
+    outputs = tuple(replace(channel(c.id, wanted), sensor=c.sensor) for c in p.outputs)
     return replace(p, data=data, freqs=p.freqs[at], coherence=p.coherence[at], outputs=outputs, kind=kind)

@@ -116,7 +116,7 @@ def _reduced(
     loaded = excited(found, at)
     dofs, more = opened.analysis.dofs, named[len(modes.channels) :]
     observation = _observation(opened, config, modes.channels, base)
-    observation = observation.and_also(at_dofs(more, dofs)) if more else observation
+    observation = observation.and_also(at_dofs(more, dofs, opened.length)) if more else observation
     top = ABOVE * float(target.frequencies.max())
     count = len(opened.modes(top).modes)
     basis = reduced(model, parameters, observation, count)

@@ -195,7 +195,7 @@ def placed(
     """
     if sheet is None:
         try:
-            return at_dofs(tuple(channels), opened.analysis.dofs if dofs is None else dofs)
+            return at_dofs(tuple(channels), opened.analysis.dofs if dofs is None else dofs, opened.length)
         except DataError as e:
             raise DataError(
                 f"{e}; where points have numbers of their own give --sensors, or [test] sheet of a study"

@@ -138,7 +138,7 @@ class Workbench:
     def _extended(self, seen: Observation, name: str) -> Observation:
         """With the channels of what was measured beside the modes; those that are not on the sheet are DOFs."""
         more = tuple(c for c in channels_of(self.measured(name)) if c not in set(seen.channels))
-        seen = seen.and_also(at_dofs(more, seen.dofs)) if more else seen
+        seen = seen.and_also(at_dofs(more, seen.dofs, self.length)) if more else seen
         self._channels[name] = seen.channels
         return seen
 
@@ -212,7 +212,7 @@ class Workbench:
     def observed(self, opened: Opened, test: TestModel | None, channels: Sequence[str]) -> Observation:
         """The bridge to the channels of another configuration's sheet; without a sheet they are DOFs of the deck."""
         if test is None:
-            return at_dofs(tuple(channels), opened.analysis.dofs)
+            return at_dofs(tuple(channels), opened.analysis.dofs, opened.length)
         return self.bridge(opened, test)
 
     def bridge(self, opened: Opened, test: TestModel | None = None) -> Observation:

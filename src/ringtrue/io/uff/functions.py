@@ -12,14 +12,14 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.dofs import NAMES
 from ringtrue.core.lines import shared_lines
-from ringtrue.core.motions import FRF_KIND, SI_UNIT, as_motion, base_motion
+from ringtrue.core.motions import ANGULAR, FORCES, FRF_KIND, LINEAR, SI_UNIT, UNIT, as_motion, base_motion, channel
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError, about
 from ringtrue.io.frf_lines import known_lines
 from ringtrue.io.plain import RawTable
 from ringtrue.io.si import known, to_si
 from ringtrue.io.times import even_rate
-from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TIME_AXIS, TRANSMISSIBILITY, Function, read_function
+from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TIME_AXIS, TRANSMISSIBILITY, Axis, Function, read_function
 from ringtrue.io.uff.scan import scan
 from ringtrue.io.uff.tables import Units, read_units
 
@@ -32,7 +32,6 @@ _QUANTITY: dict[int, Quantity] = {
     12: "acceleration",
     13: "force",
 }
-_SI = {**SI_UNIT, "force": "N"}
 _REST = 0.6  # of the functions, that must be left where some pairs are absent
 _DIGITS = 5  # after the first, of a step
 _GENERAL = 0
@@ -79,7 +78,7 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
     """A table for each acquisition where every channel comes as often: triggered blows, one after the other."""
     functions, units = _functions(path)
     found = _time_functions(functions, path)
-    keys = [(*f.response, _motion(f.axes[1].unit, f.axes[1].data_type, units)[0]) for f in found]
+    keys = [(*f.response, _signal(f, units)[0]) for f in found]
     times = {keys.count(k) for k in dict.fromkeys(keys)}
     if len(set(keys)) < 2 or len(times) > 1 or times == {1} or _titles(found):
         return (_time_table(found, units, path),)
@@ -106,9 +105,9 @@ def _time_table(found: Sequence[Function], units: Units | None, path: Path) -> R
     if max(rates) - min(rates) > 1e-4 * max(rates):
         raise DataError(f"{path}: different rates, {min(rates):g} to {max(rates):g} Hz; split the file")
     length = min(f.y.size for f in found)
-    kinds, factors = zip(*(_motion(f.axes[1].unit, f.axes[1].data_type, units) for f in found), strict=True)
+    kinds, factors = zip(*(_signal(f, units) for f in found), strict=True)
     data = np.stack([np.real(f.y[:length]) * x for f, x in zip(found, factors, strict=True)])
-    return RawTable(data, rates[0], _names(found, kinds), tuple(_SI.get(k, "") for k in kinds), tuple(kinds))
+    return RawTable(data, rates[0], _names(found, kinds), tuple(UNIT.get(k, "") for k in kinds), tuple(kinds))
 
 
 def _rate(f: Function, path: Path) -> float:
@@ -131,7 +130,9 @@ def _factor(quantity: str, units: Units | None) -> float:
     """To SI: data set 164 holds file units per SI unit."""
     if units is None:
         return 1.0
-    return 1 / {"force": units.force, "unknown": 1.0}.get(quantity, units.length)
+    bare = ("strain", "unknown", *(ANGULAR[motion] for motion in SI_UNIT))
+    one: dict[str, float] = {"force": units.force, "moment": units.force * units.length, **dict.fromkeys(bare, 1.0)}
+    return 1 / one.get(quantity, units.length)
 
 
 def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ...]:
@@ -141,7 +142,7 @@ def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ..
     names = [label(*f.response) for f in functions]
     if len(set(names)) == len(names):
         return tuple(names)
-    named = [f"F:{n}" if k == "force" else n for n, k in zip(names, kinds, strict=True)]
+    named = [f"F:{n}" if k in FORCES else n for n, k in zip(names, kinds, strict=True)]
     if len(set(named)) == len(named):
         return tuple(named)
     return tuple(f"{n}#{i + 1}" for i, n in enumerate(names))
@@ -251,17 +252,21 @@ def _si(f: Function, units: Units | None) -> tuple[Quantity, float]:
     """Quantity of the response of an FRF and the factor to SI: by the units on its axes, else by data set 164.
 
     A motion over the same motion of a base is taken as an acceleration: the base is what forces of inertia act for.
+    Motions about an axis are those along it by name; their unit is radian.
     """
     over, under = f.axes[1], f.axes[2]
+    about, turned = (abs(end[1]) > 3 for end in (f.response, f.reference))
     text, tail = over.unit.strip(), under.unit.strip()
     base = _QUANTITY.get(under.data_type, "unknown")
     if _on_base(f):
-        (what, size), (_, moved) = _motion(text, over.data_type, units), _motion(tail, under.data_type, units)
+        (what, size), (_, moved) = _motion(over, text, units, about), _motion(under, tail, units, turned)
+        what = LINEAR.get(what, what)
         return "acceleration" if what in ("unknown", base) or base == "unknown" else what, size / moved
-    if not _measures(tail, "force") and _measures(text.rpartition("/")[2], "force"):
+    if not _acts(tail) and _acts(text.rpartition("/")[2]):
         text, _, tail = text.rpartition("/")
-    quantity, motion = _motion(text, over.data_type, units)
-    return quantity, motion / (to_si(tail)[1] if _measures(tail, "force") else _factor("force", units))
+    quantity, motion = _motion(over, text, units, about)
+    force = to_si(tail.strip("() "))[1] if _acts(tail) else _factor("moment" if turned else "force", units)
+    return LINEAR.get(quantity, quantity), motion / force
 
 
 def _on_base(f: Function) -> bool:
@@ -269,17 +274,27 @@ def _on_base(f: Function) -> bool:
     return f.kind == TRANSMISSIBILITY or _QUANTITY.get(f.axes[2].data_type, "unknown") in FRF_KIND
 
 
-def _motion(unit: str, data_type: int, units: Units | None) -> tuple[Quantity, float]:
+def _motion(axis: Axis, unit: str, units: Units | None, about: bool) -> tuple[Quantity, float]:
     """Quantity of an axis and its factor to SI; the unit counts where it is known and not another quantity's."""
-    quantity = _QUANTITY.get(data_type, "unknown")
+    quantity = _QUANTITY.get(axis.data_type, "unknown")
     unit = unit.strip("() ")
-    if unit and known(unit) and quantity in ("unknown", to_si(unit)[0]):
-        return to_si(unit)[:2]
+    if unit and known(unit):
+        told, factor, _ = to_si(unit)
+        if quantity in ("unknown", LINEAR.get(told, told)):
+            return told, factor
+    quantity = ANGULAR.get(quantity, quantity) if about else quantity
     return quantity, _factor(quantity, units)
 
 
-def _measures(unit: str, quantity: str) -> bool:
-    return bool(unit and known(unit)) and to_si(unit)[0] == quantity
+def _signal(f: Function, units: Units | None) -> tuple[Quantity, float]:
+    """Quantity of a time function and its factor to SI."""
+    return _motion(f.axes[1], f.axes[1].unit, units, abs(f.response[1]) > 3)
+
+
+def _acts(unit: str) -> bool:
+    """Whether a unit is one of forces or moments."""
+    unit = unit.strip("() ")
+    return bool(unit and known(unit)) and to_si(unit)[0] in FORCES
 
 
 def _ends(functions: Sequence[Function]) -> list[tuple[str, str]]:
@@ -332,7 +347,7 @@ def _on_lines(f: Function, freqs: Float) -> Function | None:
 
 def _channels(ends: Sequence[tuple[str, str]], kind: Quantity) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
     outputs, inputs = (dict.fromkeys(both[k] for both in ends) for k in (0, 1))
-    return tuple(Channel(n, kind, _SI.get(kind, "")) for n in outputs), tuple(Channel(n, "force", "N") for n in inputs)
+    return tuple(channel(n, kind) for n in outputs), tuple(channel(n, "force") for n in inputs)
 
 
 def _place(

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.core.motions import FORCES, LINEAR
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.uff.function58 import COHERENCE, FREQUENCY_AXIS, FRF, TIME, TIME_AXIS, write_function
@@ -28,7 +29,7 @@ def write_frf_sets(path: str | Path, frfs: FrfSet, *, binary: bool = False) -> N
         for j in range(len(frfs.inputs)):
             for i, channel in enumerate(frfs.outputs):
                 rsp, ref = _pair(out, i), _pair(inp, j)
-                codes = (FREQUENCY_AXIS, _CODE.get(channel.quantity, 0), _CODE["force"])
+                codes = (FREQUENCY_AXIS, _code(channel), _CODE["force"])
                 h, coherence = frfs.data[:, i, j], frfs.coherence[:, i, j]
                 file.write(write_function(FRF, frfs.freqs, h, rsp, ref, codes=codes, text="FRF", binary=binary))
                 if np.isfinite(coherence).all():
@@ -37,6 +38,11 @@ def write_frf_sets(path: str | Path, frfs: FrfSet, *, binary: bool = False) -> N
                         COHERENCE, frfs.freqs, coherence, rsp, ref, codes=codes, text="Coherence", binary=binary
                     )
                     file.write(block)
+
+
+def _code(channel: Channel) -> int:
+    """Of a motion or force; about an axis that of those along it: the direction, 4 to 6, tells them apart."""
+    return _CODE.get(LINEAR.get(channel.quantity, channel.quantity), 0)
 
 
 def _pair(dofs: DofSet, i: int) -> tuple[int, int]:
@@ -52,8 +58,8 @@ def write_time(path: str | Path, history: TimeHistory, *, binary: bool = True) -
     t = np.arange(history.data.shape[1]) / history.rate
     with atomic_write(path) as part, part.open("wb") as file:
         for i, channel in enumerate(history.channels):
-            code = (TIME_AXIS, _CODE.get(channel.quantity, 0), 0)
-            here = _point(channel.id.removeprefix("F:") if channel.quantity == "force" else channel.id, i)
+            code = (TIME_AXIS, _code(channel), 0)
+            here = _point(channel.id.removeprefix("F:") if channel.quantity in FORCES else channel.id, i)
             y = np.asarray(history.data[i], dtype=np.float64)
             file.write(write_function(TIME, t, y, here, (0, 0), codes=code, text=channel.id, binary=binary))
 
