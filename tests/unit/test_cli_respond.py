@@ -181,7 +181,7 @@ MOMENT,1,2,4,30.,1.,0.,0.
 LOAD,5,2.,3.,1,1.,2
 GRAV,2,4,9.81,0.,1.,0.
 FORCE,3,2,4,100.,0.,2.,0.
-RFORCE,9,1,,3.
+TEMPRB,9,1,3.
 """
 
 
@@ -256,7 +256,7 @@ def test_rotations_by_modes_and_directly_agree(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("LOAD = 3", "LOAD = 9", "RFORCE is not supported: of a static load, FORCE, MOMENT, GRAV"),
+        ("LOAD = 3", "LOAD = 9", "TEMPRB is not supported: of a static load, FORCE, MOMENT, GRAV"),
         ("LOAD = 3", "LOAD = 33", "load set 33 is not in the deck"),
         ("LOAD = 3", "LOAD = 3\n  SPC = 2", "SUBCASE 8 has other"),
         ("FORCE,3,2", "FORCE,3,22", "SUBCASE 8: FORCE names node 22, which is not in the deck"),
@@ -268,6 +268,17 @@ def test_loads_that_cannot_be_taken(tmp_path: Path, old: str, new: str, told: st
     (tmp_path / "d.bdf").write_text(BAR.replace(old, new))
     assert run(["static", str(tmp_path / "d.bdf"), "--at", "2+Z"]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_displaced_supports_are_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
+    deck = tmp_path / "d.bdf"
+    deck.write_text(BAR.replace("SPC1,1,123456,1", "SPC1,1,12456,1\nSPC,1,1,3,0.5").replace("LOAD = 3", "LOAD = 2"))
+    assert run(["static", str(deck), "--force", "2+Z", "--at", "1+Z"]) == 2
+    assert "displaces a support (D)" in capsys.readouterr().err
+    assert run(["static", str(deck), "--at", "1+Z", "--json", "-"]) == 0
+    told = capsys.readouterr()
+    assert [c["metre"] for c in json.loads(told.out)["cases"]] == [{"1+Z": 0.5}] * 3
+    assert "is held" not in told.err
 
 
 @pytest.mark.parametrize(

@@ -143,14 +143,15 @@ def test_a_direction_of_a_cylindrical_frame_turns_with_the_place(tmp_path: Path)
         (("PLOAD4,1,1,1.",), "element 1: G1 = 0 and G3/G4 = blank mean no face of the CHEXA"),
         (("PLOAD,1,1.,5,6,77",), "a node of the face is not in the deck"),
         (("PLOAD4,1,2,1.", ",,,,,LINE"), "loads along edges"),
-        (("RFORCE,1,1,,3.",), "RFORCE is not supported: of a static load, FORCE"),
+        (("TEMPP1,1,1,3.",), "TEMPP1 is not supported: of a static load, FORCE"),
+        (("RFORCE,1,1,,3.,0.,0.,1.,1", ",2."), "RFORCE field RACC: angular accelerations"),
+        (("RFORCE,1,77,,3.,0.,0.,1.",), "RFORCE names node 77, which is not in the deck"),
         (("FORCE1,1,6,5.,5,55",), "FORCE names node 55"),
         (("PLOAD,1,1.,5,6",), "PLOAD field G1: three or four nodes span a face"),
         (("FORCE,1,6,,1.+200,0.,0.,1.+200",), "SUBCASE 1: the loads are too large"),
         (("FORCE1,1,0,5.,5,6",), "FORCE1 field G: 0 is no node"),
         (("FORCE,1,0,,5.,0.,0.,1.",), "FORCE field G: 0 is no node"),
         (("FORCE1,1,6,5.,5,5",), "which are at one place"),
-        (("PLOAD2,1,1.,2", "SPC,1,5,3,.01"), "displaces a support (D)"),
     ],
 )
 def test_what_cannot_be_taken(tmp_path: Path, cards: tuple[str, ...], told: str, capsys: Capture) -> None:

@@ -26,7 +26,7 @@ from ringtrue.io.statics import COLUMNS
 from ringtrue.model.damping import ModalDamping
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
-from ringtrue.study.loads import load_vectors
+from ringtrue.study.loads import load_vectors, refuse_displaced, support_motions
 
 _SIDES = ("metre", "radian")
 ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
@@ -145,8 +145,9 @@ def _responses(
     return analysis.frf(heard, into, freqs, basis, damping=damping, kind=kind)
 
 
-def _warn_of_held(analysis: EmbeddedAnalysis, *ends: DofSet) -> None:
+def _warn_of_held(analysis: EmbeddedAnalysis, *ends: DofSet, moved: Float | None = None) -> None:
     free = np.diff(analysis.system.transform.indptr) > 0
+    free |= False if moved is None else moved.any(axis=1)
     points = [c for end in ends for c in end.labels()]
     row = np.concatenate([analysis.dofs.find(end.node, end.direction) for end in ends])
     if lost := [c for c, r in zip(points, row, strict=True) if r < 0]:
@@ -210,7 +211,7 @@ def static(
     """Deflections of a deck under its own loads, or under single forces, each a load case of its own.
 
     Directions are those of the basic frame, results in SI, of moments (3+RZ=2, N m) and rotations too. Of the deck
-    forces, moments, pressures, PLOAD1 on beams and GRAV are read.
+    forces, moments, pressures, PLOAD1 on beams, GRAV, RFORCE and displaced supports (SPCD, SPC) are read.
 
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """
@@ -227,11 +228,16 @@ def static(
         model, cases = (read_deck(deck), ()) if force else read_loaded_deck(deck)
         show(0.3, "solving")
         with EmbeddedSolver().open(model) as analysis:
-            _warn_of_held(analysis, heard, into)
-            acting = load_vectors(model, analysis.dofs, cases)
             if force:
-                acting = _unit_loads(analysis, into) * (newtons * into.per_length(metres) / (unit_mass(units) * metres))
-            moved = (_unit_loads(analysis, heard).T @ analysis.static(acting)).T * (metres * heard.per_length(metres))
+                refuse_displaced(model)
+                newton = into.per_length(metres) / (unit_mass(units) * metres)
+                acting, carried = _unit_loads(analysis, into) * (newtons * newton), np.zeros((len(analysis.dofs), 1))
+            else:
+                drawn, carried = support_motions(model, analysis.dofs, cases)
+                acting = load_vectors(model, analysis.dofs, cases) + drawn
+            _warn_of_held(analysis, heard, into, moved=carried)
+            found = analysis.static(acting) + carried
+            moved = (_unit_loads(analysis, heard).T @ found).T * (metres * heard.per_length(metres))
     names = [f"{p}={n:g}" for p, n in zip(into.labels(), newtons, strict=True)] or [c.name for c in cases]
     if table:
         _write_static(table, list(zip(into.labels(), newtons.tolist(), moved.tolist(), strict=True)), heard.labels())

@@ -10,5 +10,5 @@ Parameters: `change` a model with other fields, `slopes` and `derivatives` of ma
 All parameters together: `dependence` fixed matrices times `functions`; `powers` and `products` where these
 are polynomials, `regions`, `nodes`, `interpolation` and `series` where not.
 
-Answers: `response`; loads of surfaces: `pressure`, of beams: `line_loads`.
+Answers: `response`; loads of surfaces: `pressure`, of beams: `line_loads`, of masses: `body_loads`.
 """

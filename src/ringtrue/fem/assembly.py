@@ -238,7 +238,7 @@ def rayleigh(model: Model) -> tuple[float, float]:
     return model.param("ALPHA1", 0.0), model.param("ALPHA2", 0.0)
 
 
-def _pieces(m: Mesh) -> Iterator[Matrices]:
+def pieces(m: Mesh) -> Iterator[Matrices]:
     """The element matrices, of so many elements at a time that they never fill the memory."""
     for card, build, at in batches(m.model):
         for first in range(0, at.size, _PIECE):
@@ -248,7 +248,7 @@ def _pieces(m: Mesh) -> Iterator[Matrices]:
 def _totals(m: Mesh) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array, sparse.csr_array]:
     """Stiffness, mass, viscous damping and Σ g_e K_e (n, n) over the full basic DOFs, each element computed once."""
     K, M, B, S = (Sum(m.size) for _ in range(4))
-    for p in _pieces(m):
+    for p in pieces(m):
         K.add(p.dofs, p.stiffness)
         M.add(p.dofs, p.mass)
         if len(p.viscous):

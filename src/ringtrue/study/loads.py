@@ -1,4 +1,4 @@
-"""Static load cases of a deck as vectors."""
+"""Static load cases of a deck as vectors: forces, inertia, and supports that are displaced."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
+from ringtrue.fem.body_loads import spin_forces
+from ringtrue.fem.constraints import supports
 from ringtrue.fem.elements import bar
 from ringtrue.fem.kinds import SOLIDS
 from ringtrue.fem.line_loads import LineKind, line_forces
 from ringtrue.fem.mesh import Mesh, mesh
 from ringtrue.fem.pressure import SURFACES, face, face_forces
-from ringtrue.io.nastran.loads import LINE_KINDS, LineLoad, Load, LoadCase, Pressure
+from ringtrue.io.nastran.loads import LINE_KINDS, LineLoad, Load, LoadCase, Moved, Pressure, Spin
 from ringtrue.model.choices import taken_sets
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
@@ -33,10 +35,8 @@ def load_vectors(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float
     Raises
     ------
     InputError
-        If a load names a node, element or face that is not in the model, a support is displaced (D of SPC), or
-        the loads overflow.
+        If a load names a node, element or face that is not in the model, or the loads overflow.
     """
-    _refuse_displaced(model)
     with np.errstate(over="ignore", invalid="ignore"):  # told here
         out = _summed(model, dofs, cases)
     if (wild := ~np.isfinite(out).all(axis=0)).any():
@@ -57,18 +57,91 @@ def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
                 gravity[:, j] += _vector(model, xyz, case, ld)
         _press(out[:, j], model, xyz, [ld for ld in case.loads if isinstance(ld, Pressure)])
         _load_beams(out[:, j], model, [ld for ld in case.loads if isinstance(ld, LineLoad)])
+        for ld in (ld for ld in case.loads if isinstance(ld, Spin)):
+            out[:, j] += ld.factor * spin_forces(mesh(model), *_axis(model, xyz, case, ld))
     if gravity.any():  # all masses, those at supports too, which hang on what is free by a consistent mass
         whole = assemble(unconstrained(model))
         out += whole.local.T @ (whole.mass @ (whole.rigid_body()[:, :3] @ gravity))
     return out
 
 
-def _refuse_displaced(model: Model) -> None:
+def _axis(model: Model, xyz: Float, case: LoadCase, ld: Spin) -> tuple[Float, Float]:
+    """A point of the axis and the angular velocity in basic, rad/s."""
+    origin = np.zeros(3)
+    if ld.node:
+        if (row := int(model["GRID"].find(np.array([ld.node]))[0])) < 0:
+            raise InputError(f"{case.name}: RFORCE names node {ld.node}, which is not in the deck")
+        origin = xyz[row]
+    return origin, np.asarray(np.asarray(ld.vector) @ axes(model, np.array([ld.cid]), origin[None])[0])
+
+
+def support_motions(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> tuple[Float, Float]:
+    """What displaced supports (D of SPC, SPCD) do, deck units.
+
+    Returns
+    -------
+    loads : (dof, case) float64
+        Those that the displaced supports exert on what is free.
+    moved : (dof, case) float64
+        Motions of the supports and of what rigid elements and MPCs tie to them, beside the answer to all loads.
+
+    Raises
+    ------
+    DeckError
+        If an SPCD is at a degree of freedom that is not held.
+    """
+    loads, moved = (np.zeros((len(dofs), len(cases))) for _ in range(2))
+    given = [{**_displaced(model), **_enforced(model, case)} for case in cases]
+    if any(given):
+        whole = assemble(unconstrained(model))
+        q = np.zeros((len(whole.free), len(cases)))
+        for j, at in enumerate(given):
+            node, component = np.array(list(at), dtype=np.int64).reshape(-1, 2).T
+            column = whole.free.find(node, component)
+            column = np.where(column < 0, whole.free.find(node, 0 * component), column)  # of a scalar point
+            q[column, j] = list(at.values())
+        moved = np.asarray(whole.transform @ q)
+        loads = -np.asarray(whole.local.T @ (whole.stiffness @ q))
+    return loads, moved
+
+
+def _displaced(model: Model) -> dict[tuple[int, int], float]:
+    """D of SPC by node and component."""
+    if "SPC" not in model:
+        return {}
+    table = model["SPC"]
+    rows = np.flatnonzero(np.isin(table["SID"], taken_sets(model, "SPC")) & (table["D"] != 0)).tolist()
+    return {(int(table["G"][i]), int(c)): float(table["D"][i]) for i in rows for c in table["C"][i] or "0"}
+
+
+def _enforced(model: Model, case: LoadCase) -> dict[tuple[int, int], float]:
+    """SPCD by node and component; those of several sets add up."""
+    out: dict[tuple[int, int], float] = {}
+    given = [ld for ld in case.loads if isinstance(ld, Moved)]
+    if given:
+        m = mesh(model)
+        held = supports(m)
+    for ld in given:
+        row = int(m.dofs.find(np.array([ld.node]), np.array([ld.component]))[0])
+        if row < 0 or not held[row]:
+            raise ld.error(f"node {ld.node} component {ld.component or ''} is held by no SPC, SPC1 or PS")
+        out[ld.node, ld.component] = out.get((ld.node, ld.component), 0.0) + ld.size
+    return out
+
+
+def refuse_displaced(model: Model) -> None:
+    """Refuse supports that D of SPC displaces.
+
+    Raises
+    ------
+    DeckError
+        At the first.
+    """
     if "SPC" in model:
         table = model["SPC"]
         rows = np.flatnonzero(np.isin(table["SID"], taken_sets(model, "SPC")) & (table["D"] != 0))
         if rows.size:
-            raise error(model, table, int(rows[0]), "displaces a support (D); ringtrue holds supports at 0")
+            raise error(model, table, int(rows[0]), "displaces a support (D); forces alone act on one that is at 0")
 
 
 def _vector(model: Model, xyz: Float, case: LoadCase, ld: Load) -> Float:

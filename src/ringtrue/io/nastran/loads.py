@@ -90,7 +90,42 @@ class LineLoad:
         return DeckError(why, path=self.place[0], line=self.place[1], card="PLOAD1")
 
 
-AnyLoad = Load | Pressure | LineLoad
+@dataclass(frozen=True, slots=True)
+class Spin:
+    """Centrifugal forces (RFORCE) about an axis through `node`, 0 for the origin of basic.
+
+    `vector`, rad/s, is along the axis in frame `cid`; the forces are multiplied by `factor`.
+    """
+
+    node: int
+    cid: int
+    vector: Vector
+    factor: float = 1.0
+
+    def times(self, factor: float) -> Spin:
+        """The forces multiplied."""
+        return replace(self, factor=factor * self.factor)
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A held component of `node` displaced by `size` (SPCD), in its displacement frame; deck units."""
+
+    place: tuple[str, int]
+    node: int
+    component: int
+    size: float
+
+    def times(self, factor: float) -> Moved:
+        """The displacement multiplied."""
+        return replace(self, size=factor * self.size)
+
+    def error(self, why: str) -> DeckError:
+        """An error at the place of the card."""
+        return DeckError(why, path=self.place[0], line=self.place[1], card="SPCD")
+
+
+AnyLoad = Load | Pressure | LineLoad | Spin | Moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,6 +259,24 @@ def _pload1(r: Reader) -> list[AnyLoad]:
     return [LineLoad(_place(r), eid, kind, (first, last), sizes, scale[:2] == "FR", projected)]
 
 
+def _rforce(r: Reader) -> list[AnyLoad]:
+    """RFORCE: SID G CID A R1 R2 R3 METHOD RACC MB IDRF."""
+    if r.real(8, "RACC", 0.0) or r.whole(10, "IDRF", 0):
+        raise r.fail("RACC", "angular accelerations and sets of elements (IDRF) are not read; a steady spin of all is")
+    turns = 2 * np.pi * r.real(3, "A", 0.0)
+    x, y, z = _vector(r, 4)
+    return [Spin(r.whole(1, "G", 0), r.whole(2, "CID", 0), (turns * x, turns * y, turns * z))]
+
+
+def _spcd(r: Reader) -> list[AnyLoad]:
+    """SPCD: SID G1 C1 D1 G2 C2 D2; components as in SPC, 0 or blank for a scalar point."""
+    out = list[AnyLoad]()
+    for at in (i for i in (1, 4) if r.text(i)):
+        node, size = r.whole(at, "G"), r.real(at + 2, "D", 0.0)
+        out += [Moved(_place(r), node, int(c), size) for c in r.text(at + 1) or "0"]
+    return out
+
+
 _READ: Mapping[str, Callable[[Reader], list[AnyLoad]]] = {
     **dict.fromkeys(("FORCE", "MOMENT", "GRAV"), _force),
     **dict.fromkeys(("FORCE1", "MOMENT1"), _between),
@@ -231,4 +284,6 @@ _READ: Mapping[str, Callable[[Reader], list[AnyLoad]]] = {
     "PLOAD1": _pload1,
     "PLOAD2": _pload2,
     "PLOAD4": _pload4,
+    "RFORCE": _rforce,
+    "SPCD": _spcd,
 }
