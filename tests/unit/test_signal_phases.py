@@ -8,6 +8,7 @@ from five_modes import PHI, RATE, F, motion, record
 from scipy.signal import butter, hilbert, sosfilt
 
 from ringtrue.identify.ambient import identify_ambient
+from ringtrue.identify.ambient_record import in_phase
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.align import at_positions
 from ringtrue.signal.phases import channel_phases, in_step
@@ -30,6 +31,15 @@ def test_the_later_recorder_is_found_to_a_twentieth_of_a_sample():
     assert found.known.sum() >= 6
     assert found.delay[found.known] == pytest.approx(late[found.known], abs=0.05 / RATE)
     assert not found.odd.any()
+
+
+@pytest.mark.parametrize(("samples", "told"), [(0.15, False), (0.4, True)])
+def test_parts_of_a_sample_are_told_where_they_are_more_than_scatter(samples: float, told: bool):
+    y = motion().copy()
+    y[3] = at_positions(y[[3]], np.arange(y.shape[1]) - samples)[0]
+    moved, notes = in_phase(record(y), mend=True)
+    assert [n.split(":")[0] for n in notes] == told * ["channel 4+Z"]
+    assert (moved.data.shape != y.shape) == told
 
 
 @pytest.mark.parametrize("unit", [1e-14, 1e8])

@@ -118,9 +118,10 @@ def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[st
     ids, notes = np.array([c.id for c in history.channels]), []
     place = np.rint(2 * found.delay * history.rate)
     for k in np.unique(place[found.delay != 0]):
-        lag, done = found.delay[place == k].mean(), "moved back" if mend else "they must be aligned first"
-        late = f"{' '.join(ids[place == k].tolist())}: {abs(lag):.3g} s {'after' if lag > 0 else 'before'} the others"
-        notes.append(f"channel {late} by the phases of the cross spectra; {done}")
+        late = (place == k) & (found.delay != 0)
+        lag, done = found.delay[late].mean(), "moved back" if mend else "they must be aligned first"
+        when = f"{abs(lag):.3g} s {'after' if lag > 0 else 'before'} the others"
+        notes.append(f"channel {' '.join(ids[late].tolist())}: {when} by the phases of the cross spectra; {done}")
     for rate in np.unique(found.drift[found.drift != 0]):
         names = " ".join(ids[found.drift == rate].tolist())
         done = "taken out" if mend else "the records must be aligned first"
