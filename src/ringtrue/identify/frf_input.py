@@ -112,7 +112,8 @@ def _unmoved(frfs: FrfSet, typical: float) -> list[str]:
     names = ", ".join(f"{frfs.outputs[i].id} ({of_each[i]:.2f})" for i in np.flatnonzero(low).tolist())
     others = np.nanmedian(of_each[~low])
     return [
-        f"coherence of {names}, {others:.2f} of the others: what does not follow the force has a loose cable or is dead"
+        f"coherence of {names}, {others:.2f} of the others: what does not follow the force hardly moves, has a loose "
+        "cable or is dead"
     ]
 
 

@@ -205,7 +205,10 @@ def placed(
     if lost := [c for c in channels if c not in known]:
         near = did_you_mean(lost[0], test.channels)
         name = "" if isinstance(sheet, TestModel) else f"{sheet}: "
-        raise DataError(f"{name}channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}")
+        raise DataError(
+            f"{name}channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}; its column `channel` names "
+            "rows as the test does"
+        )
     if align:
         test = alignment(test, opened, align).move(test)
     return opened.observation(test.pick(tuple(channels)), tolerance, method, dofs=dofs)
