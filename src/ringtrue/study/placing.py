@@ -206,8 +206,8 @@ def placed(
         near = did_you_mean(lost[0], test.channels)
         name = "" if isinstance(sheet, TestModel) else f"{sheet}: "
         raise DataError(
-            f"{name}channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}; its column `channel` names "
-            "rows as the test does"
+            f"{name}channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}; its column `channel` "
+            "names rows as the test does"
         )
     if align:
         test = alignment(test, opened, align).move(test)
