@@ -213,6 +213,8 @@ def test_what_was_measured_beside_modes_is_fitted_and_told(capsys: Capture, fold
         (("--residuals", "eigenvalues,shape"), "did you mean 'shapes'"),
         (("--residuals", ","), "at least one of eigenvalues"),
         (("--starts", "3", "--checkpoint", "x.json"), "does not go with --starts"),
+        (("--search", "global", "--checkpoint", "x.json"), "does not go with --starts and --search global"),
+        (("--search", "global", "--solver", "mystran"), "takes thousands of points"),
     ],
 )
 def test_wrong_options_are_refused(capsys: Capture, folder: Path, words: tuple[str, ...], told: str) -> None:

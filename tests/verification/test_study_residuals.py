@@ -149,6 +149,7 @@ def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path:
         'step = "levenberg-marquardt"\nloss = "huber"\n',
         'prior = "evidence"\ndiscrepancy = "evidence"\n',
         "starts = 3\n",
+        'search = "global"\n',
         'stages = [["stiffness"], ["stiffness", "density"]]\n',
         'residuals = ["frequencies", "mac"]\nfrequency_error = 0.005\n',
     ],

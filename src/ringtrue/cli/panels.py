@@ -54,6 +54,6 @@ OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parame
     "update": {
         "What is compared": ("residuals", "frf", "static", "mass"),
         "How it is weighed": ("prior", "loss", "discrepancy", "frequency", "mac_percent"),
-        "How the best model is sought": ("method", "starts", "seed", "checkpoint", "solver_name"),
+        "How the best model is sought": ("method", "starts", "search", "seed", "checkpoint", "solver_name"),
     },
 }

@@ -25,6 +25,7 @@ from ringtrue.study.config_update import (
     Discrepancy,
     FrfResidual,
     MassResidual,
+    Search,
     StaticResidual,
     UpdateSection,
 )
@@ -73,7 +74,11 @@ def update(
     starts: Annotated[
         int | None, typer.Option(metavar="N", help="Starts; the first is the deck as it is.", min=1)
     ] = None,
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Seed of the starts.", min=0)] = None,
+    search: Annotated[
+        str | None,
+        one_of("--search", get_args(Search), "Where it begins: at the best of the starts, or a global search"),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Seed of starts and search.", min=0)] = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keep the last iterate here; go on from it if it is there.")
     ] = None,
@@ -92,12 +97,19 @@ def update(
 
     Example: ringtrue update study.toml modes.json --leave-out 3,7 --out updated
     """
-    words = {"step": method, "prior": prior, "loss": loss, "discrepancy": discrepancy, "starts": starts}
+    words = {
+        "step": method,
+        "prior": prior,
+        "loss": loss,
+        "discrepancy": discrepancy,
+        "starts": starts,
+        "search": search,
+    }
     config = _settings(read_config(study), words, residuals, frequency, mac_percent, (frf, static, mass))
     solver_name = solver_name or (config.model.solver if config.model else EMBEDDED)
     anew = solver_name != EMBEDDED
+    _check(config.update, checkpoint, anew)
     engine = solver(solver_name) if anew else None
-    _check(config.update, checkpoint)
     if config.model is None or not config.candidate:
         raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
     if anew and config.residual:
@@ -131,10 +143,12 @@ def update(
     return 0 if good else 1
 
 
-def _check(u: UpdateSection, checkpoint: Path | None) -> None:
+def _check(u: UpdateSection, checkpoint: Path | None, anew: bool) -> None:
     """Options before any work."""
-    if u.starts > 1 and checkpoint is not None:
-        raise ConfigError("--checkpoint keeps one iterate: it does not go with --starts")
+    if anew and u.search == "global":
+        raise ConfigError("--search global takes thousands of points: it needs the embedded solver")
+    if not u.begins_at_the_deck and checkpoint is not None:
+        raise ConfigError("--checkpoint keeps one iterate: it does not go with --starts and --search global")
     if u.prior != "study" and checkpoint is not None:
         raise ConfigError("--checkpoint keeps no weight of the prior: it goes with --prior study only")
 

@@ -319,6 +319,11 @@ class StudyConfig(_Section):
                 f"[[residual]] {self.residual[0].kind}: [model] solver {self.model.solver!r} gives modes alone; what "
                 "was measured beside them needs the embedded solver"
             )
+        anywhere = "global" in (self.update.search, *(s.search for s in self.set))
+        if anywhere and self.model is not None and self.model.solver != EMBEDDED:
+            raise ValueError(
+                f'search = "global" takes thousands of points: [model] solver {self.model.solver!r} cannot'
+            )
         if self.configuration and (self.model is None or self.test is None):
             raise ValueError("configurations need a [model] and a [test] that they are others of")
         if self.model is not None and self.model.refine:

@@ -12,6 +12,7 @@ Positive = Annotated[float, Field(gt=0)]
 
 ALONE = ("eigenvalues", "frequencies")  # residuals that need no shapes
 Step = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]
+Search = Literal["starts", "global"]
 Discrepancy = Literal["found", "assumed", "evidence"]
 Prior = Literal["study", "evidence", "gcv", "l-curve"]
 Robust = Literal["squares", "huber", "tukey"]
@@ -46,6 +47,7 @@ class UpdateSection(_Section):
     prior: Prior = "study"  # rule for the weight of the prior
     loss: Robust = "squares"  # against a wrong mode
     starts: int = Field(default=1, gt=0)  # the first is the deck
+    search: Search = "starts"  # where it begins: at the best of these, or where a global search inside the bounds ends
     stages: list[list[str]] = []  # growing sets of candidates that are freed one after the other
 
     @field_validator("residuals")
@@ -74,7 +76,14 @@ class UpdateSection(_Section):
     def plain(self) -> bool:
         """Whether eigenvalues and shapes are compared by squares, with a prior and errors as given or left over."""
         usual = self.loss == "squares" and self.prior == "study" and self.discrepancy != "evidence"
-        return usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.starts == 1 and not self.stages
+        return (
+            usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.begins_at_the_deck and not self.stages
+        )
+
+    @property
+    def begins_at_the_deck(self) -> bool:
+        """Whether there is one start, at the deck."""
+        return self.starts == 1 and self.search == "starts"
 
 
 class UncertaintySection(_Section):
@@ -104,6 +113,7 @@ class SetSection(_Section):
     prior: Prior | None = None
     loss: Robust | None = None
     starts: int | None = Field(default=None, gt=0)
+    search: Search | None = None
 
     def own(self) -> dict[str, object]:
         """What it does otherwise."""

@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.update.multistart import latin_hypercube, multi_start
+from ringtrue.update.multistart import global_search, latin_hypercube, multi_start
 from ringtrue.update.settle import Course, Settled
 from ringtrue.update.settle import settled as settled_from
 from ringtrue.update.several import Problem
@@ -32,7 +32,8 @@ def further(u: UpdateSection) -> UpdateSection | None:
     Modes that change places between the deck and the structure make minima in which each is paired with its neighbour,
     and some without partner.
     """
-    return None if u.step == "published" or u.starts >= STARTS else u.model_copy(update={"starts": STARTS})
+    enough = u.starts >= STARTS or u.search == "global"
+    return None if u.step == "published" or enough else u.model_copy(update={"starts": STARTS})
 
 
 def settled(
@@ -64,7 +65,7 @@ def begun(
     told: Progress | None = None,
     checkpoint: Path | None = None,
 ) -> Solution:
-    """Where the gates lead: from the best end of several starts, after sets that grow stage by stage, or the deck."""
+    """Where the gates lead: from a global search, the best end of several starts, sets that grow, or the deck."""
     start, limit = _start(problem, u, course.method, seed, progress), course.iterations
     return solve(problem, course.method, start=start, iterations=limit, checkpoint=checkpoint, progress=told)
 
@@ -72,6 +73,8 @@ def begun(
 def _start(problem: Problem, u: UpdateSection, method: Method, seed: int, progress: Progress) -> Float:
     members = problem.parameters.names
     start: Float = np.zeros(problem.size)
+    if u.search == "global":
+        return np.array(global_search(problem, np.random.default_rng([seed, 9]), method, progress=progress).y)
     if u.starts > 1:
         more = latin_hypercube(problem.parameters, u.starts - 1, np.random.default_rng([seed, 9]))
         rows, limits = problem.inequalities()
