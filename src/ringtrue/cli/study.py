@@ -94,6 +94,8 @@ def run(
         tell(told(result.results))
         out.print(f"report: {path}")
         _verdict(stated)
+    if result.altered:
+        err.print(f"edited while the study ran, which took it as it was: {', '.join(result.altered)}; run it again")
     for line in missed_words(result.config, result.results):
         err.print(f"not accepted: {line}")
     if outcome:

@@ -43,6 +43,9 @@ class StudyRun:
     results: Mapping[str, Any]
     timings: Mapping[str, float] = field(default_factory=dict)
     loaded: tuple[str, ...] = ()
+    altered: tuple[
+        str, ...
+    ] = ()  # inputs that were edited while it ran: the results are of what they were at its start
 
     @property
     def config(self) -> StudyConfig:
@@ -64,16 +67,23 @@ def _hashed(path: Path, mtime: int, size: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def _seen_from(base: Path, path: Path) -> str:
+    """The path as seen from the folder of the study."""
+    return Path(os.path.relpath(path.resolve(), base.resolve())).as_posix()
+
+
 def _digests(paths: Iterable[Path], base: Path) -> dict[str, str]:
     """SHA-256 by the path as seen from the folder of the study."""
-    home = base.resolve()
-    return {Path(os.path.relpath(p.resolve(), home)).as_posix(): _digest(p) for p in dict.fromkeys(paths)}
+    return {_seen_from(base, p): _digest(p) for p in dict.fromkeys(paths)}
 
 
-def stage_key(stage: Stage, desk: Workbench, upstream: Mapping[str, str]) -> str:
-    """A hash over the stage's settings, its input files, the version and the keys of the stages it needs."""
+def stage_key(stage: Stage, desk: Workbench, upstream: Mapping[str, str], inputs: Mapping[str, str]) -> str:
+    """A hash over the stage's settings, its input files, the version and the keys of the stages it needs.
+
+    The files are those that the run began with (`inputs`, SHA-256 by path): it has read the deck, and may read no more.
+    """
     settings = {name: json.loads(json.dumps(_plain(attrgetter(name)(desk.config)))) for name in stage.settings}
-    files = _digests(stage.files(desk), desk.base)
+    files = {name: inputs[name] for name in (_seen_from(desk.base, p) for p in stage.files(desk))}
     needs = {n: upstream[n] for n in stage.needs if n in upstream}
     text = json.dumps([__version__, stage.name, settings, files, needs], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -161,21 +171,21 @@ def run_study(
     ConfigError
         On a study file that is wrong or a stage that does not exist.
     """
-    config = read_config(study)
+    config, text = read_config(study), study.read_text(encoding="utf-8")
     folder = out or study.parent
     desk = Workbench(config, study.parent, folder, Store(folder / "study.h5"))
     start, stop = _span(desk, first, until)
     todo = [s for s in STAGES[: stop + 1] if s.applies(desk)]
     _check_targets(desk, todo)
-    inputs = [f for s in todo for f in s.files(desk)]
-    _digests(inputs, desk.base)  # a file that is lost is found before anything is computed
+    files = [study, *(f for s in todo for f in s.files(desk))]
+    inputs = _digests(files, desk.base)  # a file that is lost is found before anything is computed
     keys: dict[str, str] = {}
     timings: dict[str, float] = {}
     loaded = []
     try:
         for i, stage in enumerate(todo):
             progress(i / len(todo), stage.title)
-            keys[stage.name] = key = stage_key(stage, desk, keys)
+            keys[stage.name] = key = stage_key(stage, desk, keys, inputs)
             stored = desk.store.key(stage.name)
             if _position(stage.name) < start and stored == key:
                 loaded.append(stage.name)
@@ -189,22 +199,34 @@ def run_study(
             log.info("%s: %.1f s", stage.name, timings[stage.name])
     except BaseException:  # stopped by the user, too: what is stored can be reported, and the next run resumes
         if timings:
-            _sign(desk, inputs, study, timings)
+            _sign(desk, inputs, text, timings)
         raise
     progress(1.0, f"{todo[-1].title}: done")
     results = {s.name: desk.get(s.name) for s in todo}
-    made = _sign(desk, inputs, study, timings)
-    return StudyRun(folder, desk, results | {"provenance": made}, made.timings, tuple(loaded))
+    made = _sign(desk, inputs, text, timings)
+    altered = tuple(name for p in dict.fromkeys(files) if _now(p) != inputs[name := _seen_from(desk.base, p)])
+    return StudyRun(folder, desk, results | {"provenance": made}, made.timings, tuple(loaded), altered)
 
 
-def _sign(desk: Workbench, files: Iterable[Path], study: Path, timings: Mapping[str, float]) -> Provenance:
-    made = provenance(desk, files, study, timings)
+def _now(path: Path) -> str:
+    """Its SHA-256; empty where it is gone."""
+    try:
+        return _digest(path)
+    except DataError:
+        return ""
+
+
+def _sign(desk: Workbench, inputs: Mapping[str, str], text: str, timings: Mapping[str, float]) -> Provenance:
+    made = provenance(desk, inputs, text, timings)
     desk.store.save("provenance", "", made)
     return made
 
 
-def provenance(desk: Workbench, files: Iterable[Path], study: Path, timings: Mapping[str, float]) -> Provenance:
-    """Where the results came from; seconds of stages that were loaded are those of their own run."""
+def provenance(desk: Workbench, inputs: Mapping[str, str], text: str, timings: Mapping[str, float]) -> Provenance:
+    """Where the results came from; seconds of stages that were loaded are those of their own run.
+
+    `inputs` are SHA-256 by path, `text` that of study.toml: as the run began.
+    """
     before = desk.get("provenance").timings if "provenance" in desk.store.stages() else {}
     return Provenance(
         __version__,
@@ -213,8 +235,8 @@ def provenance(desk: Workbench, files: Iterable[Path], study: Path, timings: Map
         platform.platform(),
         desk.config.study.seed,
         datetime.now(UTC).isoformat(timespec="seconds"),
-        _digests([study, *files], desk.base),
-        study.read_text(encoding="utf-8"),
+        dict(inputs),
+        text,
         {**before, **timings},
         os.path.relpath(desk.base.resolve(), desk.out.resolve()),
     )
