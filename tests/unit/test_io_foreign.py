@@ -539,6 +539,25 @@ def test_a_vector_a_channel_in_hdf5_and_tdms(tmp_path):
         np.testing.assert_allclose(got.data, SIGNAL)
 
 
+@pytest.mark.parametrize(
+    "unit", ["g", b"g", np.array([b"g"]), "counts of 24 bits"], ids=["text", "bytes", "array", "free"]
+)
+def test_vectors_of_one_group_have_their_own_names_units_and_rate(tmp_path, unit):
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file.create_group("Acquisition").attrs["sample_rate"] = 256.0
+        for name, y in zip("abc", SIGNAL, strict=True):
+            file[f"Acquisition/{name}"] = y
+            file[f"Acquisition/{name}"].attrs["Unit"] = unit
+    got = read_record(tmp_path / "r.h5")
+    assert [c.id for c in got.channels] == ["a", "b", "c"]
+    known = not isinstance(unit, str) or unit == "g"
+    assert {c.quantity for c in got.channels} == {"acceleration" if known else "unknown"}
+    np.testing.assert_allclose(got.data, SIGNAL * (9.80665 if known else 1.0))
+    with h5py.File(tmp_path / "r.h5", "a") as file:
+        file["Wind/a"] = SIGNAL[0]
+    assert [c.id for c in read_record(tmp_path / "r.h5").channels][-2:] == ["Acquisition.c", "Wind.a"]
+
+
 def test_an_array_of_channels_by_samples(tmp_path):
     np.save(tmp_path / "r.npy", SIGNAL)
     np.testing.assert_array_equal(read_record(tmp_path / "r.npy", 256.0).data, SIGNAL)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.si import known
 from ringtrue.io.times import LONG, THIN, even_grid, in_seconds, uneven
 
 _RATE_NAMES = ("rate", "fs", "samplingrate", "samplerate", "fsamp", "fsample", "sr")  # in letters and digits
@@ -184,14 +185,24 @@ def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
         check_stored(v, path)
     samples = max(v.size for v in one.values())
     short = {k.rpartition("/")[2]: v[()] for k, v in one.items() if v.size == samples}
-    attrs = {k.lower(): v for o in (file, *one.values()) for k, v in o.attrs.items()}
+    groups = {v.parent.name: v.parent for v in one.values()}
+    attrs = {k.lower(): v for o in (file, *groups.values(), *one.values()) for k, v in o.attrs.items()}
     scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1}
     rate, rows = time_grid(short, samples, path, named_rate({**scalars, **attrs}))
     signals = {k: v for k, v in one.items() if v.size == samples and not is_time(k.rpartition("/")[2])}
     if not signals:
         return None
     table = numbered(np.stack([v[()].astype(np.float64) for v in signals.values()]), rate)
-    return replace(table, names=tuple(k.replace("/", ".") for k in signals), rows=rows)
+    alone = len({v.parent.name for v in signals.values()}) == 1
+    names = tuple(k.rpartition("/")[2] if alone else k.replace("/", ".") for k in signals)
+    return replace(table, names=names, units=tuple(_unit(v) for v in signals.values()), rows=rows)
+
+
+def _unit(data: h5py.Dataset) -> str:
+    """Of an attribute `unit` or `units`; empty where there is none, or free text."""
+    told = next((v for k, v in data.attrs.items() if k.lower() in ("unit", "units")), "")
+    text = np.ravel(told)[0] if np.size(told) == 1 else ""
+    return known(text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text))
 
 
 def h5_values(path: Path, value: Callable[[str, h5py.Dataset], Any], kind: str = "HDF5") -> dict[str, Any]:
