@@ -181,7 +181,8 @@ MOMENT,1,2,4,30.,1.,0.,0.
 LOAD,5,2.,3.,1,1.,2
 GRAV,2,4,9.81,0.,1.,0.
 FORCE,3,2,4,100.,0.,2.,0.
-TEMPRB,9,1,3.
+ACCEL1,9,,3.,0.,0.,1.
+,1
 """
 
 
@@ -256,7 +257,7 @@ def test_rotations_by_modes_and_directly_agree(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("LOAD = 3", "LOAD = 9", "TEMPRB is not supported: of a static load, FORCE, MOMENT, GRAV"),
+        ("LOAD = 3", "LOAD = 9", "ACCEL1 is not supported: of a static load, FORCE, MOMENT, GRAV"),
         ("LOAD = 3", "LOAD = 33", "load set 33 is not in the deck"),
         ("LOAD = 3", "LOAD = 3\n  SPC = 2", "SUBCASE 8 has other"),
         ("FORCE,3,2", "FORCE,3,22", "SUBCASE 8: FORCE names node 22, which is not in the deck"),

@@ -211,7 +211,7 @@ def static(
     """Deflections of a deck under its own loads, or under single forces, each a load case of its own.
 
     Directions are those of the basic frame, results in SI, of moments (3+RZ=2, N m) and rotations too. Of the deck
-    forces, moments, pressures, PLOAD1 on beams, GRAV, RFORCE and displaced supports (SPCD, SPC) are read.
+    forces, moments, pressures, PLOAD1 on beams, GRAV, RFORCE, TEMP, TEMPD and displaced supports (SPCD, SPC) are read.
 
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """

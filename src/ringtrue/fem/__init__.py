@@ -10,5 +10,6 @@ Parameters: `change` a model with other fields, `slopes` and `derivatives` of ma
 All parameters together: `dependence` fixed matrices times `functions`; `powers` and `products` where these
 are polynomials, `regions`, `nodes`, `interpolation` and `series` where not.
 
-Answers: `response`; loads of surfaces: `pressure`, of beams: `line_loads`, of masses: `body_loads`.
+Answers: `response`; loads of surfaces: `pressure`, of beams: `line_loads`, of masses: `body_loads`, of heat:
+`thermal`.
 """

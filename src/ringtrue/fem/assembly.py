@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -238,17 +238,18 @@ def rayleigh(model: Model) -> tuple[float, float]:
     return model.param("ALPHA1", 0.0), model.param("ALPHA2", 0.0)
 
 
-def pieces(m: Mesh) -> Iterator[Matrices]:
-    """The element matrices, of so many elements at a time that they never fill the memory."""
-    for card, build, at in batches(m.model):
-        for first in range(0, at.size, _PIECE):
-            yield build(m, card, at[first : first + _PIECE])
+def pieces(m: Mesh, rows: Mapping[str, Int] | None = None) -> Iterator[tuple[str, Int, Matrices]]:
+    """Card, rows and matrices of elements, all or those given, of so many at a time that they never fill the memory."""
+    for card, build, of_card in batches(m.model, rows):
+        for first in range(0, of_card.size, _PIECE):
+            at = of_card[first : first + _PIECE]
+            yield card, at, build(m, card, at)
 
 
 def _totals(m: Mesh) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array, sparse.csr_array]:
     """Stiffness, mass, viscous damping and Σ g_e K_e (n, n) over the full basic DOFs, each element computed once."""
     K, M, B, S = (Sum(m.size) for _ in range(4))
-    for p in pieces(m):
+    for _, _, p in pieces(m):
         K.add(p.dofs, p.stiffness)
         M.add(p.dofs, p.mass)
         if len(p.viscous):

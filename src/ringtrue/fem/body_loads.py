@@ -28,7 +28,7 @@ def spin_forces(m: Mesh, origin: Float, spin: Float) -> Float:
     field = np.zeros(m.size)
     pull = spin @ spin * np.eye(3) - np.outer(spin, spin)  # -ω × (ω × r)
     field[: 6 * len(m.xyz)].reshape(-1, 6)[:, :3] = (m.xyz - origin) @ pull
-    for p in pieces(m):
+    for _, _, p in pieces(m):
         _add(out, p.dofs, _times(p.mass, field[p.dofs.clip(min=0)]))
     if "CONM2" in m.model:
         p = mass.build(m, "CONM2", np.arange(len(m.model["CONM2"])))

@@ -19,7 +19,8 @@ from ringtrue.fem.kinds import SOLIDS
 from ringtrue.fem.line_loads import LineKind, line_forces
 from ringtrue.fem.mesh import Mesh, mesh
 from ringtrue.fem.pressure import SURFACES, face, face_forces
-from ringtrue.io.nastran.loads import LINE_KINDS, LineLoad, Load, LoadCase, Moved, Pressure, Spin
+from ringtrue.fem.thermal import thermal_forces
+from ringtrue.io.nastran.loads import LINE_KINDS, LineLoad, Load, LoadCase, Moved, Pressure, Spin, Warmth
 from ringtrue.model.choices import taken_sets
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
@@ -59,9 +60,22 @@ def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
         _load_beams(out[:, j], model, [ld for ld in case.loads if isinstance(ld, LineLoad)])
         for ld in (ld for ld in case.loads if isinstance(ld, Spin)):
             out[:, j] += ld.factor * spin_forces(mesh(model), *_axis(model, xyz, case, ld))
+        if case.warmth is not None:
+            out[:, j] += thermal_forces(mesh(model), _temperatures(model, case.name, case.warmth))
     if gravity.any():  # all masses, those at supports too, which hang on what is free by a consistent mass
         whole = assemble(unconstrained(model))
         out += whole.local.T @ (whole.mass @ (whole.rigid_body()[:, :3] @ gravity))
+    return out
+
+
+def _temperatures(model: Model, case: str, given: Warmth) -> Float:
+    """Of the rows of GRID, (node,); NaN where none is given."""
+    out = np.full(len(model["GRID"]), given.others)
+    ids, values = np.array(given.nodes, dtype=np.float64).reshape(-1, 2).T
+    rows = model["GRID"].find(ids.astype(np.int64))
+    if (rows < 0).any():
+        raise InputError(f"{case}: TEMP names node {int(ids[int(rows.argmin())])}, which is not in the deck")
+    out[rows] = values
     return out
 
 

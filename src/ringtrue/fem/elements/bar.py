@@ -281,7 +281,7 @@ def _between(a: Any_, b: Any_, x: Float) -> Any_:
     return np.asarray(a[:, None] + (b - a)[:, None] * x)
 
 
-def _offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
+def offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
     """Arms (e, 2, 3) in basic from the nodes to the ends: W in the CD frames or, by OFFT, in the element's frame.
 
     Raises
@@ -345,7 +345,7 @@ def measure(m: Mesh, card: str, at: Int) -> Float:
     """Lengths (e,) of the rows `at` between their offset ends."""
     t = m.model[card]
     nodes = m.nodes(t.stack("GA", "GB")[at], t, at)
-    return segment(m.xyz[nodes] + _offsets(m, card, at, nodes))[0]
+    return segment(m.xyz[nodes] + offsets(m, card, at, nodes))[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -373,7 +373,7 @@ def place(m: Mesh, card: str, at: Int) -> Placed:
     """
     t = m.model[card]
     nodes = m.nodes(t.stack("GA", "GB")[at], t, at)
-    arms = _offsets(m, card, at, nodes)
+    arms = offsets(m, card, at, nodes)
     x = m.xyz[nodes] + arms
     short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
     if short.any():

@@ -24,8 +24,8 @@ STIFFENING = {  # commands that bring in stiffness which is not read, and how th
 }
 _PRESTRESS = re.compile(r"\s*SOL[\s=]+(18[2-9]|.*PRESTRESS)", re.I)  # modes and responses under load, by Autodesk
 _UNREAD = ("K2PP", "M2PP", "B2PP", "K42GG", "A2GG", "TFL")  # matrices of other solutions
-_LOADING = ("TEMP(LOAD)", "DEFORM", "P2G")  # what else acts in statics, and is not read
-_NAMES = (*_CHOICES, *STIFFENING, *_UNREAD, *_LOADING, "LOAD")
+_LOADING = ("TEMP(INIT)", "DEFORM", "P2G")  # what else acts in statics, and is not read
+_NAMES = (*_CHOICES, *STIFFENING, *_UNREAD, *_LOADING, "LOAD", "TEMP(LOAD)")
 _SHORT = {
     "METH": "METHOD",
     "TITL": "TITLE",
@@ -70,8 +70,9 @@ def _sections(top: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
         name = _SHORT.get(name[:4], name)
         if begun and found and name in _NAMES and (found[2] or "").upper() != "(FLUID)":
             sections[-1][1][name] = found[3]
-            if name == "TEMPERATURE" and not re.match(r"\(\s*(MAT|INIT)", found[2] or "", re.I):
-                sections[-1][1]["TEMP(LOAD)"] = found[3]
+            if name == "TEMPERATURE" and (kind := re.match(r"\(?\s*(MAT|INIT|)", (found[2] or "").upper())):
+                of = {"MAT": "TEMP(MAT)", "INIT": "TEMP(INIT)"}.get(kind[1], "TEMP(LOAD)")
+                sections[-1][1][of] = found[3]
     return sections
 
 
@@ -82,28 +83,33 @@ def _not_taken(top: Sequence[str], found: Mapping[str, str]) -> tuple[int, ...]:
     return tuple(n for n, c in every if "METHOD" in c and any(c.get(k) != found.get(k) for k in _SETS))
 
 
-def load_sets(top: Sequence[str]) -> list[tuple[str, int]]:
-    """Names of the subcases with a LOAD, and the numbers of their sets.
+def load_sets(top: Sequence[str]) -> list[tuple[str, int, int]]:
+    """Names of the subcases with a LOAD or TEMPERATURE(LOAD), and the numbers of their sets, 0 for none.
 
     Raises
     ------
     DeckError
-        If a LOAD is no number, or a subcase has other sets of SPC or MPC than those that count for modes, or acts by
-        temperatures and the like, too.
+        If one is no number, or a subcase has other sets of SPC or MPC than those that count for modes, or acts by
+        deformations and the like, too.
     """
     (_, common), *subcases = _sections(top)
     every = [(f"SUBCASE {n}", {**common, **choices}) for n, choices in subcases] or [("LOAD", common)]
     taken, out = commands(top), []
     for name, choices in every:
-        if "LOAD" not in choices:
+        if not {"LOAD", "TEMP(LOAD)"} & choices.keys():
             continue
         if any(choices.get(k) != taken.get(k) for k in _SETS):
             raise DeckError(f"{name} has other {', '.join(_SETS)} than the subcase that is taken; give it alone")
-        if other := next((k for k in _LOADING if k in choices), None):
-            raise DeckError(f"{name} has {other} = {choices[other]}: of static loads only those of LOAD are read")
-        if not re.fullmatch(r"\d{1,18}", choices["LOAD"], re.A):
-            raise DeckError(f"LOAD = {choices['LOAD']} in case control: it must be the number of a set")
-        out.append((name, int(choices["LOAD"])))
+        unread = _LOADING if "TEMP(LOAD)" in choices else _LOADING[1:]
+        if other := next((k for k in unread if k in choices), None):
+            raise DeckError(
+                f"{name} has {other} = {choices[other]}: of static loads those of LOAD and TEMP(LOAD) are read"
+            )
+        numbers = [choices.get(kind, "0") for kind in ("LOAD", "TEMP(LOAD)")]
+        for kind, text in zip(("LOAD", "TEMP(LOAD)"), numbers, strict=True):
+            if not re.fullmatch(r"\d{1,18}", text, re.A):
+                raise DeckError(f"{kind} = {text} in case control: it must be the number of a set")
+        out.append((name, int(numbers[0]), int(numbers[1])))
     return out
 
 

@@ -125,6 +125,14 @@ class Moved:
         return DeckError(why, path=self.place[0], line=self.place[1], card="SPCD")
 
 
+@dataclass(frozen=True, slots=True)
+class Warmth:
+    """Temperatures of nodes (TEMP), and of all others (TEMPD, NaN without)."""
+
+    nodes: tuple[tuple[int, float], ...]
+    others: float
+
+
 AnyLoad = Load | Pressure | LineLoad | Spin | Moved
 
 
@@ -134,6 +142,7 @@ class LoadCase:
 
     name: str
     loads: tuple[AnyLoad, ...]
+    warmth: Warmth | None = None
 
 
 def load_cases(found: Cards) -> tuple[LoadCase, ...]:
@@ -144,11 +153,33 @@ def load_cases(found: Cards) -> tuple[LoadCase, ...]:
     DeckError
         If there is none, a set is not in the deck, a field is no number, or subcases have other SPC or MPC.
     UnsupportedCard
-        If a set has loads of other cards, such as RFORCE.
+        If a set has loads of other cards, such as ACCEL1 or TEMPP1.
     """
     if not (asked := load_sets(found.deck.top)):
         raise DeckError("case control has no LOAD: give one, or --force", path=found.deck.files[0])
-    return tuple(LoadCase(name, _of_set(found, number)) for name, number in asked)
+    return tuple(
+        LoadCase(name, _of_set(found, load) if load else (), _warmth(found, warm) if warm else None)
+        for name, load, warm in asked
+    )
+
+
+def _warmth(found: Cards, number: int) -> Warmth:
+    """The temperatures of a set: TEMP: SID G1 T1 G2 T2 G3 T3, and TEMPD: SID1 T1 SID2 T2 and so on."""
+    nodes, others = dict[int, float](), float("nan")
+    for name in (n.decode() for n in found.kinds()[0].tolist() if n.startswith(b"TEMP")):
+        for c in written_out(found, name):
+            r = Reader(c, found.deck.files)
+            if name == "TEMPD":
+                sets = {r.whole(i, "SID"): r.real(i + 1, "T") for i in (0, 2, 4, 6) if r.text(i)}
+                others = sets.get(number, others)
+            elif r.text(0) == str(number) and name != "TEMP":
+                why = "of temperatures, TEMP and TEMPD are read"
+                raise UnsupportedCard(name, path=found.deck.files[c.file], line=c.line, why=why)
+            elif r.text(0) == str(number):
+                nodes |= {r.whole(i, "G"): r.real(i + 1, "T") for i in (1, 3, 5) if r.text(i)}
+    if not nodes and np.isnan(others):
+        raise DeckError(f"temperature set {number} is not in the deck", path=found.deck.files[0])
+    return Warmth(tuple(nodes.items()), others)
 
 
 def _of_set(found: Cards, number: int) -> tuple[AnyLoad, ...]:
@@ -164,7 +195,7 @@ def _alone(found: Cards, number: int) -> tuple[AnyLoad, ...]:
     """The loads of a set, without LOAD."""
     out = list[AnyLoad]()
     for name in (n.decode() for n in found.kinds()[0].tolist()):
-        if name == "LOAD" or not name.startswith(PRELOADS):
+        if name == "LOAD" or name.startswith("TEMP") or not name.startswith(PRELOADS):
             continue
         for c in written_out(found, name):  # over the loads, which are few beside the elements
             r = Reader(c, found.deck.files)
