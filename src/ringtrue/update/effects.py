@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes
 from ringtrue.fem.assembly import System
 from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.derivatives import bilinear
+from ringtrue.fem.derivatives import bilinear, congruent
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduce.affine import observed_system
@@ -28,7 +28,6 @@ from ringtrue.update.objective import Target, residual
 NEAR = 16  # modes of the model along which the force residual of a test mode is taken
 EXPANDED = 0.02  # relative error of a measured shape that its expansion may leave as misfit
 SHARP = 0.3  # what candidates shall explain is small beside the discrepancy that an updating assumes
-AT_ONCE = 40_000_000  # numbers of the vectors that are worked on at a time
 CLOSE = 1e-6  # relative distance of eigenvalues below which modes only rotate into each other
 LEAST = 1e-5  # share of a mode's strain and kinetic energy below which a candidate does not change it
 
@@ -94,8 +93,40 @@ def misfits(
     aim: Target,
 ) -> tuple[tuple[Float, Float], ...]:
     """`paired_residual` and `force_residual`: what the test finds wrong near the model, and far from it."""
-    given = (model, system, candidates, values, vectors, seen, aim)
-    return paired_residual(*given), force_residual(*given)
+    chosen = parameters(candidates)
+    kinds = _paired(chosen, values, seen, aim), _force(chosen, values, seen, aim)
+    return _evaluated(model, system, chosen, vectors, kinds)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Kind:
+    """A kind of residual before the candidates are asked.
+
+    Attributes
+    ----------
+    near : (k, n) int64
+        Modes φ_k of the model that each vector v is taken along.
+    u : (m, n) float64
+        The vectors v in the modes.
+    made : callable (φ_kᵀ∂Kv, φ_kᵀ∂Mv), (k, n, p) each -> misfit (r,) and slopes (r, p)
+    """
+
+    near: Int
+    u: Float
+    made: Callable[[Float, Float], tuple[Float, Float]]
+
+
+def _evaluated(
+    model: Model, system: System, chosen: ParameterSet, vectors: Float, kinds: Sequence[_Kind]
+) -> tuple[tuple[Float, Float], ...]:
+    """The residuals of all kinds, from one pass over the elements."""
+    found = [np.zeros((2, *kind.near.shape, len(chosen))) for kind in kinds]
+    for i, *both in congruent(model, chosen.parameters, system, vectors):
+        for kind, out in zip(kinds, found, strict=True):
+            for total, change in zip(out, both, strict=True):
+                if change.size:
+                    total[:, :, i] += np.take_along_axis(change @ kind.u, kind.near, 0)
+    return tuple(kind.made(*out) for kind, out in zip(kinds, found, strict=True))
 
 
 def force_residual(
@@ -127,7 +158,12 @@ def force_residual(
     slopes : (n, p) float64
         −∂misfit/∂x in units of the prior.
     """
-    f, chosen = aim.frequencies[aim.used], parameters(candidates)
+    chosen = parameters(candidates)
+    return _evaluated(model, system, chosen, vectors, [_force(chosen, values, seen, aim)])[0]
+
+
+def _force(chosen: ParameterSet, values: Float, seen: Float, aim: Target) -> _Kind:
+    f = aim.frequencies[aim.used]
     omega2 = (2 * np.pi * f) ** 2
     energy = np.diag(np.abs(values) + omega2.min())
     own = np.diag(values), np.eye(values.size)
@@ -138,9 +174,12 @@ def force_residual(
     gap, along = np.take_along_axis(gap, near, 0), np.take_along_axis(u, near, 0)
     of_frequency = 2 * np.hypot(SHARP * aim.weights.frequency, aim.std[aim.used]) * omega2
     sigma = np.hypot(SHARP * np.sqrt(aim.weights.mac) * gap, of_frequency)
-    dk, dm = _along(model, system, chosen, vectors, near, u)
-    slopes = (omega2[:, None] * dm - dk) / sigma[:, :, None]
-    return (gap * along / sigma).ravel(), slopes.reshape(gap.size, len(chosen)) * chosen.std()
+
+    def made(dk: Float, dm: Float) -> tuple[Float, Float]:
+        slopes = (omega2[:, None] * dm - dk) / sigma[:, :, None]
+        return (gap * along / sigma).ravel(), slopes.reshape(gap.size, len(chosen)) * chosen.std()
+
+    return _Kind(near, u, made)
 
 
 def paired_residual(
@@ -158,39 +197,35 @@ def paired_residual(
     no part in it. Derivatives of shapes along the modes nearest to each (Fox and Kapoor 1968). Arguments and results as
     of `force_residual`.
     """
-    chosen, far = parameters(candidates), np.abs(values - values[:, None])
+    chosen = parameters(candidates)
+    return _evaluated(model, system, chosen, vectors, [_paired(chosen, values, seen, aim)])[0]
+
+
+def _paired(chosen: ParameterSet, values: Float, seen: Float, aim: Target) -> _Kind:
+    far = np.abs(values - values[:, None])
     np.fill_diagonal(far, -1.0)  # the first is the mode itself
     near = np.argsort(far, axis=0, kind="stable")[:NEAR]
-    dk, dm = _along(model, system, chosen, vectors, near, np.eye(values.size))
-    slope = dk - values[:, None] * dm
     gap = values - values[near]
     apart = np.abs(gap) > CLOSE * np.abs(values)
-    share = np.where(apart[:, :, None], slope / np.where(apart, gap, 1.0)[:, :, None], 0.0)
-    share[0] = -dm[0] / 2
-    now = Linearisation(
-        np.zeros(len(chosen)),
-        np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi),
-        seen,
-        slope[0],
-        np.einsum("ckm,kmp->cmp", seen[:, near], share),
-    )
     w = aim.weights
-    weights = replace(w, frequency=SHARP * w.frequency, mac=SHARP**2 * w.mac, independent=errors_of_shapes(aim, now))
-    r = residual(replace(aim, weights=weights), now)
-    return r.value, r.slope * chosen.std()
 
+    def made(dk: Float, dm: Float) -> tuple[Float, Float]:
+        slope = dk - values[:, None] * dm
+        share = np.where(apart[:, :, None], slope / np.where(apart, gap, 1.0)[:, :, None], 0.0)
+        share[0] = -dm[0] / 2
+        now = Linearisation(
+            np.zeros(len(chosen)),
+            np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi),
+            seen,
+            slope[0],
+            np.einsum("ckm,kmp->cmp", seen[:, near], share),
+        )
+        many = errors_of_shapes(aim, now)
+        weights = replace(w, frequency=SHARP * w.frequency, mac=SHARP**2 * w.mac, independent=many)
+        r = residual(replace(aim, weights=weights), now)
+        return r.value, r.slope * chosen.std()
 
-def _along(
-    model: Model, system: System, chosen: ParameterSet, vectors: Float, near: Int, u: Float
-) -> tuple[Float, Float]:
-    """φ_kᵀ∂Kv and φ_kᵀ∂Mv of v = `vectors` u (f, n) along the modes k of `near` (k, n), (k, n, p) each."""
-    dk, dm = np.empty((2, *near.shape, len(chosen)))
-    step = max(1, AT_ONCE // (len(near) * vectors.shape[0]))
-    for first in range(0, near.shape[1], step):
-        at = slice(first, first + step)
-        left = np.stack([vectors[:, modes] for modes in near[:, at]])
-        dk[:, at], dm[:, at] = bilinear(model, chosen.parameters, system, left, vectors @ u[:, at])
-    return dk, dm
+    return _Kind(near, np.eye(values.size), made)
 
 
 def reduced_candidates(
