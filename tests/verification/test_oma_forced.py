@@ -6,6 +6,8 @@ second and the third mode (people, waves).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -93,6 +95,17 @@ def test_a_force_that_comes_again_moves_no_mode(factor: float, delay: float, see
     assert len(r.modes) == STOREYS, (r.modes.frequencies, r.notes)
     assert (np.abs(r.modes.frequencies - chain()[0]) < 5 * r.uncertainty.frequency).all()
     assert any(f"comes again {delay:.3g} s later" in n for n in r.notes)
+
+
+def test_an_echo_is_found_in_channels_of_unequal_noise() -> None:
+    """Sensor noise of 1 % to 20 %, channel by channel: it flattens the ripple of one more than that of another."""
+    clean = echoed(0.5, 1.7, 1)
+    rng, size = np.random.default_rng(1), np.linspace(0.01, 0.2, STOREYS)[:, None]
+    data = clean.data + size * clean.data.std(axis=1, keepdims=True) * rng.standard_normal(clean.data.shape)
+    echo = without_echo(replace(clean, data=data))[1]
+    assert echo is not None
+    assert abs(echo.delay - 1.7) < 0.5 / RATE
+    assert abs(echo.factor - 0.5) < 0.15  # noise hides a part of the ripple
 
 
 @pytest.mark.parametrize("zeta", [0.001, 0.01])

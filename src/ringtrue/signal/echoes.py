@@ -20,8 +20,9 @@ from ringtrue.signal.listened import listened_spectrum
 
 SHORTEST, LONGEST = 16, 0.01  # samples, and share of the record
 SURE = 6.0  # standard deviations of a peak; half of them below 0 for that at 2τ
-TIP, AROUND, ABOVE = 2, 1.4, 2.5  # samples to each side; range of τ either way, over whose highest peak it must stand
-ALIKE = 0.2  # scatter over the channels, of the peak
+TIP, AROUND, ABOVE = 2, 1.4, 2.0  # samples to each side; range of τ either way, over whose highest peak it must stand
+ALIKE = 0.3  # scatter over the channels, of the peak
+TWICE = 0.2, 1.0  # of the square of the factor, at 2τ: 1/2 but for resonances
 FEWEST, SAMPLES, JOIN = 3, 1 << 18, 8  # channels; samples that are looked at; lines of their transform in one
 LEAST = 1e-10  # of the mean power: below is the rounding of recorders
 FLOOR, LOUD = 0.05, 0.7  # of the lines: their level is that of noise, which has no echo; share of an echo that tells it
@@ -48,7 +49,7 @@ def without_echo(history: TimeHistory) -> tuple[TimeHistory, Echo | None]:
     power = np.einsum("cfk,cfk->cf", lines, lines)
     log = np.log(np.maximum(power, LEAST * power.mean(axis=1, keepdims=True)))
     log -= log.mean(axis=1, keepdims=True)
-    if not (at := _peak(irfft(log, 2 * log.shape[1], axis=1)[:, : log.shape[1]], int(LONGEST * n))):
+    if not (at := _peak(log, int(LONGEST * n))):
         return history, None
     turn = 2 * np.pi / n * (JOIN * np.arange(log.shape[1]) + 0.5 * (JOIN - 1))
     echo, share = _measured(log.mean(axis=0, dtype=np.float64), turn, at)
@@ -65,20 +66,29 @@ def _measured(log: Float, turn: Float, at: int) -> tuple[Echo, Float]:
     """
     near = at + np.linspace(-1, 1, 41)
     delay = float(near[np.argmax([abs(log @ np.cos(turn * x)) for x in near])])
-    level = uniform_filter1d(log, max(round(2 * log.size / delay), 1), mode="nearest")
-    floor = np.quantile(level, FLOOR)
-    share = 1 - np.exp(floor - np.maximum(level, floor))
+    level, share = _shares(log, delay)
     loud, order = np.flatnonzero(share > LOUD), np.arange(1, ORDERS + 1)
     ripple = (log - level)[loud] / max(loud.size, 1)
     seen = np.array([ripple @ np.cos(turn[loud] * delay * m) for m in order])
     factors = np.linspace(-MOST, MOST, 381)
     made = -((-factors[:, None]) ** order) / order
     best = ((made - seen) ** 2 * order**2).sum(axis=1).argmin()
-    return Echo(delay, float(factors[best])), np.asarray(share)
+    return Echo(delay, float(factors[best])), share
 
 
-def _peak(cepstra: Any_, most: int) -> int:
-    """The sample, up to `most`, of the highest peak of an echo in the `cepstra` (ch, sample), 0 if there is none."""
+def _shares(log: Any_, delay: float) -> tuple[Any_, Any_]:
+    """Level over a ripple of logarithmic spectra (..., line), and the share of each line that is not noise."""
+    level: Any_ = uniform_filter1d(log, max(round(2 * log.shape[-1] / delay), 1), mode="nearest")
+    floor = np.quantile(level, FLOOR, axis=-1, keepdims=True)
+    return level, 1 - np.exp(floor - np.maximum(level, floor))
+
+
+def _peak(log: Any_, most: int) -> int:
+    """The sample, up to `most`, of the highest peak of an echo in the cepstra of logarithmic spectra (ch, line).
+
+    0 if there is none. Noise flattens the ripple of one channel more than that of another.
+    """
+    cepstra = irfft(log, 2 * log.shape[1], axis=1)[:, : log.shape[1]]
     mean = cepstra.mean(axis=0)
     noise, size = float(np.median(np.abs(mean[mean.size // 3 :]))) / 0.6745, np.abs(mean)
     tip = (size > SURE * noise) & (size >= maximum_filter1d(size, 2 * TIP + 1))
@@ -86,9 +96,12 @@ def _peak(cepstra: Any_, most: int) -> int:
     for k in candidates[np.argsort(-size[candidates])].tolist():
         around = np.r_[int(k / AROUND) : k - TIP, k + TIP + 1 : int(k * AROUND) + 1]
         twice = mean[2 * k - TIP : 2 * k + TIP + 1]
-        of_zeros = twice[np.abs(twice).argmax()] < -0.5 * SURE * noise
-        if of_zeros and np.ptp(cepstra[:, k]) < ALIKE * size[k] and size[k] > ABOVE * size[around].max():
-            return int(k)
+        second = float(twice[np.abs(twice).argmax()])
+        if second < -0.5 * SURE * noise and size[k] > ABOVE * size[around].max():
+            tips, share = cepstra[:, k], _shares(log, k)[1].mean(axis=1)
+            scatter = min(np.ptp(x) / abs(x.mean()) for x in (tips, tips / share))  # the level of noise is a guess
+            if scatter < ALIKE and TWICE[0] < -second * share.mean() / mean[k] ** 2 < TWICE[1]:
+                return int(k)
     return 0
 
 
