@@ -84,6 +84,21 @@ class TimeHistory:
         return replace(self, data=self.data[at], channels=tuple(self.channels[i] for i in at))
 
 
+@dataclass(frozen=True, slots=True)
+class NoiseBlocks:
+    """Blocks of a random force and its responses, cut out by a window: spectra leak.
+
+    Attributes
+    ----------
+    length : float, s
+    window : str
+        "hann" or "boxcar".
+    """
+
+    length: float
+    window: Literal["hann", "boxcar"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrfSet:
     """Frequency response functions.
@@ -108,8 +123,8 @@ class FrfSet:
         Known to be free of leakage, however few lines a mode has: of a periodic force, or with transients estimated.
     blows : Blows, optional
         The blows behind the FRFs, where they are known.
-    hann : float, s
-        Length of the blocks of noise under a Hann window that the FRFs are of; 0 for none, or unknown.
+    blocks : NoiseBlocks, optional
+        The blocks of noise that the FRFs are of, where they are known.
     """
 
     data: Complex
@@ -124,7 +139,7 @@ class FrfSet:
     kept: float = float("inf")
     sharp: bool = False
     blows: Blows | None = None
-    hann: float = 0.0
+    blocks: NoiseBlocks | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
