@@ -133,6 +133,13 @@ def test_auto_takes_the_first_that_is_installed(monkeypatch, missing, then):
             engines.choose("pardiso", 1000)
 
 
+@pytest.mark.parametrize("n", [60, 500])
+def test_masses_that_are_all_negative_are_named(n):
+    """PARAM,WTMASS,-1."""
+    with pytest.raises(NumericalError, match="negative in some direction at row 0 row 1 "):
+        solve_modes(Pencil(chain(n), sparse.csr_array(-sparse.eye_array(n))), 4)
+
+
 @pytest.mark.parametrize(("n", "size"), [(60, 1e9), (500, 3.0)])
 @pytest.mark.parametrize("rows", [(7,), (7, 9), (7, 8, 9)])
 def test_negative_mass_is_named(n, size, rows):

@@ -75,6 +75,8 @@ def solve_modes(
         raise InputError(f"band {band[0]} to {band[1]} Hz is empty")
     if not pencil.mass.nnz or not np.abs(pencil.mass.data).max() > 0:
         raise InputError("the mass matrix is zero: check densities and mass elements")
+    if pencil.mass.diagonal().max() <= 0:  # nothing that a shift could be guessed from
+        refuse_negative_mass(pencil.mass, pencil.labels)
     if pencil.size <= DENSE_SIZE or (band is None and _most_of(pencil, count)):
         return _dense(pencil, count, band)
     refuse_negative_mass(pencil.mass, pencil.labels)
