@@ -347,7 +347,7 @@ def test_a_response_that_does_not_follow_the_force(frf: Callable[..., Path], cap
     coherence[:, 0], coherence[:, 2] = 0.2, 0.1
     status, out, _ = call(capsys, "ema", frf(coherence=coherence), "--fmin", 2, "--fmax", 35)
     assert status == 0
-    assert "coherence of out1 (0.20), out3 (0.10), 0.98 of the others: what does not" in " ".join(out.split())
+    assert "channel out1 out3: coherence 0.20, 0.10, 0.98 of the others: hardly moves" in " ".join(out.split())
 
 
 def test_a_reference_that_does_not_excite_a_mode(frf: Callable[..., Path], capsys: Capture) -> None:

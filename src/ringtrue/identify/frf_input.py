@@ -109,11 +109,11 @@ def _unmoved(frfs: FrfSet, typical: float) -> list[str]:
     low = of_each < _UNMOVED * typical
     if not low.any() or typical <= _COHERENT:
         return []
-    names = ", ".join(f"{frfs.outputs[i].id} ({of_each[i]:.2f})" for i in np.flatnonzero(low).tolist())
+    at = np.flatnonzero(low).tolist()
+    names, values = " ".join(frfs.outputs[i].id for i in at), ", ".join(f"{of_each[i]:.2f}" for i in at)
     others = np.nanmedian(of_each[~low])
     return [
-        f"coherence of {names}, {others:.2f} of the others: what does not follow the force hardly moves, has a loose "
-        "cable or is dead"
+        f"channel {names}: coherence {values}, {others:.2f} of the others: hardly moves, has a loose cable or is dead"
     ]
 
 

@@ -143,12 +143,12 @@ def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str
 
 
 def _at_fault(identify: IdentifyStage) -> list[str]:
-    """What the records say of their channels, once for each of these."""
+    """What records and FRFs say of their channels, once for each of these."""
     notes: dict[str, list[str]] = {}
-    for record in identify.records:
-        for note in record.notes:
+    for name, said in (*((f"{r.name}: ", r.notes) for r in identify.records), ("", identify.frf_notes)):
+        for note in said:
             if note.startswith("channel "):
-                notes.setdefault(note.partition(":")[0], []).append(f"{record.name}: {note}")
+                notes.setdefault(note.partition(":")[0], []).append(name + note)
     return [first + _more(len(rest)) for first, *rest in notes.values()]
 
 
