@@ -215,3 +215,19 @@ def test_a_record_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
     same, notes = sheet.scaled(record)
     assert same.channels == record.channels
     assert notes == (f"without a unit, and not on the sensor sheet: {' '.join(c.id for c in bare)}",)
+
+
+@pytest.mark.parametrize(
+    ("order", "read"),
+    [
+        ([f"ch{i:02d}" for i in range(1, 13)], [f"ch{i:02d}" for i in range(1, 13)]),  # 10 to 12 are on the sheet
+        ([f"ch{i}" for i in range(12, 0, -1)], [f"ch{i}" for i in range(1, 13)]),  # all are, in another order
+        (["ch2", *"abcdefghijk"], [f"ch{i}" for i in range(1, 13)]),  # one is, at another place
+    ],
+)
+def test_names_by_number_on_the_sheet(tmp_path: Path, order: list[str], read: list[str]) -> None:
+    rows = "".join(f"{k},{k},0,0,Z,{name}\n" for k, name in enumerate(order, start=1))
+    (tmp_path / "s.csv").write_text("point,x,y,z,direction,channel\n" + rows)
+    record = TimeHistory(np.ones((12, 4)), 100.0, tuple(Channel(f"ch{i}") for i in range(1, 13)))
+    found, _ = read_sensor_sheet(tmp_path / "s.csv").scaled(record)
+    assert [c.id for c in found.channels] == read

@@ -89,9 +89,13 @@ class SensorSheet:
         return replace(history, data=data, channels=tuple(channels)), (note, *notes) if told else notes
 
     def _in_order(self, ids: Sequence[str]) -> tuple[str, ...]:
-        """The motions for a record without names; empty where it has names or another number of channels."""
-        bare = list(ids) == [f"ch{i + 1}" for i in range(len(self.model.channels))]
-        return self.model.channels if bare and not set(ids) & set(self.model.channels) else ()
+        """The motions for a record without names; empty where it has names or another number of channels.
+
+        Of a sheet with `ch01` to `ch12` the last three look like names of the record, and stand at their places.
+        """
+        rows = self.model.channels
+        bare = list(ids) == [f"ch{i + 1}" for i in range(len(rows))] and set(ids) != set(rows)
+        return rows if bare and all(a == b for a, b in zip(ids, rows, strict=True) if a in rows) else ()
 
 
 def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> SensorSheet:
