@@ -97,6 +97,16 @@ def test_a_force_that_comes_again_moves_no_mode(factor: float, delay: float, see
     assert any(f"comes again {delay:.3g} s later" in n for n in r.notes)
 
 
+def test_an_echo_makes_modes_less_certain() -> None:
+    """τ = 0.8 s, half a decay of the highest modes: resonances beside the peak hide some of the ripple."""
+    z, f = [], chain()[0]
+    for seed in range(6):
+        r = identify_ambient(echoed(0.5, 0.8, seed))
+        at = np.abs(r.modes.frequencies[:, None] / f - 1).argmin(axis=0)
+        z.append((r.modes.frequencies[at] - f) / r.uncertainty.frequency[at])
+    assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.2  # 1.6 without what the echo adds
+
+
 def test_an_echo_is_found_in_channels_of_unequal_noise() -> None:
     """Sensor noise of 1 % to 20 %, channel by channel: it flattens the ripple of one more than that of another."""
     clean = echoed(0.5, 1.7, 1)

@@ -17,7 +17,7 @@ From poles to modes: `poles` of all orders, `stabilise` and `cluster` or `pick`,
 `variance` their scatter, `whittle` their maximum likelihood, `repeated` and `repeated_hammer` roots nearer
 than the data tell, `mixing` shapes of close modes; `choice` and `choice_hammer` by hand.
 
-What is no mode, or no steady one: `forced`, `struck`, `wander`.
+What is no mode, or no steady one: `forced`, `struck`, `wander`, `ripples` of echoes.
 
 Several records: `setups` as one, `merge` one by one, `common` their channels; `tracking` through time,
 `gains` of replaced sensors, `environment` and `inertia` (of heat) why frequencies change.

@@ -51,6 +51,7 @@ from ringtrue.identify.bands import STEP, with_fewer_lags
 from ringtrue.identify.choice import chosen
 from ringtrue.identify.forced import without_forced
 from ringtrue.identify.poles import StableDiagram
+from ringtrue.identify.ripples import rippled
 from ringtrue.identify.ssi import SsiCov
 from ringtrue.identify.stretches import (
     SHORTEST,
@@ -227,7 +228,7 @@ def identify_stretches(
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
     tell(0.0, "filtering into bands")
     # an amplitude that is cut off looks steady
-    good, whole, swept = without_strokes_sweeps_and_echoes(good, uncut(good, states))
+    good, whole, swept, echo = without_strokes_sweeps_and_echoes(good, uncut(good, states))
     sines = steady_sines(good, whole, bands, leave, once=second is not None)
     places = [h.frequency for h in sines]
     clean = without_lines(good, places)
@@ -251,6 +252,7 @@ def identify_stretches(
     for (k, _), other in zip(looks, again, strict=True):
         found[k], other = surer_groups(found[k], other, settings.confidence_min)
         found.append(other)
+    found = [rippled(x, echo) for x in found] if echo else found
     result = _assemble(good, found, lines, places, bands, settings, known, whole)
     if whole is not good:
         modes, reasons = overtones(result.modes, result.uncertainty.frequency, result.reasons)

@@ -13,7 +13,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify.bands import BandSums, begin, joined, of_stretch
 from ringtrue.identify.ssi import SsiCov
-from ringtrue.signal.echoes import without_echo
+from ringtrue.signal.echoes import Echo, without_echo
 from ringtrue.signal.events import Events, find_events
 from ringtrue.signal.gaps import Gaps, bridged
 from ringtrue.signal.lines import steady_lines, with_feet, without_lines
@@ -28,8 +28,8 @@ SHORTEST = 0.5  # stretch, over the first: edges of the filters would weigh too 
 
 def without_strokes_sweeps_and_echoes(
     good: TimeHistory, whole: TimeHistory | None
-) -> tuple[TimeHistory, TimeHistory | None, tuple[str, ...]]:
-    """Both records (`whole`: some channels of `good`) without regular blows, run-ups and echoes, and notes."""
+) -> tuple[TimeHistory, TimeHistory | None, tuple[str, ...], Echo | None]:
+    """Both records (`whole`: some channels of `good`) without regular blows, run-ups and echoes, notes, the echo."""
     heard = mixes(good.data)
     quiet, strokes = without_strokes(good, heard)
     still, sweeps = without_sweeps(quiet, heard if quiet is good else None)
@@ -49,13 +49,13 @@ def without_strokes_sweeps_and_echoes(
     if echo:
         notes += (
             f"the force comes again {echo.delay:.3g} s later, times {echo.factor:.2g} (two axles, a reflection): its "
-            "spectrum ripples; taken out as far as noise allows, so frequencies may be farther off than stated",
+            "spectrum ripples; taken out as far as noise and resonances let it be seen",
         )
     if whole is good:
         whole = clean
     elif whole and clean is not good:
         whole = clean.pick([c.id for c in whole.channels])
-    return clean, whole, notes
+    return clean, whole, notes, echo
 
 
 def steady_sines(

@@ -31,10 +31,11 @@ ORDERS, MOST, TAIL = 4, 0.95, 60  # peaks that tell the factor, the largest fact
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """Delay (s) after which the force comes again, and its factor."""
+    """Delay (s) after which the force comes again, its factor, and how much of that may be of resonances."""
 
     delay: float
     factor: float
+    doubt: float
 
 
 def without_echo(history: TimeHistory) -> tuple[TimeHistory, Echo | None]:
@@ -49,18 +50,19 @@ def without_echo(history: TimeHistory) -> tuple[TimeHistory, Echo | None]:
     power = np.einsum("cfk,cfk->cf", lines, lines)
     log = np.log(np.maximum(power, LEAST * power.mean(axis=1, keepdims=True)))
     log -= log.mean(axis=1, keepdims=True)
-    if not (at := _peak(log, int(LONGEST * n))):
+    at, doubt = _peak(log, int(LONGEST * n))
+    if not at:
         return history, None
     turn = 2 * np.pi / n * (JOIN * np.arange(log.shape[1]) + 0.5 * (JOIN - 1))
-    echo, share = _measured(log.mean(axis=0, dtype=np.float64), turn, at)
-    once = replace(history, data=_once(history.data, echo.delay, echo.factor * share))
-    return once, replace(echo, delay=echo.delay / history.rate)
+    delay, factor, share = _measured(log.mean(axis=0, dtype=np.float64), turn, at)
+    once = replace(history, data=_once(history.data, delay, factor * share))
+    return once, Echo(delay / history.rate, factor, doubt)
 
 
-def _measured(log: Float, turn: Float, at: int) -> tuple[Echo, Float]:
-    """The echo (delay in samples) near the sample `at`, and its share of each line of a logarithmic spectrum (line,).
+def _measured(log: Float, turn: Float, at: int) -> tuple[float, float, Float]:
+    """Delay (in samples) and factor of the echo near the sample `at`, and its share of each line.
 
-    `turn` (line,) are the frequencies, radians a sample.
+    `log` (line,) is a logarithmic spectrum, `turn` (line,) are the frequencies, radians a sample.
 
     The peaks of the factor's cepstrum count by their order: what resonances add to them falls as one over it.
     """
@@ -73,7 +75,7 @@ def _measured(log: Float, turn: Float, at: int) -> tuple[Echo, Float]:
     factors = np.linspace(-MOST, MOST, 381)
     made = -((-factors[:, None]) ** order) / order
     best = ((made - seen) ** 2 * order**2).sum(axis=1).argmin()
-    return Echo(delay, float(factors[best])), share
+    return delay, float(factors[best]), share
 
 
 def _shares(log: Any_, delay: float) -> tuple[Any_, Any_]:
@@ -83,10 +85,11 @@ def _shares(log: Any_, delay: float) -> tuple[Any_, Any_]:
     return level, 1 - np.exp(floor - np.maximum(level, floor))
 
 
-def _peak(log: Any_, most: int) -> int:
+def _peak(log: Any_, most: int) -> tuple[int, float]:
     """The sample, up to `most`, of the highest peak of an echo in the cepstra of logarithmic spectra (ch, line).
 
-    0 if there is none. Noise flattens the ripple of one channel more than that of another.
+    0 if there is none; and the root mean square of what stands around it, over the peak. Noise flattens the ripple of
+    one channel more than that of another.
     """
     cepstra = irfft(log, 2 * log.shape[1], axis=1)[:, : log.shape[1]]
     mean = cepstra.mean(axis=0)
@@ -101,8 +104,8 @@ def _peak(log: Any_, most: int) -> int:
             tips, share = cepstra[:, k], _shares(log, k)[1].mean(axis=1)
             scatter = min(np.ptp(x) / abs(x.mean()) for x in (tips, tips / share))  # the level of noise is a guess
             if scatter < ALIKE and TWICE[0] < -second * share.mean() / mean[k] ** 2 < TWICE[1]:
-                return int(k)
-    return 0
+                return int(k), float(np.sqrt(np.mean(size[around] ** 2))) / float(size[k])
+    return 0, 0.0
 
 
 def _once(data: Any_, delay: float, factor: Float) -> Any_:
