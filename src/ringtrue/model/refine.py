@@ -16,21 +16,26 @@ from ringtrue.model.cards import NONSTRUCTURAL
 from ringtrue.model.choices import taken_sets
 from ringtrue.model.edit import BOTH_ENDS
 from ringtrue.model.frames import axes, positions
-from ringtrue.model.halves import CURVED, LINES, NODES, RODS, Part, parts, weights
+from ringtrue.model.halves import CURVED, LINES, NODES, RODS, Part, corner_shares, parts, weights
 from ringtrue.model.model import Model, Ragged, Table, stacked, table
 
 _ALL = "123456"
-SECOND = {"CPENTA": 7, "CHEXA": 9}  # first midside node
-_WHOLE = ("CTRIA6", "CQUAD8", "CPYRAM")
 
 
 def _rows(model: Model, kind: str) -> tuple[str, Int]:
     """The card of a kind of `NODES`, and the rows of it that are of this kind."""
-    card = "CTETRA" if kind == CURVED else kind
+    card = CURVED[kind][0] if kind in CURVED else kind
     if card not in model:
         return card, np.empty(0, dtype=np.int64)
-    curved = model[card]["G5"] > 0 if card == "CTETRA" else np.zeros(len(model[card]), dtype=bool)
-    return card, np.flatnonzero(curved == (kind == CURVED))
+    return card, np.flatnonzero(_midsides(model, card).any(axis=1) == (kind in CURVED))
+
+
+def _midsides(model: Model, card: str) -> Bool:
+    """Which midside nodes the elements of a card have, (e, k)."""
+    kind = next((k for k, (c, _) in CURVED.items() if c == card), card)
+    straight = CURVED[kind][1] if kind in CURVED else card
+    names = NODES[kind][len(NODES[straight]) :]
+    return model[card].stack(*names) > 0 if names else np.zeros((len(model[card]), 1), dtype=bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,16 +81,16 @@ def _key(nodes: Int) -> Int:
 def refined(model: Model) -> Model:
     """The model with its mesh refined once.
 
-    Bars, beams, shells and solids of the first order, and tetrahedra of the second, are split in halves along each
-    side, rods where they lie along such a side (by itself a rod in halves is a mechanism), tapered beams not. A new
-    node lies midway on a side; it is held where all the nodes about it are, and belongs to the RBE2 or RBE3 that all
-    of these belong to; edges joined node by node, rigidly or by MPC, stay joined. Springs, masses and other connectors
-    stay at their nodes, all of which keep their ids.
+    Bars, beams, shells and solids of the first and second order are split in halves along each side, rods where they
+    lie along such a side (by itself a rod in halves is a mechanism), tapered beams not. A new node lies midway on a
+    side; it is held where all the nodes about it are, and belongs to the RBE2 or RBE3 that all of these belong to;
+    edges joined node by node, rigidly or by MPC, stay joined. Springs, masses and other connectors stay at their nodes,
+    all of which keep their ids.
 
     Raises
     ------
     UnsupportedError
-        If it has other elements of the second order, pyramids, or welds and masses that name elements.
+        If it has elements without some of their midside nodes, pyramids, or welds and masses that name elements.
     """
     _refuse(model)
     middles = _middles(model)
@@ -108,13 +113,16 @@ def refined(model: Model) -> Model:
 
 def _refuse(model: Model) -> None:
     """Raise on what is not split."""
-    names = [c for c in _WHOLE if c in model]
-    names += [c for c, k in SECOND.items() if c in model and model[c][f"G{k}"].any()]
-    if "CTETRA" in model:
-        midsides = model["CTETRA"].stack(*NODES[CURVED][4:]) > 0
-        names += ["CTETRA without some midside nodes"] * bool((midsides.any(axis=1) & ~midsides.all(axis=1)).any())
-    if names:
-        raise UnsupportedError(f"{', '.join(names)}: of the second order CTETRA alone are refined, and no pyramids")
+    cards = dict.fromkeys(card for card, _ in CURVED.values() if card in model)
+    there = {card: _midsides(model, card) for card in cards}
+    names = [
+        f"{card} without some midside nodes" for card, m in there.items() if (m.any(axis=1) & ~m.all(axis=1)).any()
+    ]
+    names += [card for card in ("CTRIA6", "CQUAD8") if card in there and not there[card].any(axis=1).all()]
+    if names or "CPYRAM" in model:
+        raise UnsupportedError(
+            f"{', '.join(names) or 'CPYRAM'}: not refined; elements with all midside nodes or none are"
+        )
     if "CWELD" in model and model["CWELD"]["SHIDA"].any():
         raise UnsupportedError("CWELD by the ids of shells (ELEMID) is not refined: give properties (PARTPAT)")
     kinds = [str(k) for c in NONSTRUCTURAL if c in model and "TYPE" in model[c].columns for k in model[c]["TYPE"]]
@@ -202,7 +210,7 @@ def _part(model: Model, kind: str, part: Part, nodes: Int, at: Int, able: Bool) 
     thick = [f"T{k + 1}" for k in range(len(part)) if f"T{k + 1}" in columns]
     if thick:
         corners = t.stack(*thick)[at]
-        columns |= {n: corners[:, list(c)].mean(axis=1) for n, c in zip(thick, part, strict=True)}
+        columns |= {n: corners @ corner_shares(kind, c) for n, c in zip(thick, part, strict=False)}
     piece = replace(
         t,
         columns={n: frozen(c) for n, c in columns.items()},
