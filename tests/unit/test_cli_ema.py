@@ -180,6 +180,25 @@ def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_poi
     assert not notes
 
 
+def test_rates_of_turning_under_a_moment_become_angular_accelerances(tmp_path: Path) -> None:
+    b = record(1, RESPONSES)
+    still = b.data[2] - 0.5
+    gyro = (np.cumsum(still) - 0.5 * still) / b.rate
+    data = np.vstack([b.data[:2], np.degrees(gyro - gyro.mean()), b.data[3:]])
+    channels = (Channel("F:2+RX", "moment", "N*m"), b.channels[1], Channel("3+RY", "unknown", "deg/s"), *b.channels[3:])
+    write_history(tmp_path / "b.csv", replace(b, data=data, channels=channels))
+    records, _, notes = read_blows([tmp_path / "b.csv"])
+    frfs, _ = estimate_frf(records)
+    assert not notes
+    assert (frfs.inputs[0].id, frfs.inputs[0].quantity) == ("2+RX", "moment")
+    assert (frfs.outputs[1].quantity, frfs.outputs[1].unit) == ("angular acceleration", "rad/s^2")
+    assert {c.quantity for i, c in enumerate(frfs.outputs) if i != 1} == {"acceleration"}
+    s = 2j * np.pi * frfs.freqs + frfs.window_decay
+    true = receptance(s, RESPONSES, 1)[:, 1] * s**2
+    at = (frfs.freqs > 8) & (frfs.freqs < 30)
+    assert np.linalg.norm(frfs.data[at, 1, 0] - true[at]) < 0.02 * np.linalg.norm(true[at])
+
+
 def test_motions_of_two_kinds_become_one(tmp_path: Path) -> None:
     """A laser among accelerometers, and a channel of temperature, which is left out."""
     b = record(1, RESPONSES)

@@ -18,6 +18,7 @@ from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance
 from ringtrue.signal.hits import HammerSettings, input_id
 from ringtrue.signal.overloads import ceilings
+from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.setups import join_frfs
 from ringtrue.study.forced import forced_frfs
 
@@ -275,6 +276,17 @@ def test_sets_on_other_lines_and_of_other_kinds_become_alike() -> None:
     assert (got.kind, got.outputs[1].unit) == ("accelerance", "m/s^2")
     np.testing.assert_allclose(got.freqs, np.arange(0.0, 31.0))
     np.testing.assert_allclose(got.data[1:, :, 0], np.outer(2.0 + np.arange(30.0), [1, 1]))
+
+
+def test_a_roving_hammer_is_read_by_a_sensor_of_turning_too() -> None:
+    outputs = (Channel("1+Z", "acceleration", "m/s^2"), Channel("1-RX", "angular acceleration", "rad/s^2"))
+    inputs = (*(Channel(f"{k}+Z", "force", "N") for k in range(1, 4)), Channel("4+RY", "moment", "N*m"))
+    h = np.arange(3 * 2 * 4.0).reshape(3, 2, 4)
+    got, note = exchanged(FrfSet(h, np.arange(1.0, 4.0), outputs, inputs))
+    assert "roving hammer" in note
+    np.testing.assert_array_equal(got.data, h.swapaxes(1, 2))
+    assert [c.unit for c in got.outputs] == ["m/s^2"] * 3 + ["rad/s^2"]
+    assert [(c.id, c.unit) for c in got.inputs] == [("1+Z", "N"), ("1-RX", "N*m")]
 
 
 def test_estimators_bracket_the_truth() -> None:

@@ -32,6 +32,7 @@ UNIT: dict[str, str] = {
     "moment": "N*m",
 }
 FORCES = ("force", "moment")
+MOTIONS: dict[str, FrfKind] = {**FRF_KIND, **{ANGULAR[motion]: kind for motion, kind in FRF_KIND.items()}}
 
 _ABOUT = re.compile(r"[+-]R[XYZ]$")
 BASE = "base "  # how the name of a base begins

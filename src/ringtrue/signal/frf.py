@@ -11,9 +11,9 @@ from scipy.special import bdtr
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.blows import Blows, joined
-from ringtrue.core.motions import DERIVATIVE, FRF_KIND, SI_UNIT
+from ringtrue.core.motions import ANGULAR, DERIVATIVE, FRF_KIND, LINEAR, UNIT, channel
 from ringtrue.core.progress import Progress
-from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.earlier import blows_of
 from ringtrue.signal.hits import (
@@ -336,8 +336,14 @@ def frf_variance(frfs: FrfSet) -> Float:
     return np.asarray(np.abs(frfs.data) ** 2 * (1 - g) / (2 * frfs.averages * g))
 
 
+def _of_kind(c: Channel, kind: Quantity) -> Channel:
+    """The channel as of a kind of motion, along or about its axis."""
+    quantity = ANGULAR[kind] if c.quantity in LINEAR else kind
+    return replace(c, quantity=quantity, unit=UNIT[quantity])
+
+
 def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, source: str) -> FrfSet:
-    kinds = [c.quantity for c in s.outputs]
+    kinds = [LINEAR.get(c.quantity, c.quantity) for c in s.outputs]
     if not kinds or not set(kinds) <= set(FRF_KIND):
         raise DataError(
             f"{source}: responses measure {', '.join(sorted(set(kinds)))}; all must be motions: leave the others out"
@@ -355,8 +361,8 @@ def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, sour
     return FrfSet(
         h[:, :, None],
         np.asarray(freqs, dtype=np.float64),
-        tuple(c if c.quantity == kind else replace(c, quantity=kind, unit=SI_UNIT[kind]) for c in s.outputs),
-        (Channel(s.input, "force", "N"),),
+        tuple(_of_kind(c, kind) for c in s.outputs),
+        (channel(s.input, "force"),),
         coherence[:, :, None],
         np.array([float(s.count)]),
         FRF_KIND[kind],

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.motions import FORCES
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.overloads import ceilings, mostly, overloaded
@@ -127,7 +128,7 @@ def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
                 f"{record.source}: {settings.force!r} may be {' '.join(like[:20])}; there must be one force"
             )
         return ids.index(like[0])
-    at = [i for i, c in enumerate(record.channels) if c.quantity == "force"]
+    at = [i for i, c in enumerate(record.channels) if c.quantity in FORCES]
     at = at or [i for i, c in enumerate(record.channels) if c.quantity == "unknown" and _HAMMER.search(c.id)]
     if len(at) != 1:
         raise DataError(

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.motions import FRF_KIND
+from ringtrue.core.motions import FORCES, MOTIONS
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.spectra import as_input, sorted_channels
@@ -35,7 +35,7 @@ LOUD, LONG = 0.1, 0.2  # of its largest value, that a force which runs all the t
 
 def runs_on(history: TimeHistory) -> bool:
     """Whether every force of a record runs all the time, as that of a shaker does, and not in blows."""
-    forces = [x for c, x in zip(history.channels, history.data, strict=True) if c.quantity == "force"]
+    forces = [x for c, x in zip(history.channels, history.data, strict=True) if c.quantity in FORCES]
     size = [np.abs(x - np.median(x)) for x in forces]
     return bool(size) and all(float(np.mean(x > LOUD * x.max())) > LONG for x in size)
 
@@ -101,7 +101,7 @@ def _frfs(history: TimeHistory, resolution: float, inputs: Sequence[str]) -> tup
     freedom, power = width - unknowns + DEGREE - DEGREE / n_out, np.abs(h) ** 2
     coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
     seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1).min(axis=1) > SEEN
-    kind = FRF_KIND[ordered.channels[q].quantity]
+    kind = MOTIONS[ordered.channels[q].quantity]
     forces = tuple(as_input(c) for c in ordered.channels[:q])
     responses, averages = ordered.channels[q:], np.full(q, freedom)
     return FrfSet(h, freqs, responses, forces, coherence, averages, kind, 0.0, history.source, sharp=True), seen

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.motions import FRF_KIND
+from ringtrue.core.motions import MOTIONS
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.local_rational import BATCH, DEGREE, SEEN, SPARE, solved, spectra
@@ -95,7 +95,7 @@ def _frfs(history: TimeHistory, samples: int) -> tuple[FrfSet, Bool]:
     power = np.abs(h) ** 2
     coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
     seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1) > SEEN
-    kind = FRF_KIND[ordered.channels[1].quantity]
+    kind = MOTIONS[ordered.channels[1].quantity]
     freqs, inputs = place * (history.rate / (times * samples)), (as_input(ordered.channels[0]),)
     h, coherence = h[:, :, None], coherence[:, :, None]
     averages = np.array([freedom])

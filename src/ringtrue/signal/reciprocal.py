@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringtrue.core.motions import LINEAR, channel
 from ringtrue.core.signals import Channel, FrfSet
 
 MOTION = ("acceleration", "velocity", "displacement", "unknown")
@@ -23,15 +24,17 @@ def exchanged(frfs: FrfSet) -> tuple[FrfSet, str]:
     frfs : FrfSet
         Exchanged if there are more inputs than outputs, and the outputs are motions of one kind.
     """
-    kinds = {c.quantity for c in frfs.outputs}
+    kinds = {LINEAR.get(c.quantity, c.quantity) for c in frfs.outputs}
     if len(frfs.inputs) <= len(frfs.outputs) or len(kinds) != 1 or not kinds <= set(MOTION):
         return frfs, ""
-    quantity, unit = frfs.outputs[0].quantity, frfs.outputs[0].unit
+    quantity, unit = kinds.pop(), frfs.outputs[0].unit
     there = replace(
         frfs,
         data=frfs.data.swapaxes(1, 2),
-        outputs=tuple(Channel(c.id, quantity, unit) for c in frfs.inputs),
-        inputs=tuple(Channel(c.id, "force", "N") for c in frfs.outputs),
+        outputs=tuple(
+            Channel(c.id, quantity, unit) if quantity == "unknown" else channel(c.id, quantity) for c in frfs.inputs
+        ),
+        inputs=tuple(channel(c.id, "force") for c in frfs.outputs),
         coherence=frfs.coherence.swapaxes(1, 2),
         averages=np.full(len(frfs.outputs), np.min(frfs.averages)),
         blows=frfs.blows.exchanged() if frfs.blows else None,

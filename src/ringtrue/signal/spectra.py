@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import FRF_KIND
+from ringtrue.core.motions import FORCES, FRF_KIND, LINEAR, MOTIONS
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.hits import input_id
@@ -99,7 +99,7 @@ def shaker_frfs(
         tuple(as_input(c) for c in ordered.channels[:q]),
         partial,
         np.full(q, n),
-        FRF_KIND[ordered.channels[q].quantity],
+        MOTIONS[ordered.channels[q].quantity],
         0.0,
         history.source,
     )
@@ -114,9 +114,9 @@ def sorted_channels(history: TimeHistory, inputs: Sequence[str] = ()) -> tuple[T
     DataError
         If there is no force channel, a channel is constant or not finite, or the responses are of different kinds.
     """
-    forces = list(inputs) or [c.id for c in history.channels if c.quantity == "force"]
-    others = [c for c in history.channels if c.id not in forces and c.quantity != "force"]
-    kinds = {c.quantity for c in others}
+    forces = list(inputs) or [c.id for c in history.channels if c.quantity in FORCES]
+    others = [c for c in history.channels if c.id not in forces and c.quantity not in FORCES]
+    kinds = {LINEAR.get(c.quantity, c.quantity) for c in others}
     if not forces or len(kinds) != 1 or not kinds <= set(FRF_KIND):
         raise DataError(
             f"{history.source}: {len(forces)} forces and responses of {', '.join(sorted(kinds)) or 'no kind'}; "

@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from ringtrue.core.motions import SI_UNIT, Motion
+from ringtrue.core.motions import FORCES, MOTIONS, SI_UNIT, UNIT, Motion
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
@@ -182,16 +182,22 @@ def _runs(path: Path, how: BlowFiles) -> Iterator[tuple[TimeHistory, tuple[str, 
         yield how.sheet.scaled(named) if how.sheet else (named, ())
 
 
+def _acting(c: Channel, name: str) -> Channel:
+    """A channel of a force or moment, by another name if one is given."""
+    quantity = c.quantity if c.quantity in FORCES else "force"
+    return Channel(name or c.id, quantity, UNIT[quantity], c.sensor)
+
+
 def _prepared(record: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, list[str]]:
     """The force, named after the point struck, and the motions; several forces where shakers run together."""
     force, point = ("".join(x[:1]) for x in (how.force, how.struck))
-    at = [i for i, c in enumerate(record.channels) if c.quantity == "force"] if not force else []
+    at = [i for i, c in enumerate(record.channels) if c.quantity in FORCES] if not force else []
     at = at if len(at) > 1 else [force_channel(record, HammerSettings(force=force))]
     notes = list[str]()
     if point and len(at) > 1:
         raise ConfigError(f"--struck {point}: {record.source} has {len(at)} forces; their names tell their points")
     rest = [i for i in range(len(record.channels)) if i not in at]
-    motions = [i for i in rest if record.channels[i].quantity in SI_UNIT]
+    motions = [i for i in rest if record.channels[i].quantity in MOTIONS]
     unknown = [i for i in rest if record.channels[i].quantity == "unknown"]
     quantity = cast(Motion, how.quantity or "acceleration")
     if not motions and unknown:
@@ -205,10 +211,8 @@ def _prepared(record: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, list[st
     if not motions:
         raise DataError(f"{record.source}: no channel but the force {record.channels[at[0]].id} is a motion")
     channels = [
-        c if c.quantity in SI_UNIT else Channel(c.id, quantity, SI_UNIT[quantity], c.sensor) for c in record.channels
+        c if c.quantity in MOTIONS else Channel(c.id, quantity, SI_UNIT[quantity], c.sensor) for c in record.channels
     ]
-    forces = [
-        Channel(f"F:{point}" if point else c.id, "force", "N", c.sensor) for c in (record.channels[i] for i in at)
-    ]
+    forces = [_acting(record.channels[i], f"F:{point}" if point else "") for i in at]
     data = np.asarray(record.data[[*at, *motions]])
     return TimeHistory(data, record.rate, (*forces, *(channels[i] for i in motions)), record.source), notes
