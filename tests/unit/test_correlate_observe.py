@@ -95,6 +95,17 @@ def test_far_sensors_and_missing_dofs_are_named() -> None:
         observe(test, node, xyz, dofs, tolerance=10.0, method="nearst")
 
 
+@pytest.mark.parametrize(
+    ("unit", "told"), [(1e-3, r"between nodes .* to 0\.22 m"), (1.0, "unit factor"), (1e-6, "unit factor")]
+)
+def test_sensors_between_nodes_are_told_from_a_wrong_unit(unit: float, told: str) -> None:
+    node, xyz, dofs = grid()
+    places = 1e-3 * (xyz[::2] + [200, 0, 0])
+    test = sensors(places, np.tile([0, 0, 1.0], (len(places), 1)))
+    with pytest.raises(DataError, match=told):
+        observe(test, node, xyz, dofs, tolerance=50.0 * 1e-3 / unit, unit=unit)
+
+
 def test_comac_finds_the_place_ecomac_the_sign() -> None:
     a = np.sin(np.pi * np.outer(np.arange(1, 11), np.arange(1, 6)) / 11)
     b = a.copy()

@@ -16,6 +16,7 @@ from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 
 Method = Literal["nearest", "rigid"]
 SAME = 1e-6  # of the tolerance: nodes that are as near
+_OF_EXTENT = 0.25
 
 
 def observe(
@@ -68,7 +69,7 @@ def observe(
     distance, nearest = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
     if k == 1:
         nearest = _by_number(test.at, at, np.asarray(node_ids), xyz, (distance, nearest), SAME * tolerance)
-    _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids)[nearest[:, 0]], unit)
+    _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids), xyz, nearest[:, 0], unit)
     weights = _rigid_weights(at, xyz[nearest], distance, test.directions()) if k > 1 else test.directions()[:, None, :]
     matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
     return Observation(matrix, test.channels, dofs, unit, distance[:, 0])
@@ -83,15 +84,30 @@ def _by_number(points: Int, at: Float, ids: Int, xyz: Float, found: tuple[Float,
     return np.where((ids[own] == points) & near, own, nearest[:, 0])[:, None]
 
 
-def _refuse_far(test: TestModel, distance: Float, tolerance: float, node: Int, unit: float) -> None:
+def _refuse_far(
+    test: TestModel, distance: Float, tolerance: float, ids: Int, xyz: Float, nearest: Int, unit: float
+) -> None:
     far = np.flatnonzero(~(distance <= tolerance))
-    if far.size:
-        shown = "; ".join(f"{test.channels[i]} is {distance[i]:.4g} from node {node[i]}" for i in far[:8].tolist())
-        raise DataError(
-            f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) from every node: "
-            f"{shown}. Check the unit factor ({unit:g} m) and the origin and axes of the test model, or raise the "
-            "tolerance"
-        )
+    if not far.size:
+        return
+    shown = "; ".join(f"{test.channels[i]} is {distance[i]:.4g} from node {ids[nearest[i]]}" for i in far[:8].tolist())
+    extent = np.linalg.norm(np.ptp(test.channel_xyz(), axis=0)) / unit  # of another unit it is far less than a distance
+    between = bool((distance[far] <= np.minimum(_spacing(xyz, nearest[far]), _OF_EXTENT * extent)).all())
+    do = (
+        "They stand between nodes of a coarse mesh: raise the tolerance (--tolerance, [correlate] tolerance) to "
+        f"{1.1 * unit * distance[far].max():.2g} m; with match = rigid they read the motion of the nodes around them"
+        if between
+        else f"Check the unit factor ({unit:g} m) and the origin and axes of the test model, or raise the tolerance"
+    )
+    raise DataError(
+        f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) from every node: {shown}. {do}"
+    )
+
+
+def _spacing(xyz: Float, nodes: Int) -> Float:
+    """How far the nearest other place of a node is from each of some (n,)."""
+    apart = KDTree(xyz).query(xyz[nodes], k=min(8, len(xyz)))[0].reshape(nodes.size, -1)
+    return np.asarray(np.where(apart > 0, apart, np.inf).min(axis=1))
 
 
 def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Float:
