@@ -106,7 +106,7 @@ def _refuse_far(
 
 def _spacing(xyz: Float, nodes: Int) -> Float:
     """How far the nearest other place of a node is from each of some (n,)."""
-    apart = KDTree(xyz).query(xyz[nodes], k=min(8, len(xyz)))[0].reshape(nodes.size, -1)
+    apart = np.reshape(KDTree(xyz).query(xyz[nodes], k=min(8, len(xyz)))[0], (nodes.size, -1))
     return np.asarray(np.where(apart > 0, apart, np.inf).min(axis=1))
 
 
