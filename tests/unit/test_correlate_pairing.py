@@ -132,6 +132,16 @@ def test_each_unpaired_mode_has_its_reason() -> None:
     assert all(p.why_b)
 
 
+def test_a_mode_that_looks_alike_beyond_the_gate_is_told() -> None:
+    phi = sines(4)
+    a, b = modes([6, 20, 30, 40], phi), modes([9, 20, 30, 90], phi, Norm.MASS)
+    first, last = pair_modes(a, b).why_a
+    assert first == "no FE mode within 40 %; beyond the gate FE 1, +50 %, has 100 %: widen it (frequency_gate)"
+    assert last.startswith("no FE mode within 40 % has MAC")  # 125 %: another mode of the same look
+    assert "beyond" not in last
+    assert len(pair_modes(a, b, PairingSettings(frequency_gate=0.6))) == 3
+
+
 def test_faint_mode_is_not_observable() -> None:
     phi = sines(3)
     b = modes([10, 20, 30], phi * [1, 1e-4, 1], Norm.MASS)

@@ -27,6 +27,7 @@ from ringtrue.errors import InputError
 from ringtrue.shapes.subspace import rotation
 
 __all__ = [
+    "BEYOND_THE_GATE",
     "CorrelationRow",
     "CorrelationTable",
     "Locks",
@@ -36,6 +37,9 @@ __all__ = [
     "paired_shapes",
     "turning",
 ]
+
+BEYOND_THE_GATE = "beyond the gate"  # in the reason of such a mode
+BEYOND, ALIKE = 2.0, 0.8  # times the frequency gate, and MAC, of a mode that is told of a lone one
 
 
 def pair_modes(
@@ -205,7 +209,23 @@ class _Reasons:
 
     def of_a(self, i: int) -> str:
         macs, errors, barred = self.score.merged[i], self.score.error[i], [q for p, q in self.locks.forbidden if p == i]
-        return self._of(macs, errors, barred, self.names[1], self.cols, self.rows, self.names[0], self.first_b, 0)
+        why = self._of(macs, errors, barred, self.names[1], self.cols, self.rows, self.names[0], self.first_b, 0)
+        return why + self._beyond(macs, errors)
+
+    def _beyond(self, macs: Float, errors: Float) -> str:
+        """A lone mode of B that looks like this one, just farther off than the gate lets it."""
+        gate = self.settings.frequency_gate
+        free = (np.abs(errors) > gate) & (np.abs(errors) <= BEYOND * gate)
+        free[self.cols] = False
+        if not self.seen or not free.any():
+            return ""
+        best = int(np.argmax(np.where(free, macs, 0.0)))
+        if macs[best] < ALIKE:
+            return ""
+        return (
+            f"; {BEYOND_THE_GATE} {self.names[1]} {best + 1 + self.first_b}, {100 * errors[best]:+.3g} %, has "
+            f"{100 * macs[best]:.0f} %: widen it (frequency_gate)"
+        )
 
     def of_b(self, j: int, a: ModeSet, b: ModeSet) -> str:
         f = float(b.frequencies[j])

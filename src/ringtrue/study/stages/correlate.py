@@ -13,7 +13,7 @@ from ringtrue.checks.mesh import mesh_errors
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.pairing import BEYOND_THE_GATE, CorrelationTable
 from ringtrue.errors import RingtrueError
 from ringtrue.io.nastran.edit import unified_diff
 from ringtrue.study.config import StudyConfig
@@ -79,7 +79,13 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         words(desk.placed[0]) if config.correlate.align else "",
         _history(desk, reference, out, initial, tables),
         _expanded(desk, reference, progress),
-        (*reference.gaps, *beyond(reference.elastic, desk.fmax), *_shared(desk), *_mesh(desk, tables[1])),
+        (
+            *reference.gaps,
+            *beyond(reference.elastic, desk.fmax),
+            *_shared(desk),
+            *_mesh(desk, tables[1]),
+            *_far(tables[1]),
+        ),
     )
 
 
@@ -95,6 +101,12 @@ def _mesh(desk: Workbench, table: CorrelationTable) -> tuple[str, ...]:
         return ()
     more = f": with `refine = {desk.deck.refine + 1}` under [model] the study refines it first"
     return (errors.in_words(paired + 1) + more,) if errors.off.size else ()
+
+
+def _far(table: CorrelationTable) -> tuple[str, ...]:
+    """Lone test modes that look like one of the deck that the frequency gate keeps from them."""
+    p = table.pairing
+    return tuple(f"test mode {i + 1}: {w}" for i, w in zip(p.lone_a, p.why_a, strict=True) if BEYOND_THE_GATE in w)
 
 
 def _shared(desk: Workbench) -> tuple[str, ...]:
