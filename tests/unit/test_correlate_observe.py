@@ -100,7 +100,7 @@ def test_far_sensors_and_missing_dofs_are_named() -> None:
 )
 def test_sensors_between_nodes_are_told_from_a_wrong_unit(unit: float, told: str) -> None:
     node, xyz, dofs = grid()
-    places = 1e-3 * (xyz[::2] + [200, 0, 0])
+    places = 1e-3 * (xyz[::2] + np.array([200, 0, 0]))
     test = sensors(places, np.tile([0, 0, 1.0], (len(places), 1)))
     with pytest.raises(DataError, match=told):
         observe(test, node, xyz, dofs, tolerance=50.0 * 1e-3 / unit, unit=unit)

@@ -100,7 +100,8 @@ def _refuse_far(
         else f"Check the unit factor ({unit:g} m) and the origin and axes of the test model, or raise the tolerance"
     )
     raise DataError(
-        f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) from every node: {shown}. {do}"
+        f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) from every node: {shown}. "
+        f"{do}"
     )
 
 
