@@ -9,11 +9,12 @@ from scipy import sparse
 
 from ringtrue.core.parameters import Parameter, Target
 from ringtrue.core.progress import quiet
-from ringtrue.fem.dependence import form
+from ringtrue.fem.assembly import assemble
+from ringtrue.fem.dependence import affine_terms, form
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.parametric import ReducedModel
-from ringtrue.update.candidates import Candidate, CandidateSettings
+from ringtrue.update.candidates import Candidate, CandidateSettings, parameters
 from ringtrue.update.effects import misfits, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import ALIKE
@@ -51,6 +52,22 @@ def test_constants_of_a_laminate() -> None:
     every = ["E1", "E2", "G12", "RHO"]
     assert kept(laminate(1e10)) == kept(laminate(1.4e11)) == every
     assert kept(laminate(1.4e11), backwards=True) == every[::-1]
+
+
+def test_no_more_constants_on_one_laminate_than_can_be_interpolated_together() -> None:
+    x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+    m = model(
+        grid(x),
+        cards("MAT8", MID=[1, 2], E1=[1.4e11, 4e10], E2=[1e10, 9e9], NU12=0.3, G12=[5e9, 4e9], G1Z=5e9, RHO=1600.0),
+        cards("CQUAD4", EID=[1], PID=1, G1=1, G2=2, G3=3, G4=4),
+        cards("PCOMP", PID=[1], MID=ragged([1, 2, 1]), T=ragged([0.01, 0.02, 0.01]), THETA=ragged([0.0, 45.0, 30.0])),
+        spc(np.array([1, 2]), "123456"),
+        spc=1,
+    )
+    every = generate(m, CandidateSettings(("material",)))
+    some = [every[i] for i in tractable(m, every, len(every))]
+    assert 2 < len(some) < len(every)
+    assert affine_terms(m, parameters(some), assemble(m))
 
 
 def test_nearer_to_the_structure_more_of_what_is_wrong_is_seen() -> None:

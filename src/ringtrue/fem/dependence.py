@@ -69,16 +69,31 @@ def form(model: Model, parameter: Parameter) -> Form:
     InputError
         If a target or element is not in the model.
     """
-    m = mesh(model)
+    kept = nodes_of(model, parameter)
+    return "rough" if kept is None else "interpolated" if kept else "powers"
+
+
+def nodes_of(model: Model, parameter: Parameter) -> int | None:
+    """How many matrices the interpolation of a parameter by itself keeps; 0 for powers, None where it is rough.
+
+    Several on the same elements keep up to the product of these, each and the nominal one counted: at most
+    `fem.nodes.MOST`.
+
+    Raises
+    ------
+    InputError
+        If a target or element is not in the model.
+    """
+    m, kept = mesh(model), 0
     try:
         groups = groups_of(model, 0, parameter)
         parts = [_parts(m, g) for g in groups]
         for g, powers in zip(groups, parts, strict=True):
             if powers is None:
-                learn(m, regions([g], few(g.rows, SAMPLE)))
+                kept = max(kept, *(len(n.factors) for n in learn(m, regions([g], few(g.rows, SAMPLE)))))
     except UnsupportedError:
-        return "rough"
-    return "interpolated" if None in parts else "powers" if any(parts) else "rough"
+        return None
+    return kept if any(p is None or p for p in parts) else None
 
 
 def _parts(m: Mesh, g: Group) -> tuple[int, ...] | None:

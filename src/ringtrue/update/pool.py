@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import islice, zip_longest
+from itertools import zip_longest
 
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.fem.change import rows_of, within
-from ringtrue.fem.dependence import form
+from ringtrue.fem.dependence import nodes_of
+from ringtrue.fem.nodes import MOST
 from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
 from ringtrue.update.candidates import Candidate, Kind, counted, membership
@@ -86,9 +87,18 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
 
 
 def tractable(model: Model, candidates: Sequence[Candidate], most: int) -> Int:
-    """The first whose matrices can be taken apart, in order."""
-    smooth = (i for i, c in enumerate(candidates) if form(model, c.parameter) != "rough")
-    return np.fromiter(islice(smooth, most), dtype=np.int64)
+    """The first whose matrices can be taken apart, in order, also where several act on the same elements."""
+    members, out = membership(model, candidates), list[int]()
+    kept = np.ones(members.shape[1])  # matrices of each element that those before may ask for
+    for i, c in enumerate(candidates):
+        mine, own = members[[i]].indices, nodes_of(model, c.parameter)
+        if own is None or (own and (1 + own) * kept[mine].max(initial=1.0) > MOST):
+            continue
+        kept[mine] *= 1 + own
+        out.append(i)
+        if len(out) == most:
+            break
+    return np.array(out, dtype=np.int64)
 
 
 def of_parameter(model: Model, parameter: Parameter) -> Candidate:
