@@ -67,11 +67,11 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
         Weighted, in units of the prior.
     """
     g, r = np.asarray(slopes, dtype=np.float64), np.asarray(misfit, dtype=np.float64)
-    chosen, out, spread, rest = list[int](), list[int](), g.copy(), r.copy()  # C⁻¹g and C⁻¹r
+    chosen, out, both, rest = list[int](), list[int](), g.T @ g, g.T @ r  # gᵀC⁻¹g and gᵀC⁻¹r
     for _ in range(g.shape[1]):
-        told = np.round(np.einsum("np,np->p", g, spread), 12)
+        told = np.round(np.diag(both), 12)
         told[chosen] = 0.0
-        fall = (g.T @ rest) ** 2 * (told > 0) / (1 + told)
+        fall = rest**2 * (told > 0) / (1 + told)
         some = fall.max(initial=0.0) > NOISE
         best = int(np.argmax(np.round(fall if some else told, 12)))
         if len(out) >= most or told[best] <= 0:
@@ -80,9 +80,9 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
         mates = order[(fall[order] > MATE * fall[best]) & ~np.isin(order, [*out, best])][:MATES] if some else order[:0]
         out += [i for i in (best, *mates.tolist()) if i not in out]
         chosen.append(best)
-        mine = spread[:, best] / (1 + told[best])
-        rest = rest - mine * (g[:, best] @ rest)
-        spread = spread - np.outer(mine, g[:, best] @ spread)
+        mine = both[:, best] / (1 + told[best])
+        rest = rest - mine * rest[best]
+        both = both - np.outer(mine, both[best])
     return np.array(out[:most], dtype=np.int64)
 
 
