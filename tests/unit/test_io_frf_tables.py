@@ -91,3 +91,10 @@ def test_lines_without_any_value_are_left_out_and_others_refused(tmp_path: Path)
         read_frfs(write(tmp_path / "h.csv", "Frequency;$ real;$ imag", gap.real, gap.imag))
     with pytest.raises(DataError, match="the same part"):
         read_frfs(write(tmp_path / "h.csv", "Frequency;real;imag", H.real, H.imag))
+
+
+@pytest.mark.parametrize("unit", ["", " [dB]", " [m/s^2/N]"])
+def test_what_no_unit_tells_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture, unit: str) -> None:
+    head = f"f [Hz];$ magnitude{unit};$ phase [deg]"
+    read_frfs(write(tmp_path / "f.csv", head, LEVEL if "dB" in unit else SIZE, np.degrees(ANGLE)))
+    assert ("nothing tells what the responses measure" in caplog.text) == ("m/s" not in unit)

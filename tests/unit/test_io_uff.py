@@ -246,6 +246,19 @@ def test_frfs_of_several_kinds_and_units_are_one_kind_in_si(tmp_path: Path) -> N
     np.testing.assert_allclose(frfs.data[:, :, 0], np.repeat(h[:, None], 3, axis=1), rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.parametrize(("code", "kind"), [(0, "accelerance"), (12, "accelerance"), (3, "receptance")])
+def test_an_unknown_response_is_taken_as_an_acceleration_and_strain_as_no_motion(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, code: int, kind: str
+) -> None:
+    f = np.arange(1, 20) * 0.5
+    h = 1 / (30.0**2 - (2 * np.pi * f) ** 2 + 2j * 0.05 * 30 * 2 * np.pi * f)
+    (tmp_path / "f.uff").write_bytes(write_function(4, f, h, (2, 3), (1, 3), codes=(18, code, 13)))
+    frfs = read_frfs(tmp_path / "f.uff")
+    assert frfs.kind == kind
+    np.testing.assert_allclose(frfs.data[:, 0, 0], h, rtol=1e-10)
+    assert ("nothing tells what the responses measure" in caplog.text) == (code == 0)
+
+
 @pytest.mark.parametrize("kind", [4, 5])
 def test_a_motion_over_that_of_the_base_is_read_as_an_acceleration(tmp_path: Path, kind: int) -> None:
     f, h = np.arange(1, 9) * 0.5, np.arange(1, 9) * (1 + 1j)

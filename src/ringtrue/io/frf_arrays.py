@@ -14,7 +14,7 @@ from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.motions import FRF_KIND, OF_KIND, Motion, channel
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
-from ringtrue.io.frf_lines import known_lines
+from ringtrue.io.frf_lines import known_lines, say_accelerances
 from ringtrue.io.matfile import mat_values, texts
 from ringtrue.io.plain import check_stored, h5_values
 from ringtrue.io.uff.functions import label
@@ -81,7 +81,10 @@ def read_frf_arrays(path: Path) -> FrfSet:
     if pairs is not None:
         outputs, inputs, h = _by_pairs(pairs, h[:, :, 0], path)
     text = " ".join([found.name, *(str(v) for k, v in values.items() if _short(k) in ("kind", "type", "frf_type"))])
-    motion: Motion = next((m for k, m in _CALLED.items() if k in text.lower()), "acceleration")
+    called = [m for k, m in _CALLED.items() if k in text.lower()]
+    if not called:
+        say_accelerances(path)
+    motion: Motion = called[0] if called else "acceleration"
     order = np.argsort(found.freqs, kind="stable")
     order = order[known_lines(h[order], found.freqs[order], outputs, inputs, path)]
     return FrfSet(

@@ -1,4 +1,4 @@
-"""Lines of FRFs that have values."""
+"""What readers of FRFs share: the lines that have values, and what is said where nothing tells the motion."""
 
 from __future__ import annotations
 
@@ -44,3 +44,8 @@ def known_lines(
     if (bare := freqs[none & (freqs > 0)]).size:
         log.warning("%s: lines at which no FRF has a value are left out: %d, from %g Hz", path, bare.size, bare[0])
     return ~none
+
+
+def say_accelerances(path: str | Path) -> None:
+    """Say that FRFs of no known kind are taken as accelerances."""
+    log.warning("%s: nothing tells what the responses measure: the FRFs are taken as accelerances, m/s^2/N", path)

@@ -17,7 +17,7 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.delimited import read_columns
-from ringtrue.io.frf_lines import known_lines
+from ringtrue.io.frf_lines import known_lines, say_accelerances
 from ringtrue.io.si import hertz, known, to_si
 
 _FREQUENCY = re.compile(r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE)
@@ -84,6 +84,8 @@ def read_frf_table(path: Path) -> FrfSet:
     shape = (freqs.size, len(outputs), len(inputs))
     h, coherence = np.full(shape, np.nan, dtype=np.complex128), np.full(shape, np.nan)
     kinds = {k: _kind(units.get(k, ""), path) for k in parts}
+    if not any(_ratio_of(u) for u in units.values()):
+        say_accelerances(path)
     based = {key[1] for key, k in kinds.items() if k[2]}
     for key, columns in parts.items():
         o, i = outputs.index(key[0]), inputs.index(key[1])
@@ -212,17 +214,21 @@ def _kind(unit: str, path: Path) -> tuple[Motion, float, bool]:
     """Quantity of the response, the factor to SI of a unit such as `dB re 1 g/N`, and whether it is over a base."""
     level = _LEVEL.search(unit)
     one = float(level["one"] or 1) if level else 1.0
-    bare = _LEVEL.sub("", unit).strip(" ,()-")
-    text = _RADIANS.sub("", _DEGREES.sub("", bare)).strip(" ,()-")
+    text = _ratio_of(unit)
     if not text:
         return "acceleration", one, False
-    found = _ratio(bare) or _ratio(text)
+    found = _ratio(_LEVEL.sub("", unit).strip(" ,()-")) or _ratio(text)  # rad is an angle, or a motion
     if found is None:
         raise DataError(
             f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, mm/N, or over the same "
             "motion of the base, g/g"
         )
     return found[0], one * found[1], found[2]
+
+
+def _ratio_of(unit: str) -> str:
+    """What a unit says beside levels and angles."""
+    return _RADIANS.sub("", _DEGREES.sub("", _LEVEL.sub("", unit))).strip(" ,()-")
 
 
 def _ratio(text: str) -> tuple[Motion, float, bool] | None:

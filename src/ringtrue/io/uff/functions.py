@@ -15,7 +15,7 @@ from ringtrue.core.lines import shared_lines
 from ringtrue.core.motions import ANGULAR, FORCES, FRF_KIND, LINEAR, SI_UNIT, UNIT, as_motion, base_motion, channel
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError, about
-from ringtrue.io.frf_lines import known_lines
+from ringtrue.io.frf_lines import known_lines, say_accelerances
 from ringtrue.io.plain import RawTable
 from ringtrue.io.si import known, to_si
 from ringtrue.io.times import even_rate
@@ -191,6 +191,8 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     freqs = frfs[0].x
     motions, factors = zip(*(_si(f, units) for f in frfs), strict=True)
     kind = _one_kind(motions, ends, path)
+    if kind == "unknown":
+        say_accelerances(path)
     outputs, inputs = _channels(ends, kind)
     scaled = (as_motion(_finite(f.y) * x, freqs, m, kind) for f, m, x in zip(frfs, motions, factors, strict=True))
     data = _place([replace(f, y=y) for f, y in zip(frfs, scaled, strict=True)], ends, freqs, outputs, inputs)
@@ -211,7 +213,7 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
         tuple(base_motion(c.id) if c.id in based else c for c in inputs),
         np.ascontiguousarray(coherence[at]),
         np.full(len(inputs), np.nan),
-        FRF_KIND.get(kind, "accelerance"),
+        "receptance" if kind == "strain" else FRF_KIND.get(kind, "accelerance"),
         source=str(path),
     )
 
