@@ -66,6 +66,8 @@ def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
         ("PROD,7,1,1.\nGRID,9,,1.,1.,0.\nCROD,2,7,3,9\n", "error", 10, "CROD 2: has no length"),
         ("CELAS2,2,1.,1,1\nMAT1,2,1.,,.6\n", "error", 9, "MAT1 2: Poisson's ratio 0.6"),
         ("CELAS2,2,1.,1,1\nMAT1,2,7.2+10,6.4+10,.3\n", "warning", 9, "MAT1 2: E / (2 (1 + NU) G) is 0.433, not 1"),
+        ("CROD,2,7,1,3\nPROD,7,1,-.1\n", "warning", 9, "PROD 7: A is -0.1, below 0"),
+        ("CQUAD4,2,7,1,2,3,4\nPCOMP,7\n,1,.01,0.,,1,-.02,0.\n", "warning", 9, "PCOMP 7: T is -0.02, below 0"),
         ("MAT8,2,1.,1.,1.,1.\n", "error", 8, "MAT8 2: NU12 1 is not below sqrt(E1/E2) = 1"),
         ("MAT8,2,1.,,.3,1.\n", "error", 8, "MAT8 2: E1 and E2 must be over 0"),
         ("MAT2,2,1.,2.,,1.,,1.\n", "error", 8, "MAT2 2: its elasticity matrix has a negative"),

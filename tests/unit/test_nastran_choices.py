@@ -231,6 +231,19 @@ def test_a_bolt_that_joins_two_parts_stops_and_one_that_lists_elements_does_not(
         read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}BOLT,1,9\n,TOP,1,2\n,BOTTOM,3,4\n"))
 
 
+def test_commands_that_are_skipped_do_not_count(tmp_path: Path) -> None:
+    top = "CEND\nSPC = 1\nSKIPON\nSPC = 2\nMPC = 3\nSKIPOFF\nMETHOD = 4\n"
+    case = read_deck(write(tmp_path, f"{top}BEGIN BULK\n{SPRING}SPC1,1,1,1\nEIGRL,4,,,1\n")).case
+    assert (case.spc, case.mpc, case.method) == (1, 0, 4)
+    with pytest.raises(UnsupportedCard, match="SKIPON"):
+        read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}SKIPON\nCELAS2,9,1.,1,1\nSKIPOFF\n"))
+
+
+def test_a_point_that_is_a_node_too_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DeckError, match=r"main\.bdf:5: SPOINT: 1 is the number of a GRID, too"):
+        read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}SPOINT,9,1\n"))
+
+
 def test_what_no_answer_holds_is_said_by_every_command(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     read_deck(write(tmp_path, f"CEND\nK2PP = KX\nBEGIN BULK\n{SPRING}CYJOIN,1,,1\n"))
     assert "K2PP = KX: it is left out" in caplog.text

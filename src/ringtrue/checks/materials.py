@@ -1,21 +1,46 @@
-"""Materials that would have negative strain energy, and those with blanks that stand for 0."""
+"""Materials that would have negative strain energy, those with blanks that stand for 0, and sizes below 0."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.core.arrays import Float
-from ringtrue.model.model import Model, Table
+from ringtrue.model.model import Model, Ragged, Table
 
 _FIT = 0.01  # of E / (2 (1 + NU) G)
 _ZERO = 1e-12  # of the largest eigenvalue: round-off
 
 
+POSITIVE = {  # fields below 0 that no body has
+    "MAT1": ("E", "G", "RHO"),
+    **dict.fromkeys(("MAT2", "MAT8", "MAT9"), ("RHO",)),
+    **dict.fromkeys(("PROD", "CONROD"), ("A", "J")),
+    "PTUBE": ("OD", "T"),
+    "PBAR": ("A", "I1", "I2", "J"),
+    "PBEAM": ("A", "I1", "I2", "J", "AB", "I1B", "I2B", "JB"),
+    **dict.fromkeys(("PSHELL", "PSHEAR", "PCOMP", "PCOMPG"), ("T",)),
+}
+
+
 def check_materials(model: Model) -> list[Finding]:
-    """Poisson's ratio of MAT1, E1, E2 and NU12 of MAT8, the matrices of MAT2 and MAT9, and shells that do not bend."""
+    """Poisson's ratio of MAT1, E1, E2 and NU12 of MAT8, the matrices of MAT2 and MAT9, shells that do not bend, and
+    moduli, densities and sizes of sections below 0."""
     matrices = [*_indefinite(model, "MAT2", 3), *_indefinite(model, "MAT9", 6)]
-    return [*_poisson(model), *_orthotropic(model), *matrices, *_membranes(model), *_straight(model)]
+    doubtful = [*_poisson(model), *_orthotropic(model), *matrices, *_membranes(model), *_straight(model)]
+    return [*doubtful, *_negative(model)]
+
+
+def _negative(model: Model) -> Iterator[Finding]:
+    for card in (c for c in POSITIVE if c in model):
+        for name in POSITIVE[card]:
+            column = model[card].columns[name]
+            values = column.values if isinstance(column, Ragged) else column
+            if (at := np.flatnonzero(values < 0)).size:
+                rows = np.unique(column.owner[at]) if isinstance(column, Ragged) else at
+                yield at_rows(model, card, rows, "warning", f"{name} is {values[at[0]]:g}, below 0")
 
 
 def _membranes(model: Model) -> list[Finding]:

@@ -179,7 +179,7 @@ CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR CRAC2D CRAC3D CTWIST
 PSEAM PBUSH2D PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT3 MAT11 MATORT MATHP MFLUID RBE2GS RBE2F RSSCON RBAX
 DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEBULK SECONCT SEELT SESET SEBNDRY SELOC SEMPLN SETREE
 CSUPER CSUPEXT RELEASE PCOMPG1 PCOMPP MATCID BCONP BCTABLE BLSEG BSCONP SLBLOAD AXIC PDAMP5 TIE CONTACT JOINTG RBODY
-GMBC GMSPC GMBNDC GMBNDS PVAL
+GMBC GMSPC GMBNDC GMBNDS PVAL SKIPON
 """
 PRELOADS = ("FORCE", "MOMENT", "PLOAD", "GRAV", "ACCEL", "RFORCE", "TEMP", "DEFORM", "SLOAD", "SPCD", "LOAD")
 _REASONS = (  # what cards have in common that are not read, and how their names begin
@@ -202,6 +202,7 @@ _REASONS = (  # what cards have in common that are not read, and how their names
     ("preload: the modes are those of the unloaded structure; take STATSUB (or the SOL of prestress) out to have them",
      (*PRELOADS, "BOLTF", "PRETENS", "SPCR")),
     ("a bolt cut in two parts: join TOP and BOTTOM by shared nodes, RBE2 or MPC", ("BOLT",)),
+    ("cards that are passed over: take them out, with SKIPON and SKIPOFF", ("SKIPON",)),
     ("elements of order p: give CHEXA, CPENTA and CTETRA with nodes on their edges", ("GM", "PVAL")),
     ("elements of old NASTRAN: give CQUAD4, CTRIA3, CSHEAR, CHEXA, CPENTA or CTETRA",
      ("CQUAD1", "CQUAD2", "CTRIA1", "CTRIA2", "CTRBSC", "CTRPLT", "CTRSHL", "CQDPLT", "CQDMEM", "CTRMEM", "CTRIM6",

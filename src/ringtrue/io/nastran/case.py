@@ -128,10 +128,15 @@ def modal_damping_set(top: Sequence[str]) -> int:
 
 
 def _joined(top: Iterable[str]) -> list[str]:
-    """Commands without comments; a line that ends in a comma goes on in the next."""
+    """Commands without comments and those that SKIPON passes over; a line that ends in a comma goes on in the next."""
     out: list[str] = []
+    skipped = False
     for raw in top:
         line = raw.split("$")[0].rstrip()
+        if told := re.match(r"\s*SKIP(ON|OFF)\b", line, re.I):
+            skipped = told[1].upper() == "ON"
+        if told or skipped:
+            continue
         if out and out[-1].endswith(",") and not _TEXT.match(out[-1]):
             out[-1] += " " + line.strip()
         elif line:

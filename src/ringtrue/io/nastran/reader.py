@@ -205,6 +205,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
         raise fault(found, at, "write the file name behind INCLUDE, in quotes")
     for default in DEFAULTS:
         tables |= fill(default, tables, found)
+    _refuse_both(tables, found.deck.files)
     tables |= implied_points(tables)
     if "SPOINT" in tables and "GRID" not in tables:  # springs and masses between scalar points alone
         tables["GRID"] = empty("GRID")
@@ -256,6 +257,17 @@ def _refuse_shared(tables: Sequence[Table], files: tuple[str, ...]) -> None:
         for other in tables[:i]:
             if (rows := np.flatnonzero(np.isin(table.ids, other.ids))).size:
                 raise _twice(table, int(rows[0]), other, int(other.find(table.ids[rows[:1]])[0]), files)
+
+
+def _refuse_both(tables: Mapping[str, Table], files: tuple[str, ...]) -> None:
+    """Refuse an SPOINT with the number of a GRID: which of the two a card names would be open."""
+    if "SPOINT" in tables and "GRID" in tables:
+        points, grid = tables["SPOINT"], tables["GRID"]
+        ids = points.ragged("ID")
+        if (both := np.flatnonzero(np.isin(ids.values, grid.ids))).size:
+            node, row = ids.values[both[0]], int(ids.owner[both[0]])
+            path, line = files[points.file[row]], int(points.line[row])
+            raise DeckError(f"{node} is the number of a GRID, too", path=path, line=line, card="SPOINT")
 
 
 def _twice(table: Table, row: int, other: Table, before: int, files: tuple[str, ...]) -> DeckError:
