@@ -118,15 +118,24 @@ def test_a_turned_support_moves_what_is_tied_to_it_in_its_own_frame(tmp_path: Pa
 
 
 def test_scalar_points_that_are_displaced(tmp_path: Path) -> None:
-    deck = "SPOINT,7,8\nGRID,1,,,,,,123456\nCELAS4,1,10.,7,8\nCELAS4,2,30.,8,0\nSPC,1,7,1,0.4\nSLOAD_\n"
-    text = HEAD + deck.replace("SLOAD_\n", "FORCE,1,1,,0.,1.\n")
+    """Springs in a row, 0.4 at one end, a force of 8 between them: the middle moves by (10·0.4 + 8)/40."""
     path = tmp_path / "d.bdf"
-    path.write_text(text)
+    springs = "SPOINT,7,8\nGRID,1,,,,,,123456\nCELAS4,1,10.,7,8\nCELAS4,2,30.,8,0\n"
+    path.write_text(f"{HEAD}{springs}SPC,1,7,1,0.4\nSLOAD,1,8,3.,8,5.\n")
     model, cases = read_loaded_deck(path)
     with EmbeddedSolver().open(model) as analysis:
         drawn, carried = support_motions(model, analysis.dofs, cases)
-        found = analysis.static(drawn) + carried
-    np.testing.assert_allclose(found[-2:, 0], [0.4, 0.1])
+        found = analysis.static(load_vectors(model, analysis.dofs, cases) + drawn) + carried
+    np.testing.assert_allclose(found[-2:, 0], [0.4, 0.3])
+
+
+def test_forces_and_moments_across_four_nodes(tmp_path: Path) -> None:
+    """FORCE2 and MOMENT2 along (G2 - G1) x (G4 - G3): along Z and, with G3 and G4 exchanged, -Z."""
+    nodes = "GRID,1,,0.,0.,0.\nGRID,2,,2.,0.,0.\nGRID,3,,0.,3.,0.\nGRID,4,,1.,3.,0.,,123456\n"
+    springs = "".join(f"CELAS2,{c},100.,1,{c}\n" for c in range(1, 7)) + "SPC1,1,123456,2,3\n"
+    loads = "FORCE2,1,1,5.,1,2,1,3\nMOMENT2,1,1,7.,1,2,3,1\n"
+    moved = solved(tmp_path / "d.bdf", HEAD + nodes + springs + loads)
+    np.testing.assert_allclose(moved[0], [0, 0, 0.05, 0, 0, -0.07], atol=1e-12)
 
 
 def test_a_point_that_nothing_holds_cannot_be_displaced(tmp_path: Path) -> None:

@@ -152,6 +152,8 @@ def test_a_direction_of_a_cylindrical_frame_turns_with_the_place(tmp_path: Path)
         (("FORCE1,1,0,5.,5,6",), "FORCE1 field G: 0 is no node"),
         (("FORCE,1,0,,5.,0.,0.,1.",), "FORCE field G: 0 is no node"),
         (("FORCE1,1,6,5.,5,5",), "which are at one place"),
+        (("FORCE2,1,6,5.,5,6,6,5",), "which span no plane"),
+        (("SLOAD,1,6,5.",), "SLOAD names 6, which is no scalar point of the deck"),
     ],
 )
 def test_what_cannot_be_taken(tmp_path: Path, cards: tuple[str, ...], told: str, capsys: Capture) -> None:

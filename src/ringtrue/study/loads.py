@@ -50,7 +50,9 @@ def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
     gravity = np.zeros((3, len(cases)))
     for j, case in enumerate(cases):
         for ld in case.loads:  # few beside the elements
-            if isinstance(ld, Load) and ld.node:
+            if isinstance(ld, Load) and ld.card == "SLOAD":
+                out[_scalar(dofs, case, ld), j] += ld.vector[0]
+            elif isinstance(ld, Load) and ld.node:
                 first = 4 if ld.card == "MOMENT" else 1
                 vector = _vector(model, xyz, case, ld)
                 out[dofs.find(np.full(3, ld.node), np.arange(first, first + 3)), j] += vector
@@ -158,17 +160,29 @@ def refuse_displaced(model: Model) -> None:
             raise error(model, table, int(rows[0]), "displaces a support (D); forces alone act on one that is at 0")
 
 
+def _scalar(dofs: DofSet, case: LoadCase, ld: Load) -> int:
+    """The row of a scalar point."""
+    if (row := int(dofs.find(np.array([ld.node]), np.array([0]))[0])) < 0:
+        raise InputError(f"{case.name}: SLOAD names {ld.node}, which is no scalar point of the deck")
+    return row
+
+
 def _vector(model: Model, xyz: Float, case: LoadCase, ld: Load) -> Float:
     """A load in basic, (3,)."""
-    nodes = [ld.node] * bool(ld.node) + list(ld.ends or ())
+    nodes = [ld.node] * bool(ld.node) + list(ld.ends)
     rows = model["GRID"].find(np.array(nodes, dtype=np.int64))
     if (rows < 0).any():
         raise InputError(f"{case.name}: {ld.card} names node {nodes[int(rows.argmin())]}, which is not in the deck")
     at = xyz[rows]
     if ld.ends:
         along = at[2] - at[1]
+        if len(ld.ends) == 4:
+            along = np.cross(along, at[4] - at[3])
         if not along.any():
-            raise InputError(f"{case.name}: {ld.card} from node {ld.ends[0]} to {ld.ends[1]}, which are at one place")
+            why = "which are at one place" if len(ld.ends) == 2 else "which span no plane"
+            raise InputError(
+                f"{case.name}: {ld.card} from node {ld.ends[0]} to {', '.join(map(str, ld.ends[1:]))}, {why}"
+            )
         return np.asarray(ld.vector[0] * along / np.linalg.norm(along))
     where = at[:1] if ld.node else np.zeros((1, 3))
     return np.asarray(np.asarray(ld.vector) @ axes(model, np.array([ld.cid]), where)[0])

@@ -23,14 +23,15 @@ Vector = tuple[float, float, float]
 class Load:
     """A force or moment at `node`, or an acceleration of all masses (GRAV, node 0), in frame `cid`; deck units.
 
-    With `ends`, two nodes, only the size of the vector counts: its direction is from the one to the other (FORCE1).
+    With `ends`, two nodes, only the size of the vector counts: its direction is from the one to the other (FORCE1), of
+    four nodes across both pairs (FORCE2). At a scalar point (SLOAD) the vector is its size alone.
     """
 
     card: str
     node: int
     cid: int
     vector: Vector
-    ends: tuple[int, int] | None = None
+    ends: tuple[int, ...] = ()
 
     def times(self, factor: float) -> Load:
         """The load multiplied."""
@@ -229,9 +230,14 @@ def _force(r: Reader) -> list[AnyLoad]:
 
 
 def _between(r: Reader) -> list[AnyLoad]:
-    """FORCE1 and MOMENT1: SID G F G1 G2."""
-    ends = (r.whole(3, "G1"), r.whole(4, "G2"))
+    """FORCE1 and MOMENT1: SID G F G1 G2; FORCE2 and MOMENT2: SID G F G1 G2 G3 G4."""
+    ends = tuple(r.whole(i, f"G{i - 2}") for i in range(3, 7 if r.card.name.endswith("2") else 5))
     return [Load(r.card.name[:-1], _node(r), 0, (r.real(2, "F"), 0.0, 0.0), ends)]
+
+
+def _sload(r: Reader) -> list[AnyLoad]:
+    """SLOAD: SID S1 F1 S2 F2 S3 F3."""
+    return [Load("SLOAD", r.whole(i, "S"), 0, (r.real(i + 1, "F"), 0.0, 0.0)) for i in (1, 3, 5) if r.text(i)]
 
 
 def _place(r: Reader) -> tuple[str, int]:
@@ -310,7 +316,8 @@ def _spcd(r: Reader) -> list[AnyLoad]:
 
 _READ: Mapping[str, Callable[[Reader], list[AnyLoad]]] = {
     **dict.fromkeys(("FORCE", "MOMENT", "GRAV"), _force),
-    **dict.fromkeys(("FORCE1", "MOMENT1"), _between),
+    **dict.fromkeys(("FORCE1", "MOMENT1", "FORCE2", "MOMENT2"), _between),
+    "SLOAD": _sload,
     "PLOAD": _pload,
     "PLOAD1": _pload1,
     "PLOAD2": _pload2,
