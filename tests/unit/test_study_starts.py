@@ -15,13 +15,16 @@ from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.stages import update
 
 
-def poor(lost: int) -> Any:
-    """The updating from the deck, as if it had ended there with `lost` modes without partner."""
+def poor(lost: int, good: int) -> Any:
+    """The updating, as if it had ended at the deck with `lost` modes without partner.
+
+    Not so from further starts (`good` 5, the place of their settings) or from the proposal (6, that of its factors).
+    """
     well = update.together
 
     def ended(*given: Any) -> tuple[SetResult, int]:
         done, other = well(*given)
-        if given[5] is not None:  # further starts
+        if len(given) > good and given[good] is not None:
             return done, other
         return replace(done, factor=np.ones(len(done.parameters)), criterion=done.criterion + 50.0), lost
 
@@ -32,10 +35,11 @@ def updated(folder: Path) -> StudyRun:
     return run_study(small_study.write_study(folder, ambient=False), until="update")
 
 
-def test_a_lower_end_of_further_starts_takes_the_place_of_one_that_lost_modes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("good", [5, 6], ids=["further starts", "proposal"])
+def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: int
 ) -> None:
-    monkeypatch.setattr(update, "together", poor(lost=2))
+    monkeypatch.setattr(update, "together", poor(lost=2, good=good))
     done = updated(tmp_path)
     stage = done.results["update"]
     best = stage.sets[stage.chosen]
@@ -46,6 +50,6 @@ def test_a_lower_end_of_further_starts_takes_the_place_of_one_that_lost_modes(
 
 
 def test_an_end_with_all_partners_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(update, "together", poor(lost=0))
+    monkeypatch.setattr(update, "together", poor(lost=0, good=5))
     stage = updated(tmp_path).results["update"]
     np.testing.assert_array_equal(stage.sets[stage.chosen].factor, 1.0)

@@ -34,11 +34,12 @@ def together(
     progress: Progress,
     kept: Iterates,
     u: UpdateSection | None = None,
+    factors: Mapping[str, float] | None = None,
 ) -> tuple[SetResult, int]:
     """Update on the reduced models of all configurations until the full ones agree at the end point.
 
-    `u` stands in for the [update] of the study. Beside the result the number of used modes without partner whose
-    shape the model has.
+    `u` stands in for the [update] of the study; with `factors` of the members it starts there, not at the deck.
+    Beside the result the number of used modes without partner whose shape the model has.
 
     Raises
     ------
@@ -48,6 +49,10 @@ def together(
     u = u or desk.config.update
     models, aims = [desk.candidates(progress), *desk.others(progress)], targets(desk, u)
     start = kept.start(name, members)
+    if start is None and factors is not None:
+        start = desk.parameters.take([desk.parameters.names.index(m) for m in members]).vector(
+            np.array([factors[m] for m in members])
+        )
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):

@@ -12,9 +12,10 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress, part
 from ringtrue.errors import NumericalError
 from ringtrue.model.edit import field_value
+from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import further
 from ringtrue.study.iterates import Iterates
-from ringtrue.study.results import CorrelateStage, SensitivityStage, SetResult, UpdateStage
+from ringtrue.study.results import CorrelateStage, LocaliseStage, SensitivityStage, SetResult, UpdateStage
 from ringtrue.study.stages.by_runs import by_runs
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.sensitivity import target
@@ -110,20 +111,27 @@ def _least(results: Sequence[SetResult], alike: Sequence[bool]) -> int:
 def _with_further_starts(
     desk: Workbench, results: list[SetResult], chosen: int, progress: Progress, kept: Iterates
 ) -> list[SetResult]:
-    """The sets, the one to be chosen from further starts as well where these end in a lower J."""
+    """The sets, the one to be chosen from further starts as well where these end in a lower J.
+
+    One is where the proposal was found: its search has left minima in which the way from the deck may end.
+    """
     best, more = results[chosen], further(desk.config.update)
-    if more is None:
-        return results
-    progress(0.9, f"{best.name}: modes without partner, further starts")
-    name = f"{best.name}, further starts"
-    try:
-        other, _ = together(desk, name, best.parameters, progress, kept, more)
-    except NumericalError as e:  # the end from the deck stands
-        _log.info("%s: %s", name, e)
-        return results
-    if not other.criterion < best.criterion:
-        return results
-    return [replace(other, name=r.name) if r.parameters == best.parameters and not r.settings else r for r in results]
+    found: LocaliseStage = desk.get("localise")
+    at = {m.name: m.factor for m in found.proposal.members}
+    others = list[tuple[str, UpdateSection | None, dict[str, float] | None]]()
+    others += [("from the proposal", None, at)] if set(at) == set(best.parameters) else []
+    others += [("further starts", more, None)] if more is not None else []
+    for what, settings, factors in others:
+        progress(0.9, f"{best.name}: modes without partner, {what}")
+        name = f"{best.name}, {what}"
+        try:
+            other, _ = together(desk, name, best.parameters, progress, kept, settings, factors)
+        except NumericalError as e:  # the end from the deck stands
+            _log.info("%s: %s", name, e)
+            continue
+        if other.criterion < best.criterion:
+            best = replace(other, name=best.name)
+    return [replace(best, name=r.name) if r.parameters == best.parameters and not r.settings else r for r in results]
 
 
 def chosen_factors(desk: Workbench) -> Float:
