@@ -13,8 +13,10 @@ import pytest
 from scipy.signal import lfilter
 from test_cli import Capture, call, frf, parsed, refused
 
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient
+from ringtrue.identify.ambient_verdict import overtones
 from ringtrue.io.records import write_history
 from ringtrue.signal.harmonics import families, steady_amplitudes, without_machines
 from ringtrue.signal.preprocess import channel_states, harmonics
@@ -96,6 +98,18 @@ def test_a_channel_of_noise_is_named() -> None:
     r = found(put(2, noise))
     assert r.modes.frequencies[:4] == pytest.approx(F, rel=TOLERANCE)
     assert [n.split(":")[0] for n in r.notes if "broken cable" in n] == ["channel 3+Z"]
+
+
+@pytest.mark.parametrize(
+    ("clipped", "doubted"), [([], []), ([0], [6.0]), ([0, 1, 2], [4.0, 6.0])], ids=["none", "one", "all"]
+)
+def test_an_overtone_of_clipping_stands_in_the_clipped_channels_alone(clipped: list[int], doubted: list[float]) -> None:
+    shapes = np.array([[1, 1, 1.0], [1, -0.5, 0.01], [1, 0.5, 0.02]])  # the third moves the first channel alone
+    f, sure = np.array([2.0, 4.0, 6.0]), np.array([1.0, 0.9, 0.8])
+    modes = ModeSet(f, np.full(3, 0.01), shapes, ("a", "b", "c"), confidence=sure)
+    judged, reasons = overtones(modes, np.full(3, 1e-3), ("",) * 3, np.isin(np.arange(3), clipped))
+    assert f[judged.confidence < 0.5].tolist() == doubted
+    assert f[["clipping" in r for r in reasons]].tolist() == doubted
 
 
 @pytest.mark.parametrize("rows", [2, slice(None)], ids=["one", "all"])

@@ -255,7 +255,9 @@ def identify_stretches(
     found = [rippled(x, echo) for x in found] if echo else found
     result = _assemble(good, found, lines, places, bands, settings, known, whole)
     if whole is not good:
-        modes, reasons = overtones(result.modes, result.uncertainty.frequency, result.reasons)
+        sound = {c.id for c in whole.channels} if whole else set()
+        clipped = np.array([c.id not in sound for c in good.channels])
+        modes, reasons = overtones(result.modes, result.uncertainty.frequency, result.reasons, clipped)
         result = replace(result, modes=modes, reasons=reasons)
     if second is None and (unsteady := unexplained(result.modes, with_feet(good, places))):
         return identify_stretches((first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady))

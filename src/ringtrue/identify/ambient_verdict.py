@@ -25,6 +25,7 @@ WORSE = 15.0  # times the least deviation of the damping of a mode
 LINE, SHARP = 2e-3, 5.0  # damping that a line may seem to have, and times less of it than the modes have
 STEADY = 2.5  # deviations of the logarithm of a fourth moment
 DOUBTFUL, SURE = 0.2, 0.6  # confidence
+ELSEWHERE = 0.1  # of the power of a shape, in channels that are not clipped
 CROWD = 0.2  # of the order; each mode takes two
 CHANCE = 0.1  # of it
 MANY, APART = 10, 3.0  # modes, and how far apart on average, over the resolution of the lags
@@ -257,15 +258,16 @@ def reason(found: Found, i: int) -> str:
     )
 
 
-def overtones(modes: ModeSet, std: Float, reasons: tuple[str, ...]) -> tuple[ModeSet, tuple[str, ...]]:
+def overtones(modes: ModeSet, std: Float, reasons: tuple[str, ...], clipped: Bool) -> tuple[ModeSet, tuple[str, ...]]:
     """Modes and reasons of a clipped record: the half of the confidence where a mode is an overtone of surer ones.
 
     Clipping makes responses at a + b, 2a, 3a and 2a ± b of the frequencies a, b of strong modes, whose bandwidths add
-    up in them. `std` (m,), Hz, is what is known of the frequencies.
+    up in them, in the channels that it cuts, (ch,) `clipped`: a mode that others move in is none. `std` (m,), Hz, is
+    what is known of the frequencies.
     """
     f, half, sure = modes.frequencies, modes.frequencies * modes.damping, modes.confidence.copy()
-    told = list(reasons)
-    for k in range(len(modes)):
+    told, power = list(reasons), np.abs(modes.shapes) ** 2
+    for k in np.flatnonzero(power[~clipped].sum(axis=0) < ELSEWHERE * power.sum(axis=0)).tolist():
         base = np.flatnonzero((f < f[k]) & (modes.confidence > modes.confidence[k]))
         a, b = (x.ravel() for x in np.meshgrid(base, base))
         made = np.concatenate([f[a] + f[b], 2 * f[a] + f[b], 2 * f[a] - f[b]])
