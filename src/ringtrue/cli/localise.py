@@ -21,6 +21,7 @@ from ringtrue.study.placing import placed
 from ringtrue.study.proposing import Proposed, directly_proposed
 from ringtrue.study.reference import measured_part
 from ringtrue.update.candidates import CandidateSettings
+from ringtrue.update.proposal import Proposed as Member
 
 POOL: int = LocaliseSection.model_fields["pool"].default
 
@@ -78,6 +79,7 @@ def _table(localised: Proposed) -> dict[str, Any]:
                 "targets": target_words(what[m.name].parameter),
                 "factor": m.factor,
                 "std": m.std,
+                **({"added": m.added} if m.lump else {}),
                 "worth": m.worth,
                 "alike": list(m.alike),
                 "rivals": list(m.rivals),
@@ -100,8 +102,12 @@ def _table(localised: Proposed) -> dict[str, Any]:
 def _tables(found: Proposed) -> list[str]:
     """What is proposed as tables of study.toml."""
     by = {c.name: c.parameter for c in found.candidates}
-    out = ["as candidates of study.toml:"] if found.proposal.members else []
-    for p in (by[m.name] for m in found.proposal.members):
+    lacking = [m for m in found.proposal.members if m.lump]
+    out = ["cards for what the deck lacks ([[remodel]] adds a file of them):"] if lacking else []
+    out += [_card(found, by[m.name].targets[0].id, m.added) for m in lacking]
+    factors = [m for m in found.proposal.members if not m.lump]
+    out += ["as candidates of study.toml:"] if factors else []
+    for p in (by[m.name] for m in factors):
         if not (words := target_words(p)):
             out.append(f'# {p.name}: by [update] propose = true and [localise] kinds = ["region"]')
             continue
@@ -111,12 +117,25 @@ def _tables(found: Proposed) -> list[str]:
     return out
 
 
+def _card(found: Proposed, eid: int, mass: float) -> str:
+    masses = found.model["CONM2"]
+    node = int(masses["G"][masses.find(np.array([eid]))[0]])
+    return f"CONM2,{eid},{node},,{mass:.4g}"
+
+
+def _size(m: Member) -> tuple[str, str]:
+    """Factor and its error in per cent, or what is added and the error of that."""
+    if m.lump:
+        return f"+ {m.added:.3g}", f"{m.lump * m.std:.2g}"
+    return f"{m.factor:.3g}", f"{100 * m.std:.1f} %"
+
+
 def _print(deck: Path, found: Proposed) -> None:
     body = [
-        (i, m.name, f"{m.factor:.3g}", f"{100 * m.std:.1f}", f"{m.worth:.1f}", len(m.alike) + len(m.rivals))
+        (i, m.name, *_size(m), f"{m.worth:.1f}", len(m.alike) + len(m.rivals))
         for i, m in enumerate(found.proposal.members, start=1)
     ]
-    heads = ("#", "parameter", "factor", "± [%]", "worth (AICc)", "not told from it")
+    heads = ("#", "parameter", "factor, or added", "±", "worth (AICc)", "not told from it")
     told = f", {len(found.screened)} tell less than those looked at closely" if found.screened else ""
     rows(f"{deck}: {found.made} candidates, {len(found.dropped)} of them change no mode{told}", heads, body)
     out.print(found.proposal.text())

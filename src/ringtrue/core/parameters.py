@@ -104,6 +104,12 @@ class Parameter:
         if not self.std > 0:
             raise InputError(f"parameter {self.name}: std {self.std} must be > 0")
 
+    @property
+    def lump(self) -> float:
+        """Of a mass that is added to what a CONM2 has, that of a factor of 2; 0 of every other parameter."""
+        one = self.targets[0] if len(self.targets) == 1 else None
+        return one.step if one is not None and (one.card, one.field) == ("CONM2", "M") else 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterSet:

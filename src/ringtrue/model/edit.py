@@ -112,8 +112,12 @@ def _nominal(model: Model, parameter: Parameter, target: Target) -> float:
 
 
 def has_fields(parameter: Parameter) -> bool:
-    """Whether it is a factor on the deck's own fields, as no motion of nodes, matrix or part of a property is."""
-    return not (parameter.shapes or parameter.substructures or any(t.elements or t.step for t in parameter.targets))
+    """Whether it is a factor on the deck's own fields, as no motion of nodes, matrix or part of a property is.
+
+    A lump is the mass of a card of its own, which the deck gets.
+    """
+    places = any(t.elements or t.step for t in parameter.targets) and not parameter.lump
+    return not (parameter.shapes or parameter.substructures or places)
 
 
 def _refuse_what_no_field_holds(parameter: Parameter) -> None:
@@ -150,7 +154,7 @@ def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> lis
         _refuse_what_no_field_holds(parameter)
         for target in parameter.targets:
             for one in companions(model, target):
-                values[one] = values.get(one, _nominal(model, parameter, one)) * factor
+                values[one] = values.get(one, _nominal(model, parameter, one)) * factor + one.step * (factor - 1)
     return [FieldChange(t.card, t.id, t.field, v) for t, v in values.items()]
 
 

@@ -24,6 +24,7 @@ from ringtrue.study.config_update import (
     UncertaintySection,
     UpdateSection,
 )
+from ringtrue.update.candidates import Kind
 from ringtrue.update.damping_regions import DampingRegion
 
 
@@ -178,7 +179,7 @@ class LocaliseSection(_Section):
     """Where the model is wrong: error indicators, and a proposal of parameters."""
 
     most: int = Field(default=8, gt=0)  # parameters that are proposed
-    kinds: list[Literal["material", "property", "region", "spring", "mass"]] = ["material", "property", "spring"]
+    kinds: list[Kind] = ["material", "property", "spring", "lump"]
     pool: int = Field(default=24, ge=0)  # candidates made from the deck that are looked at closely; 0: none is made
     alike: float = Field(default=0.95, gt=0, le=1)  # |cosine| from which on the data cannot tell two apart
 

@@ -49,6 +49,12 @@ class Opened:
     def _modes(self) -> dict[float, ModesResult]:
         return {}
 
+    def extended(self, model: Model) -> Opened:
+        """The same for a model with further cards that change no matrix; nothing is solved anew."""
+        made = Opened(model, self.length, self.engine)
+        made.__dict__ |= {"analysis": self.analysis, "_modes": self._modes}
+        return made
+
     def modes(self, fmax: float, progress: Progress | None = None) -> ModesResult:
         """All modes below `fmax`, Hz (`ModesResult`), solved once."""
         if fmax not in self._modes:

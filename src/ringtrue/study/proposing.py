@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Float
+from ringtrue.checks.mass import mass_properties
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.parametric import ReducedModel, modes_of
@@ -20,8 +22,9 @@ from ringtrue.update.effects import Dropped, effective, reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.identifiable import ALIKE
 from ringtrue.update.localise import reduced_errors
+from ringtrue.update.lumps import lumped, places
 from ringtrue.update.objective import Target, Weights, match
-from ringtrue.update.pool import SMALL, conflicts, drawn
+from ringtrue.update.pool import SMALL, conflicts, drawn, left_out
 from ringtrue.update.proposal import Proposal, propose
 from ringtrue.update.screening import screened
 
@@ -35,6 +38,8 @@ class Proposed:
     Attributes
     ----------
     proposal : Proposal
+    model : Model
+        The deck, with places for masses that it may lack.
     candidates : tuple of Candidate
         That were looked at closely.
     dropped : tuple of Dropped
@@ -46,6 +51,7 @@ class Proposed:
     """
 
     proposal: Proposal
+    model: Model
     candidates: tuple[Candidate, ...]
     dropped: tuple[Dropped, ...]
     screened: tuple[str, ...]
@@ -77,13 +83,15 @@ def directly_proposed(
     lent : bool
         The shapes are the deck's own (`study.lent`): frequencies alone are compared.
     """
-    model, analysis = opened.model, opened.analysis
+    model, analysis, every = opened.model, opened.analysis, generate(opened.model, settings)
+    if "lump" in settings.kinds:
+        model, more = with_lumps(opened, bridge, settings)
+        every += more
     test = test.take(np.flatnonzero(test.frequencies > 0))
     weights, used = Weights(shape=0.0) if lent else Weights(), np.ones(len(test), dtype=bool)
     aim = Target(test.frequencies, test.shapes, np.zeros(len(test)), used, weights, lent=lent)
     count = int(EXTRA * len(test)) + 4
     modes = analysis.eigen(ModesRequest(modes_of(count)), part(progress, 0.0, 0.1))
-    every = generate(model, settings)
     progress(0.1, f"energies of {len(every)} candidates")
     moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
 
@@ -123,11 +131,22 @@ def directly_proposed(
         apart=conflicts(model, keep),
         errors=_errors(opened, reduced, aim, keep),
         words=[c.what for c in keep],
-        passed_over=len(moved) - len(keep),
+        passed_over=left_out(moved, keep),
         progress=part(progress, 0.55, 1.0),
     )
     names = {c.name for c in keep}
-    return Proposed(found, keep, lost, tuple(c.name for c in moved if c.name not in names), len(every))
+    return Proposed(found, model, keep, lost, tuple(c.name for c in moved if c.name not in names), len(every))
+
+
+def with_lumps(opened: Opened, bridge: Observation, settings: CandidateSettings) -> tuple[Model, tuple[Candidate, ...]]:
+    """The deck with places for masses that it may lack, and these as candidates (`update.lumps`)."""
+    return lumped(opened.model, nodes_of(opened, bridge), mass_properties(opened.analysis.system).mass, settings)
+
+
+def nodes_of(opened: Opened, bridge: Observation) -> Int:
+    """Nodes that cover the structure, those of the channels among them, ids (k,) int64."""
+    seen = opened.analysis.dofs.node[np.unique(sparse.coo_array(bridge.matrix).col)]
+    return places(opened.model, opened.moves, seen)
 
 
 def _errors(opened: Opened, reduced: ReducedModel, aim: Target, keep: tuple[Candidate, ...]) -> dict[str, Float]:

@@ -214,6 +214,7 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
     gathered = zip(found.regions, found.concentration.tolist(), strict=True)
     proposed = [
         {"name": m.name, "factor": m.factor, "std": m.std, "worth": m.worth, "not_told_from": [*m.alike, *m.rivals]}
+        | ({"added": m.added} if m.lump else {})
         for m in found.proposal.members
     ]
     rests = {"proposed_by": found.beside} if found.beside else {}

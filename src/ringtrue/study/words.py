@@ -15,6 +15,7 @@ from ringtrue.study.results import (
     Evidence,
     FinalStage,
     IdentifyStage,
+    LocaliseStage,
     PlanStage,
     TuneStage,
     UncertaintyStage,
@@ -43,7 +44,9 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     out = [_found(identify), *identify.merge_notes, *_at_fault(identify)] if identify is not None else []
     if correlate is not None:
         out += [*correlate.gaps, *_pairs(correlate, final)]
-    out += [_factor(*row) for row in _factors(r)]
+    lacking = _lacking(r)
+    for name, a, std in _factors(r):
+        out.append(_lump(name, lacking[name], a, std) if name in lacking else _factor(name, a, std))
     known: UncertaintyStage | None = r.get("uncertainty")
     if known is not None and known.unproven.any():
         names = [n for n, open_ in zip(known.parameters.names, known.unproven, strict=True) if open_]
@@ -203,3 +206,14 @@ def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
 def _factor(name: str, factor: float, std: float) -> str:
     digits = int(np.clip(1 - np.floor(np.log10(std)), 3, 6)) if np.isfinite(std) and std > 0 else 3
     return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}"
+
+
+def _lacking(r: Mapping[str, Any]) -> dict[str, float]:
+    """Masses that the deck lacked and a factor of 2 adds, by the names of the parameters."""
+    found: LocaliseStage | None = r.get("localise")
+    return {p.name: p.lump for p in found.parameters.parameters if p.lump} if found is not None else {}
+
+
+def _lump(name: str, total: float, factor: float, std: float) -> str:
+    mass = f"{total * (factor - 1):.4g} ± {total * std:.2g}"
+    return f"{name}: {mass} (units of the deck); is a part left out there? The updated deck has it as a CONM2"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.backends.registry import EMBEDDED, solver
+from ringtrue.checks.mass import mass_properties
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
@@ -33,8 +34,10 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels, build
 from ringtrue.study.placing import alignment
 from ringtrue.study.reference import reference_modes
-from ringtrue.study.results import ConfigurationsStage, CorrelateStage
+from ringtrue.study.results import ConfigurationsStage, CorrelateStage, LocaliseStage
 from ringtrue.study.store import Store
+from ringtrue.update.candidates import Candidate, CandidateSettings
+from ringtrue.update.lumps import lumped
 from ringtrue.update.residuals_static import RigidMass
 
 OWN = ""  # the deck of the study among the configurations
@@ -53,6 +56,7 @@ class Workbench:
     results: dict[str, Any] = field(default_factory=dict)
     delivered: Opened | None = None  # the deck that the final stage has written, while it is open
     generated: ParameterSet | None = None  # candidates that the localisation has made from the deck
+    lumped: Opened | None = None  # the remodelled deck with places for masses that it may lack (`update.lumps`)
     _model: ReducedModel | None = None
     _opened: dict[str, Opened] = field(default_factory=dict)  # decks of other configurations
     _others: dict[str, AtChannels] = field(default_factory=dict)  # their reduced models
@@ -123,8 +127,25 @@ class Workbench:
         if len(given) or not self.config.propose:
             return given
         if self.generated is None:
-            self.generated = self.get("localise").parameters
+            found: LocaliseStage = self.get("localise")
+            self.generated = found.parameters
+            self.with_lumps(found.places)
         return self.generated
+
+    def with_lumps(self, nodes: Int) -> tuple[Candidate, ...]:
+        """What the remodelled deck may lack at these nodes, ids (k,); it has a place for it from now on."""
+        deck = self.steps[-1]
+        total = mass_properties(deck.analysis.system).mass
+        model, found = lumped(deck.model, nodes, total, CandidateSettings(units=self.deck.units))
+        self.lumped = deck.extended(model) if nodes.size else None
+        return found
+
+    @property
+    def places(self) -> Int:
+        """Nodes of the places for lumps, ids (k,)."""
+        count = len(self.steps[-1].model.tables["CONM2"]) if "CONM2" in self.steps[-1].model else 0
+        none = np.zeros(0, dtype=np.int64)
+        return none if self.lumped is None else np.asarray(self.lumped.model["CONM2"]["G"][count:])
 
     @property
     def everything(self) -> ParameterSet:
@@ -284,4 +305,4 @@ class Workbench:
     @property
     def remodelled(self) -> Opened:
         """The deck after the whole remodelling; the initial one if there is none."""
-        return self.steps[-1]
+        return self.lumped or self.steps[-1]

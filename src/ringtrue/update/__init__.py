@@ -1,11 +1,11 @@
 """Which parameters of a model are wrong, by how much, and how sure that is.
 
-Candidates: `catalogue` what is tried, `generate` by property and material, `regions` by region, `candidates`
-one of them, `effects` those no mode sees, `alike` errors that go together.
+Candidates: `catalogue` what is tried, `generate` by property and material, `regions` by region, `lumps` masses
+that the deck lacks, `candidates` one of them, `effects` those no mode sees, `alike` errors that go together.
 
 Choice: `localise` indicators by element, `screening` and `pool` which are looked at closely, `choose`,
 `subsets`, `sparse` and `search` which are taken, `joint` what other data say, `identifiable` what cannot be
-told apart, `proposal` all of it explained.
+told apart, `lacking` whether masses are left out, `proposal` all of it explained.
 
 Objective: `objective` and `several` (configurations), of `residuals`, `residuals_frf` and `residuals_static`,
 weighed by `weights` and `robust`.

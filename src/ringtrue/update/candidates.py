@@ -20,8 +20,8 @@ from ringtrue.fem.rows import Rows
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.update.catalogue import QUANTITIES, SPREAD, UNITS
 
-Kind = Literal["property", "material", "region", "spring", "mass"]
-KINDS: tuple[Kind, ...] = ("property", "material", "region", "spring", "mass")
+Kind = Literal["property", "material", "region", "spring", "mass", "lump"]
+KINDS: tuple[Kind, ...] = ("property", "material", "region", "spring", "mass", "lump")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Candidate:
     Attributes
     ----------
     parameter : Parameter
-    kind : {"property", "material", "region", "spring", "mass"}
+    kind : {"property", "material", "region", "spring", "mass", "lump"}
     what : str
         In words, with the nominal value and its unit.
     elements : tuple of int
@@ -153,11 +153,15 @@ def elements_of(model: Model) -> Int:
 
 
 def membership(model: Model, candidates: Sequence[Candidate]) -> sparse.csr_array:
-    """1 where a candidate (p) changes an element (e, in the order of `elements_of`), csr (p, e)."""
+    """1 where a candidate (p) changes an element (e, in the order of `elements_of`), csr (p, e).
+
+    Elements that the model does not have, as places for lumps (`update.lumps`), do not count.
+    """
     ids = elements_of(model)
     order = np.argsort(ids, kind="stable")
     rows = [np.full(len(c.elements), i) for i, c in enumerate(candidates)]
     wanted = np.concatenate([np.zeros(0, dtype=np.int64), *(np.array(c.elements, dtype=np.int64) for c in candidates)])
     at = order[np.searchsorted(ids[order], wanted).clip(max=ids.size - 1)]
-    entries = (np.ones(at.size), (np.concatenate([np.zeros(0, dtype=np.int64), *rows]), at))
+    there = ids[at] == wanted
+    entries = (np.ones(there.sum()), (np.concatenate([np.zeros(0, dtype=np.int64), *rows])[there], at[there]))
     return sparse.csr_array(sparse.coo_array(entries, shape=(len(candidates), ids.size)))

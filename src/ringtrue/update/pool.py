@@ -38,6 +38,8 @@ def close(
 ) -> Int:
     """The candidates that are looked at closely, ascending: of those that can be taken apart the first that explain.
 
+    Half as many lumps come beside them: those that explain most among all, and they crowd none of the deck's own out.
+
     Parameters
     ----------
     misfits : sequence of (misfit (n,), slopes (n, p))
@@ -45,10 +47,24 @@ def close(
     stay : sequence of int
         Come before all others.
     """
-    orders = [explaining(misfit, slopes, 2 * most).tolist() for misfit, slopes in misfits]
-    turns = dict.fromkeys([*stay, *(i for turn in zip_longest(*orders) for i in turn if i is not None)])
-    first = np.array(list(turns)[: 2 * most], dtype=np.int64)
-    return np.sort(first[tractable(model, [candidates[i] for i in first.tolist()], most)])
+    lump = np.array([c.kind == "lump" for c in candidates], dtype=np.bool_)
+    own = np.flatnonzero(~lump)
+    first = [i for i in _in_turn(misfits, own, 2 * most, stay) if not lump[i]][: 2 * most]
+    near = np.array(first, dtype=np.int64)[tractable(model, [candidates[i] for i in first], most)]
+    added = [i for i in _in_turn(misfits, np.arange(lump.size), 2 * most, stay) if lump[i]] if lump.any() else []
+    return np.sort(np.append(near, np.array(added[: most // 2], dtype=np.int64)))
+
+
+def _in_turn(misfits: Sequence[tuple[Float, Float]], some: Int, most: int, stay: Sequence[int]) -> list[int]:
+    """Those that stay, then of some candidates the first that explain each misfit in turn."""
+    orders = [some[explaining(misfit, slopes[:, some], most)].tolist() for misfit, slopes in misfits]
+    return list(dict.fromkeys([*stay, *(i for turn in zip_longest(*orders) for i in turn if i is not None)]))
+
+
+def left_out(candidates: Sequence[Candidate], kept: Sequence[Candidate]) -> int:
+    """How many of the candidates are not kept; lumps, of which there are always as many, do not count."""
+    many, few = (sum(c.kind != "lump" for c in some) for some in (candidates, kept))
+    return many - few
 
 
 def explaining(misfit: Float, slopes: Float, most: int) -> Int:

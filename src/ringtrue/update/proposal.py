@@ -16,6 +16,7 @@ from ringtrue.core.progress import Progress, part
 from ringtrue.errors import InputError
 from ringtrue.update.choose import Candidates, Choice, largest, orthogonal
 from ringtrue.update.identifiable import ALIKE
+from ringtrue.update.lacking import with_lumps
 from ringtrue.update.localise import Variation, variation
 from ringtrue.update.objective import Residual, Target
 from ringtrue.update.search import Search
@@ -61,9 +62,17 @@ class Proposed:
     alike: tuple[str, ...]
     rivals: tuple[str, ...]
     because: str
+    lump: float = 0.0
+
+    @property
+    def added(self) -> float:
+        """The mass that it adds, in units of the deck; 0 of a factor."""
+        return self.lump * (self.factor - 1)
 
     def said(self) -> str:
-        """Name and factor."""
+        """Name and factor, or what is added."""
+        if self.lump:
+            return f"{self.name}: {self.added:.3g} ± {self.lump * self.std:.2g}"
         return f"{self.name} x {self.factor:.3g} (± {100 * self.std:.1f} %)"
 
     @property
@@ -200,19 +209,26 @@ def propose(
     told = progress or (lambda _f, _t: None)
     if most < 1:
         raise InputError(f"propose at most {most} parameters: allowed are 1 and more")
-    found = subsets(model, target, most, alike, apart, part(told, 0.0, 0.7), problem, passed_over)
+
+    def search(barred: Sequence[int], known: Sequence[Choice], told: Progress) -> Subsets:
+        return subsets(model, target, most, alike, apart, told, problem, passed_over, barred, known)
+
+    barred = [i for i, p in enumerate(model.parameters.parameters) if p.lump]
+    found = search(barred, (), part(told, 0.0, 0.35 if barred else 0.7))
+    if barred:
+        found, barred = with_lumps(search, found, barred, part(told, 0.35, 0.7))
     told(0.7, "testing each parameter")
-    return _explained(found, errors or {}, words)
+    return _explained(found, barred, errors or {}, words)
 
 
-def _explained(found: Subsets, errors: Mapping[str, Float], words: Sequence[str]) -> Proposal:
+def _explained(found: Subsets, faint: Sequence[int], errors: Mapping[str, Float], words: Sequence[str]) -> Proposal:
     search, zero, best = found.search, found.start, found.path[-1]
     p = search.model.parameters
     end = search.point(best.x)
     alone = variation(search.target, zero, search.prior, search.low, search.high)
     stds = dict(zip(best.members.tolist(), stated_errors(search, best, end).tolist(), strict=True))
     tested = [_tested(search, best, end, i, std, alone, errors, words) for i, std in stds.items()]
-    quiet = np.setdiff1d(np.arange(len(p)), search.pool)
+    quiet = np.setdiff1d(np.arange(len(p)), [*search.pool.tolist(), *faint])
     return Proposal(
         tuple(sorted(tested, key=lambda m: -m.worth)),
         np.array([c.members.size for c in found.path[:-1]]),
@@ -237,9 +253,11 @@ def _mean(x: Float) -> float:
 def stated_errors(search: Search, best: Choice, end: Residual) -> Float:
     """Standard deviation (k,) of x of each member: what candidates beside them may be off by widens it.
 
+    Masses that the deck may lack elsewhere do not: that something was left out is rare.
+
     Of A⁻¹ + ddᵀ over all that may stand side by side, d the step to their common minimum: `posterior.around`.
     """
-    every = search.together(best.members.tolist())
+    every = [i for i in search.together(best.members.tolist()) if i in best.members or i not in search.lumps]
     g, x = end.slope[:, every] * search.prior[every], best.x[every] / search.prior[every]
     inverse = np.linalg.inv(g.T @ g + np.eye(len(every)))
     square = np.diag(inverse) + (inverse @ (g.T @ end.value - x)) ** 2
@@ -289,6 +307,7 @@ def _tested(
         tuple(names[i] for i in twins.tolist()),
         rivals,
         "",
+        search.model.parameters.parameters[index].lump,
     )
     return replace(p, because=_because(p, search, end, r, alone, errors, words))
 

@@ -43,6 +43,7 @@ class Search:
     problem: Problem | None = None
     passed_over: int = 0
     assumed: Weights = field(default_factory=Weights)
+    lumps: frozenset[int] = frozenset()  # positions of those that are masses which the deck lacks
     seen: dict[bytes, Residual] = field(default_factory=dict)
     done: dict[tuple[tuple[int, ...], bytes, int], Choice] = field(default_factory=dict)
 
@@ -56,6 +57,7 @@ class Search:
         problem: Problem | None = None,
         passed_over: int = 0,
         assumed: Weights | None = None,
+        barred: Sequence[int] = (),
     ) -> Search:
         p = model.parameters
         low, high = p.bounds()
@@ -67,7 +69,7 @@ class Search:
         return cls(
             model,
             target,
-            np.flatnonzero(size >= SENSITIVE),
+            np.setdiff1d(np.flatnonzero(size >= SENSITIVE), barred),
             groups,
             none if apart is None else apart,
             size,
@@ -78,6 +80,7 @@ class Search:
             problem,
             passed_over,
             assumed or target.weights,
+            frozenset(i for i, one in enumerate(p.parameters) if one.lump),
         )
 
     @property

@@ -19,11 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln
 
-from ringtrue.core.arrays import Bool, Float
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.progress import Progress, part
 from ringtrue.errors import InputError
 from ringtrue.update.alike import errors_of_shapes
 from ringtrue.update.choose import GAIN, Candidates, Choice
+from ringtrue.update.lumps import PLACES
 from ringtrue.update.objective import Residual, Target, Weights, comparable_criteria
 from ringtrue.update.pool import NOISE
 from ringtrue.update.search import Search
@@ -73,6 +74,8 @@ def subsets(
     told: Progress,
     problem: Problem | None = None,
     passed_over: int = 0,
+    barred: Sequence[int] = (),
+    known: Sequence[Choice] = (),
 ) -> Subsets:
     """The best sets of up to `most` candidates, and the one that the criterion chooses.
 
@@ -83,28 +86,32 @@ def subsets(
     problem : Problem, optional
         All tests and data, the first of them `target`; over the same candidates.
     passed_over : int
-        Candidates that were left out since they explain less of the same test.
+        Candidates that were left out since they explain less of the same test, without lumps.
+    barred : sequence of int
+        Candidates that no set may have.
+    known : sequence of Choice
+        Sets that compete with those that are found.
 
     Raises
     ------
     InputError
         If no mode is paired at the start.
     """
-    plain = Search.of(model, target, alike, apart, problem, passed_over)
+    plain = Search.of(model, target, alike, apart, problem, passed_over, barred=barred)
     none = Choice(np.zeros(0, dtype=np.int64), np.zeros(len(model.parameters)), np.inf)
     start = plain.point(none.x)
     if not start.used.any():
         raise InputError("no mode of the model is paired with one of the test: nothing can be localised from them")
     if not plain.pool.size:
-        return Subsets(plain, start, start, [none, none], _criteria(plain, [none, none]), _found(plain, none))
+        return Subsets(plain, start, start, [none, none], criteria(plain, [none, none]), _found(plain, none))
     path = _path(plain, most, none, [], part(told, 0.0, 0.4))
-    sets, first = path[1:], _best(plain, path)
+    sets, first = [*path[1:], *known], _best(plain, path)
     told(0.4, "all candidates together")
     whole = plain.fit(plain.together(), none.x, AT_ONCE)
     search = plain.sharper(_found(plain, whole))
     whole = search.fit(search.together(), whole.x, AT_ONCE)
     few = [c for c in _eliminated(search, whole, most, part(told, 0.4, 0.6)) if c.members.size <= most]
-    best = _best(search, [search.refitted(first), *few])
+    best = _best(search, [search.refitted(c) for c in (first, *known)] + few)
     found = _found(search, best)
     sets, count = [*sets, *few], plain.point(best.x).used.sum()
     for _ in range(TWICE):
@@ -116,7 +123,7 @@ def subsets(
             break
         found, sets = better, path[1:]
     path.append(_pruned(search, _parted(search, best, most)))
-    return Subsets(search, start, plain.point(path[-1].x), path, _criteria(search, path), found)
+    return Subsets(search, start, plain.point(path[-1].x), path, criteria(search, path), found)
 
 
 def _eliminated(search: Search, now: Choice, most: int, told: Progress) -> list[Choice]:
@@ -156,7 +163,7 @@ def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: 
             break
         path.append(_exchanged(search, min(tried, key=lambda c: c.value)))
         more = [c for c in few if k < c.members.size <= most]
-        if k >= LATER and np.argmin(_criteria(search, [*path, *more])) <= k - LATER:  # more parameters do not pay
+        if k >= LATER and np.argmin(criteria(search, [*path, *more])) <= k - LATER:  # more parameters do not pay
             break
         told(k / most, f"best {k}: {', '.join(names[i] for i in path[-1].members.tolist())}")
     return path
@@ -197,7 +204,7 @@ def _parted(search: Search, now: Choice, most: int) -> Choice:
         twins = search.pool[alike & ~search.apart[np.ix_(search.pool, at)].any(axis=1)]
         options = search.best(r, now.x, at, twins, r.value)[:TRIALS] if twins.size else []
         tried = [search.fit(more, now.x) for value, more in options if value < now.value - NOISE]
-        rise = _criteria(search, [now, *tried])
+        rise = criteria(search, [now, *tried])
         if rise.argmin() == 0:
             return now
         now = tried[int(rise.argmin()) - 1]
@@ -212,7 +219,7 @@ def _pruned(search: Search, now: Choice) -> Choice:
             search.fit([m for m in all_ if m != out], np.where(np.arange(now.x.size) == out, 0.0, now.x))
             for out in all_
         ]
-        value = _criteria(search, [now, *fewer])
+        value = criteria(search, [now, *fewer])
         best = int(np.argmin(value[1:]))
         if value[1 + best] > value[0]:
             return now
@@ -220,15 +227,22 @@ def _pruned(search: Search, now: Choice) -> Choice:
     return now
 
 
-def _criteria(search: Search, path: Sequence[Choice]) -> Float:
+def criteria(search: Search, path: Sequence[Choice]) -> Float:
     """AICc of each set and the price of the search.
 
-    The best of many sets fits the noise, too: 2 γ ln of the number of sets of that size. Chen and Chen (2008), eq. 2.2.
+    The best of many sets fits the noise, too: 2 γ ln of the number of sets with as many factors and as many lumps.
+    Chen and Chen (2008), eq. 2.2.
     """
-    pool = np.unique(search.groups[search.pool]).size + search.passed_over
-    size = np.array([c.members.size for c in path])
-    sets = gammaln(pool + 1) - gammaln(size + 1) - gammaln(np.maximum(pool - size, 0) + 1)
+    lump = np.isin(np.arange(search.prior.size), list(search.lumps))
+    pool = np.unique(search.groups[search.pool[~lump[search.pool]]]).size + search.passed_over
+    added = np.array([lump[c.members].sum() for c in path])
+    sets = _log_sets(pool, np.array([c.members.size for c in path]) - added) + _log_sets(PLACES, added)
     return np.asarray(2 * PRICE * sets + aicc(search, path))
+
+
+def _log_sets(pool: int, size: Int) -> Float:
+    """ln of the number of sets of each size."""
+    return np.asarray(gammaln(pool + 1) - gammaln(size + 1) - gammaln(np.maximum(pool - size, 0) + 1))
 
 
 def aicc(search: Search, path: Sequence[Choice]) -> Float:
@@ -243,7 +257,7 @@ def aicc(search: Search, path: Sequence[Choice]) -> Float:
 
 def _best(search: Search, sets: Sequence[Choice]) -> Choice:
     """The set of the lowest criterion."""
-    return sets[int(np.argmin(_criteria(search, sets)))]
+    return sets[int(np.argmin(criteria(search, sets)))]
 
 
 def _found(search: Search, c: Choice) -> Weights:

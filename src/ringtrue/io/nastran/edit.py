@@ -18,7 +18,7 @@ from ringtrue.io.nastran.deck import load
 from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.lexer import LineFields, real, split_line
 from ringtrue.io.nastran.places import bush_flag, field_place, inherited
-from ringtrue.io.nastran.writer import format_field
+from ringtrue.io.nastran.writer import format_card, format_field
 from ringtrue.model.cards import CARDS, columns
 from ringtrue.model.edit import BOTH_ENDS, FieldChange, field_value, ply_field, resolve_target
 from ringtrue.model.model import Model
@@ -30,7 +30,8 @@ def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Pat
     """Copy a deck with all its includes, changing only the characters of the given fields.
 
     A field keeps the format of its line (small, large, free); the value is written with the digits that fit. A
-    blank field is filled; a field behind the end of its card gets the continuation lines it needs.
+    blank field is filled; a field behind the end of its card gets the continuation lines it needs. A CONM2 of the model
+    that stands in none of the files is added to the main deck with its mass.
 
     Returns
     -------
@@ -46,11 +47,27 @@ def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Pat
     found, files, contents = _loaded(model)
     groups: dict[int, list[FieldChange]] = {}
     find = _finder(model, found)
+    new = [c for c in changes if is_new(model, c)]
     for change in changes:
-        groups.setdefault(find(change), []).append(change)
+        if change not in new:
+            groups.setdefault(find(change), []).append(change)
     for card, mine in groups.items():
         _edit_card(found, contents, _Group(card, tuple(mine)))
-    return _write(files, [c.joined() for c in contents], Path(out_dir))
+    data = [c.joined() for c in contents]
+    if new:
+        data[0] = _inserted(data[0], "".join(_lump(model, c) for c in new))
+    return _write(files, data, Path(out_dir))
+
+
+def is_new(model: Model, change: FieldChange) -> bool:
+    """Whether it is the mass of a CONM2 that stands in no file."""
+    lump = (change.card, change.field) == ("CONM2", "M")
+    return lump and int(model["CONM2"].file[resolve_target(model, change)[0]]) < 0
+
+
+def _lump(model: Model, change: FieldChange) -> str:
+    node = int(model["CONM2"]["G"][resolve_target(model, change)[0]])
+    return format_card("CONM2", [change.id, node, None, float(change.value)])
 
 
 def unwritable(model: Model, targets: Sequence[Target]) -> dict[Target, str]:

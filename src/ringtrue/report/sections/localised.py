@@ -42,6 +42,9 @@ EXPANSIONS = {
 SHOWN = 30  # names of candidates that were not looked at closely
 FALLS = 10.0  # % of mean MAC, from which on a proposal is doubted
 REGIONS = 6  # of a candidate that are named
+LACKING = (
+    " A mass that the deck lacks is in units of the deck; its factor in later tables is that of the structure's mass."
+)
 FEW = 14  # candidates that are not folded away
 
 
@@ -106,6 +109,7 @@ def _proposal(s: LocaliseStage) -> list[Block]:
     caption = (
         "Proposed parameters, ranked by their worth: the rise of AICc if one is left out and the others are updated "
         "again. Not told from it: same effect on the data, or as good in its place."
+        + (LACKING if any(m.lump for m in p.members) else "")
     )
     reasons = [f"{m.name}: {sentence(m.because.removeprefix(f'{s.what[m.index]}; '))}" for m in p.members]
     price = "AICc of the best set of each size, with the price of the search (the logarithm of the number of sets)."
@@ -133,7 +137,7 @@ def _count(n: int) -> str:
 def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
     low, high = (float(x[0]) for x in s.parameters.take([m.index]).bounds())
     x = float(s.parameters.take([m.index]).vector(np.array([m.factor]))[0])
-    factor = fixed(m.factor, 3)
+    factor = f"+ {number(m.added, 3)}" if m.lump else fixed(m.factor, 3)
     shown = Cell(factor, "warn", "at its bound") if min(x - low, high - x) < 1e-6 else factor
     lost = ", ".join((*m.alike, *m.rivals)) or "–"
     what = Cell(s.what[m.index], "muted", _few(s.elements[m.index]))

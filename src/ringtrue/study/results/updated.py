@@ -44,6 +44,7 @@ class LocaliseStage:
     expansion: str = "hybrid"  # of the test shapes
     misfit: Float = field(default_factory=lambda: np.zeros(0))  # (m,) readings that it does not reproduce, relative
     beside: str = ""  # what the proposal rests on beside the modes of the study's own test
+    places: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (k,) nodes where a mass may be lacking
 
     @property
     def concentration(self) -> Float:

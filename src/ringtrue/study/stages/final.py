@@ -13,7 +13,7 @@ from ringtrue.core.pairing import Pairing
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
-from ringtrue.io.nastran.edit import edit_fields
+from ringtrue.io.nastran.edit import edit_fields, is_new
 from ringtrue.model.edit import FieldChange, field_changes, field_value
 from ringtrue.model.model import Model
 from ringtrue.study.evidence import followed, frf_evidence, on_sheet, synthesised
@@ -52,6 +52,8 @@ def said(model: Model, change: FieldChange) -> str:
     """A changed field in words: file:line card id field old -> new."""
     table = model[change.card]
     row = int(table.find(np.array([change.id]))[0])
+    if is_new(model, change):
+        return f"added: CONM2 {change.id} of {float(change.value):.6g} at GRID {int(table['G'][row])}"
     place = f"{Path(model.files[int(table.file[row])]).name}:{int(table.line[row])}"
     old = float(field_value(model, change))
     return f"{place} {change.card} {change.id} {change.field} {old:.6g} -> {float(change.value):.6g}"

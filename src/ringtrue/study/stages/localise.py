@@ -21,6 +21,7 @@ from ringtrue.study.expansion import expanded
 from ringtrue.study.measured import flexible
 from ringtrue.study.objective import names_of, problem_of
 from ringtrue.study.parametric import AtChannels
+from ringtrue.study.proposing import nodes_of
 from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
@@ -54,6 +55,7 @@ class _Pool:
     made: int = 0
     dropped: tuple[str, ...] = ()
     screened: tuple[str, ...] = ()
+    lumps: int = 0  # of these
 
 
 def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
@@ -77,7 +79,7 @@ def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
     pairs = pairs[aim.used[pairs[:, 0]] & (not aim.lent)]  # lent shapes have no local errors
     progress(0.6, "error indicators")
     errors, misfit = _errors(desk, model, aim, pairs)
-    member = membership(desk.remodelled.model, pool.candidates)
+    member = membership(desk.steps[-1].model, pool.candidates)
     others = desk.others(progress) if desk.config.configuration and _shared(desk) else ()
     proposal = _proposal(desk, model, others, aim, pool, errors.concentration(member), part(progress, 0.7, 1.0))
     return _result(desk, model, _problem(desk, model, others), aim, pool, pairs, errors, misfit, proposal)
@@ -104,6 +106,8 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
     if not asked.pool:
         return _Pool(())
     every = generate(model, CandidateSettings(tuple(asked.kinds), desk.deck.units))
+    more = _lumps(desk)
+    model = desk.remodelled.model
     if desk.config.propose:  # what is proposed is delivered
         every = tuple(c for c in every if has_fields(c.parameter))
     springs = tuple(of_parameter(model, p) for p in desk.config.suspensions().parameters)
@@ -112,6 +116,7 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
     every = tuple(
         c for c, held in zip(every, taken, strict=True) if not (held.any() or never.keys() & c.parameter.targets)
     )
+    every += more
     system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.fmax).modes
     lam, vectors = (2 * np.pi * modes.frequencies) ** 2, np.asarray(system.local @ modes.shapes)
     some, lost = effective(model, system, every, lam, vectors)
@@ -133,7 +138,17 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
         alike=asked.alike,
         progress=progress,
     )
-    return _Pool(near, len(every), tuple(d.name for d in lost), tuple(c.name for c in some if c not in near))
+    far = [c for c in some if c not in near]
+    lumps = sum(c.kind == "lump" for c in far)
+    return _Pool(near, len(every), tuple(d.name for d in lost), tuple(c.name for c in far), lumps)
+
+
+def _lumps(desk: Workbench) -> tuple[Candidate, ...]:
+    """Masses that the deck may lack; not where other decks or another solver would have to have them, too."""
+    if "lump" not in desk.config.localise.kinds or desk.config.configuration or desk.engine is not None:
+        return ()
+    deck = desk.steps[-1]
+    return desk.with_lumps(nodes_of(deck, desk.bridge(deck)))
 
 
 def _condensed(model: AtChannels, points: Sequence[Float]) -> AtChannels:
@@ -161,7 +176,7 @@ def _errors(desk: Workbench, model: AtChannels, aim: Target, pairs: Int) -> tupl
     """Indicators by element, and the misfit (m,) of the expanded test shapes: in the reduced basis, or as asked for."""
     test, fe = pairs.T
     reduced: ReducedModel = model.model
-    method, opened = desk.config.correlate.expand, desk.remodelled
+    method, opened = desk.config.correlate.expand, desk.steps[-1]
     f, shapes, system = aim.frequencies[test], aim.shapes[:, test], opened.analysis.system
     if method in ("", "hybrid"):
         return reduced_errors(opened.model, system, reduced, model.rows, f, shapes, fe)
@@ -197,7 +212,7 @@ def _proposal(
         errors=errors,
         words=[c.what for c in pool.candidates],
         problem=_problem(desk, search, also),
-        passed_over=len(pool.screened),
+        passed_over=len(pool.screened) - pool.lumps,
         progress=progress,
     )
 
@@ -228,14 +243,14 @@ def _result(
         for x in (np.zeros(len(p)), proposal.x)
     )
     known = identifiability(end.slope * p.std())
-    labels = element_regions(desk.remodelled.model, desk.deck.regions)
+    labels = element_regions(desk.steps[-1].model, desk.deck.regions)
     names = tuple(dict.fromkeys(labels))
     at = np.array([names.index(x) for x in labels])
 
     def by_region(share: Float) -> Float:
         return np.asarray(np.bincount(at, share, len(names)), dtype=np.float64)
 
-    member = membership(desk.remodelled.model, pool.candidates)
+    member = membership(desk.steps[-1].model, pool.candidates)
     return LocaliseStage(
         names,
         by_region(errors.strain),
@@ -258,6 +273,7 @@ def _result(
         desk.config.correlate.expand or "hybrid",
         misfit,
         _beside(desk) if problem is not None else "",
+        desk.places,
     )
 
 

@@ -140,8 +140,9 @@ def _posterior(
 ) -> tuple[Posterior, Float]:
     """About the delivered point, with errors as found, where the candidates that were not chosen may be off, too.
 
-    Those that scale a field of a chosen one are held: it stands for them. The errors of the
-    other configurations are taken to be like those of the first, the deck of the study.
+    Those that scale a field of a chosen one are held: it stands for them. Masses that the deck may lack elsewhere
+    are held, too: that something was left out is rare. The errors of the other
+    configurations are taken to be like those of the first, the deck of the study.
 
     Returns
     -------
@@ -155,7 +156,8 @@ def _posterior(
     at = problem.evaluate(p.vector(np.array([factor[n] for n in p.names])))
     mine = np.isin(p.names, list(chosen))
     same = conflicts(model, [of_parameter(model, one) for one in p.parameters])[:, mine].any(axis=1)
-    return around(problem, at, mine | ~same, freedom=freedom), at.points[0].now.d_lambda
+    rare = np.array([one.lump > 0 for one in p.parameters], dtype=np.bool_)
+    return around(problem, at, mine | ~(same | rare), freedom=freedom), at.points[0].now.d_lambda
 
 
 def _freedom(desk: Workbench, every: AtChannels, x: Float, final: FinalStage, held: Held, likely: Target) -> float:

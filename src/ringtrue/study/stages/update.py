@@ -89,7 +89,8 @@ def _values(desk: Workbench, best: SetResult, factor: Float) -> list[float]:
     candidates = {p.name: p for p in desk.parameters.parameters}
     out = []
     for name, a in zip(best.parameters, factor.tolist(), strict=True):
-        out.append(float(field_value(desk.remodelled.model, candidates[name].targets[0])) * a)
+        target = candidates[name].targets[0]
+        out.append(float(field_value(desk.remodelled.model, target)) * a + target.step * (a - 1))
     return out
 
 
