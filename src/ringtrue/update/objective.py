@@ -278,14 +278,15 @@ def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Re
     lam = (2 * np.pi * now.frequencies[fe[used]]) ** 2
     # a relative deviation of λ is twice that of f
     root = 0.5 / np.sqrt(w.frequency**2 + target.std[test[used]] ** 2)
-    value = [root * (1 - lam / lam_test)]
-    slope = [root[:, None] * now.d_lambda[fe[used]] / lam_test[:, None]]
-    if w.shape > 0:
-        for (t, _), group in zip(pairs[used].tolist(), spans(target, pairs[used], groups), strict=True):
+    k, n = int(used.sum()), len(target.shapes) if w.shape > 0 else 0
+    value, slope = np.empty(k * (1 + n)), np.empty((k * (1 + n), now.d_lambda.shape[1]))
+    value[:k], slope[:k] = root * (1 - lam / lam_test), root[:, None] * now.d_lambda[fe[used]] / lam_test[:, None]
+    if n:
+        for i, ((t, _), group) in enumerate(zip(pairs[used].tolist(), spans(target, pairs[used], groups), strict=True)):
             r, g = shape_residual(target, now, t, group)  # each pair has its own subspace
-            value.append(np.sqrt(w.of_shape) * r)
-            slope.append(np.sqrt(w.of_shape) * g)
-    return Residual(np.concatenate(value), np.concatenate(slope), pairs, mac, error, used)
+            rows = slice(k + i * n, k + (i + 1) * n)
+            value[rows], slope[rows] = np.sqrt(w.of_shape) * r, np.sqrt(w.of_shape) * g
+    return Residual(value, slope, pairs, mac, error, used)
 
 
 def spans(target: Target, pairs: Int, groups: Sequence[tuple[int, ...]]) -> tuple[Int, ...]:
