@@ -218,7 +218,7 @@ def _paired(chosen: ParameterSet, values: Float, seen: Float, aim: Target) -> _K
             np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi),
             seen,
             slope[0],
-            np.einsum("ckm,kmp->cmp", seen[:, near], share),
+            np.moveaxis(seen[:, near].transpose(2, 0, 1) @ share.transpose(1, 0, 2), 0, 1),
         )
         many = errors_of_shapes(aim, now)
         weights = replace(w, frequency=SHARP * w.frequency, mac=SHARP**2 * w.mac, independent=many)
