@@ -226,6 +226,26 @@ def test_a_machine_of_unsteady_speed_is_no_mode() -> None:
     assert steady_amplitudes(history, F, Z) == ("",) * 4
 
 
+@pytest.mark.parametrize(("f", "on", "off"), [(7.0, 10.0, 20.0), (12.5, 8.0, 12.0)])
+def test_a_machine_that_switches_is_no_mode(f: float, on: float, off: float) -> None:
+    """A pump, a scanner: bursts look like a mode of 0.1 to 0.3 % damping, whose amplitude is the same each time."""
+    seconds, rng = 1200.0, np.random.default_rng(3)
+    t = np.arange(int(RATE * seconds)) / RATE
+    burst, start = np.zeros(t.size), 5.0
+    while start < seconds:
+        length = on * rng.uniform(0.6, 1.4)
+        runs = (t >= start) & (t < start + length)
+        burst[runs] = np.sin(2 * np.pi * f * t[runs] + rng.uniform(0, 2 * np.pi))
+        start += length + off * rng.uniform(0.6, 1.4)
+    clean = made(seconds)
+    history = wrap(clean + clean.std() * np.outer(rng.standard_normal(6), burst))
+    r = identify_ambient(history, QUICK)
+    assert r.modes.frequencies == pytest.approx(F, rel=TOLERANCE)
+    told = [float(n.split()[2]) for n in r.notes if "a machine that switches" in n]
+    assert told == pytest.approx([f], rel=1e-3)
+    assert steady_amplitudes(history, F, Z) == ("",) * 4
+
+
 @pytest.mark.parametrize(("f", "wander", "size"), [(5.2, 0.01, 0.6), (9.35, 0.0, 0.3), (5.6, 0.01, 1.5)])
 def test_modes_beside_a_machine_stay(f: float, wander: float, size: float) -> None:
     r = identify_ambient(wrap(made(1200.0) + line(f, wander, 1200.0, size)), QUICK)
