@@ -252,6 +252,16 @@ def test_modes_beside_a_machine_stay(f: float, wander: float, size: float) -> No
     assert r.modes.frequencies == pytest.approx(F, rel=TOLERANCE)
 
 
+def test_a_channel_that_stands_still_but_for_a_digit_is_dead() -> None:
+    """A coarse recorder with nothing connected: its correlations were not finite where the digit was not looked at."""
+    data = made().copy()
+    data[2] = 0.0
+    data[2, 4321] = 0.01
+    r = identify_ambient(wrap(data), QUICK)
+    assert r.modes.frequencies == pytest.approx(F, rel=TOLERANCE)
+    assert any("stands still but for 2 changes of its value: a dead sensor; left out" in n for n in r.notes)
+
+
 def test_lines_are_taken_out_on_request(tmp_path: Path, capsys: Capture) -> None:
     """A line on a mode hides it; taken out, the mode is there again."""
     history = wrap(made() + line(9.28, 0.0, size=1.5) + line(20.0, 0.0))

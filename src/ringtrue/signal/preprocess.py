@@ -21,6 +21,7 @@ _BATCH = 8  # segments that are transformed together
 _CLEAR = 30.0, 10.0, 1.35  # times the power beside a steady line and around it, and its moment
 _DOUBT, _EVERY, _MANY = (15.0, 5.0, 1.6), 4, 100  # what each fourth segment of many shows of one at least
 _FEW = 2000  # samples that most channels show themselves in
+_STILL = 5000  # samples to a change of the value: of slower ones nothing is to be learnt
 _LOOK, _LEVELS = 1 << 16, 32  # samples looked at for different values, and how few are a coarse recorder
 _ODD = 100.0  # times the typical level of the channels of a quantity
 _PILE, _BESIDE, _HEAP = 30, 0.01, 5  # samples at an extreme; part of the range beside it; times those there
@@ -154,17 +155,26 @@ def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
             out.append(ChannelState(ids[i], False, f"{int((~np.isfinite(x)).sum())} samples are not finite"))
         elif s <= 1e-12 * max(top[i], typical):
             out.append(ChannelState(ids[i], False, f"constant at {float(x[0]):.4g}: a dead sensor"))
+        elif (changes := _changes(x)) < x.size // _STILL:
+            why = f"stands still but for {changes} change{'s' if changes > 1 else ''} of its value: a dead sensor"
+            out.append(ChannelState(ids[i], False, why))
         elif _straight(x, s):
             out.append(ChannelState(ids[i], False, "a straight line: no signal"))
         else:
             peers = [std[k] for k, c in enumerate(history.channels) if lively[k] and _alike(c, history.channels[i])]
-            why = (_ends(x, ends[:, i]), _level(s, peers), _twin(data, i, ids))
-            out += [ChannelState(ids[i], True, w) for w in why if w]
+            said = (_ends(x, ends[:, i]), _level(s, peers), _twin(data, i, ids))
+            out += [ChannelState(ids[i], True, w) for w in said if w]
     return tuple(out)
 
 
 def _alike(a: Channel, b: Channel) -> bool:
     return a.quantity == b.quantity
+
+
+def _changes(x: Any_) -> int:
+    """How often the value is not that of the sample before; no more are counted where the first samples tell enough."""
+    few = int(np.count_nonzero(np.diff(x[:_FEW])))
+    return few if few >= x.size // _STILL else int(np.count_nonzero(x[1:] != x[:-1]))
 
 
 def _straight(x: Any_, std: float) -> bool:
