@@ -84,21 +84,6 @@ class TimeHistory:
         return replace(self, data=self.data[at], channels=tuple(self.channels[i] for i in at))
 
 
-@dataclass(frozen=True, slots=True)
-class NoiseBlocks:
-    """Blocks of a random force and its responses, cut out by a window: spectra leak.
-
-    Attributes
-    ----------
-    length : float, s
-    window : str
-        "hann" or "boxcar".
-    """
-
-    length: float
-    window: Literal["hann", "boxcar"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FrfSet:
     """Frequency response functions.
@@ -123,8 +108,8 @@ class FrfSet:
         Known to be free of leakage, however few lines a mode has: of a periodic force, or with transients estimated.
     blows : Blows, optional
         The blows behind the FRFs, where they are known.
-    blocks : NoiseBlocks, optional
-        The blocks of noise that the FRFs are of, where they are known.
+    hann : float, s
+        Length of the blocks of noise under a Hann window that the FRFs are of; 0 for none, or unknown.
     """
 
     data: Complex
@@ -139,7 +124,7 @@ class FrfSet:
     kept: float = float("inf")
     sharp: bool = False
     blows: Blows | None = None
-    blocks: NoiseBlocks | None = None
+    hann: float = 0.0
 
     def __post_init__(self) -> None:
         put = object.__setattr__

@@ -36,7 +36,7 @@ def condensed(lines: Lines, poles: Complex, reach: Float) -> Lines:
         The same ones where they are few, or hold a response that the block cuts off, or its window: that ripples
         from line to line.
     """
-    if np.isfinite(lines.kept) or lines.blocks:
+    if np.isfinite(lines.kept) or lines.hann:
         return lines
     x = lines.s.imag
     stretches = [(a, b, b - a > NODES) for a, b in _stretches(x, _room(lines, poles, reach))]

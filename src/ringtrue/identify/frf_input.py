@@ -132,7 +132,7 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
     step = np.interp(modes.frequencies, frfs.freqs[1:], np.diff(frfs.freqs))
     width = (2 * modes.damping * modes.frequencies + frfs.window_decay / np.pi) / step
     cut = [f"{f:.4g}" for f in modes.frequencies[width < _CUT]]
-    if cut and np.isinf(frfs.kept) and not (frfs.sharp or frfs.blocks):
+    if cut and np.isinf(frfs.kept) and not (frfs.sharp or frfs.hann):
         more = f" and {len(cut) - 6} more" if len(cut) > 6 else ""
         out.append(
             f"less than {_CUT:g} lines in the half-power bandwidth at {' '.join(cut[:6])} Hz{more}: the blocks are "

@@ -30,7 +30,7 @@ from ringtrue.identify.frf_input import (
     sound_pairs,
 )
 from ringtrue.identify.judge import Candidates, Verdict, judge
-from ringtrue.identify.leakage import blocks_note, blocks_of_noise, looks_faded
+from ringtrue.identify.leakage import block_of_noise, hann_note, looks_faded
 from ringtrue.identify.lsfd import (
     Lines,
     blow_factors,
@@ -53,8 +53,7 @@ from ringtrue.signal.reciprocal import exchanged
 
 TURNS = 6
 LAST_ITERATIONS = 60
-FADED = {"hann": 0.95, "boxcar": 0.998}  # of the misfit, that blocks of noise leave as such, if they are
-NOISE = {"hann": np.inf, "boxcar": 2.0}  # times the error by the coherence: without a window leakage is most of it
+FADED = 0.95  # of the misfit, that blocks of noise under a Hann window leave as such, if they are
 NO_WORSE = 1.05  # times the misfit: of responses that disagree about modes, a mode for each with a pole of its own
 RINGING_TURNS = 6  # of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
 MOST_NEW = 6
@@ -285,17 +284,15 @@ def _fit(search: _Search, start: Candidates, tell: Progress) -> tuple[_Fit, list
 
 
 def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Search, _Fit, str]:
-    """The fit of FRFs that blocks of noise explain better, with a note; else as it is."""
-    r = fit.refined
-    for blocks in blocks_of_noise(frfs):
-        trial = replace(search, lines=replace(search.lines, blocks=blocks))
-        if not looks_faded(search.lines, r, blocks):
-            continue
-        new = trial.refined(replace(fit.candidates, pole=r.poles, participation=r.participation))
-        if new.refined.cost < FADED[blocks.window] * r.cost and new.refined.error < NOISE[blocks.window]:
-            note = blocks_note(blocks, r.poles, new.refined.poles)
-            return replace(frfs, blocks=blocks), trial, trial.judged(new, strict=True), note
-    return frfs, search, fit, ""
+    """The fit of FRFs that blocks of noise under a Hann window explain better, with a note; else as it is."""
+    length = block_of_noise(frfs)
+    r, trial = fit.refined, replace(search, lines=replace(search.lines, hann=length))
+    if not length or not looks_faded(search.lines, r, length):
+        return frfs, search, fit, ""
+    new = trial.refined(replace(fit.candidates, pole=r.poles, participation=r.participation))
+    if new.refined.cost > FADED * r.cost:
+        return frfs, search, fit, ""
+    return replace(frfs, hann=length), trial, trial.judged(new, strict=True), hann_note(r.poles, new.refined.poles)
 
 
 def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit, list[str]]:

@@ -1,9 +1,9 @@
-"""Leakage: FRFs of noise in blocks, whose impulse responses the window of the blocks fades out.
+"""Leakage: FRFs of noise in blocks under a Hann window, whose impulse responses the window fades out.
 
 H1 = G_xf/G_ff of blocks of length T, w(t) their window: the cross-spectrum is that of R_xf(τ) r(τ), with r the
 autocorrelation of w over its value at 0 (Bendat, Piersol, Random Data, 2010, 11.5); of a force that is white over a few
 lines R_xf is the impulse response. So each mode is λ^p e^{λτ} r(τ): no pole, and a fit by poles takes the fading for
-damping, under a Hann window by 1.3/n² with n lines in the half-power bandwidth, without a window by 1/(πn).
+damping, by 1.3/n² with n lines in the half-power bandwidth.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ringtrue.core.arrays import Complex
-from ringtrue.core.signals import FrfSet, NoiseBlocks
+from ringtrue.core.signals import FrfSet
 
 if TYPE_CHECKING:
     from ringtrue.identify.lsfd import Lines
@@ -21,44 +21,34 @@ if TYPE_CHECKING:
 
 _TURN = 2j * np.pi
 _EVEN = 1e-3  # of the step of even lines
-_MANY = {"hann": 12.0, "boxcar": 32.0}  # lines in a bandwidth that leave one part in a hundred
-_EXCESS = 1.34  # of damping under a Hann window, times their square
-_NAMES = {"hann": "under a Hann window", "boxcar": "without a window"}
+_MANY, _EXCESS = 12.0, 1.34  # lines in a bandwidth: one part in a hundred; damping too much, times their square
 _BESIDE, _LINES = 8.0, 4  # half bandwidths and lines beside a mode that tell
 _LOOKS = 0.3  # of what blocks under a Hann window would leave
 
 
-def blocks_of_noise(frfs: FrfSet) -> tuple[NoiseBlocks, ...]:
-    """The blocks that FRFs on even lines may be of; none where they are known to be of blows, or sharp."""
+def block_of_noise(frfs: FrfSet) -> float:
+    """Length, s, of the blocks that FRFs on even lines may be of; 0 where they are known to be of blows, or sharp."""
     step = np.diff(frfs.freqs)
     even = float(np.ptp(step)) < _EVEN * float(step.mean())
     known = frfs.sharp or frfs.blows is not None or np.isfinite(frfs.kept) or frfs.window_decay > 0
-    if known or not even:
-        return ()
-    length = 1 / float(step.mean())
-    return NoiseBlocks(length, "hann"), NoiseBlocks(length, "boxcar")
+    return 0.0 if known or not even else 1 / float(step.mean())
 
 
-def excess(blocks: NoiseBlocks, count: float) -> float:
-    """Share of its damping that a fit by poles finds too much, with `count` lines in the half-power bandwidth."""
-    return _EXCESS / count**2 if blocks.window == "hann" else 1 / (np.pi * count)
-
-
-def looks_faded(lines: Lines, fit: Refined, blocks: NoiseBlocks) -> bool:
-    """Whether what a fit by poles leaves beside narrow modes is what it would leave of such blocks.
+def looks_faded(lines: Lines, fit: Refined, length: float) -> bool:
+    """Whether what a fit by poles leaves beside narrow modes is what it would leave of blocks of that length, s.
 
     A regression on that, per mode beside its residue, its pole and a smooth rest; 0 of FRFs without leakage, 1 with.
     """
-    x, half, length = lines.s.imag, -fit.poles.real, blocks.length
+    x, half = lines.s.imag, -fit.poles.real
     count = half * length / np.pi  # lines in the half-power bandwidth
     like, size = 0.0, 0.0
-    for k in np.flatnonzero(count < _MANY[blocks.window]).tolist():  # few lines each
+    for k in np.flatnonzero(count < _MANY).tolist():  # few lines each
         at = np.abs(x - fit.poles[k].imag) < _BESIDE * half[k] + _LINES * 2 * np.pi / length
         if np.count_nonzero(at) < 2 * _LINES:
             continue
-        pole = complex(-half[k] / (1 + excess(blocks, count[k])), fit.poles[k].imag)
+        pole = complex(-half[k] / (1 + _EXCESS / count[k] ** 2), fit.poles[k].imag)
         weight, far = lines.weight[at], 1 / (lines.s[at] - fit.poles[k])
-        there = faded(lines.s[at], np.array([pole]), blocks)[0][:, 0] * pole**lines.order / (lines.s[at] - pole)
+        there = faded(lines.s[at], np.array([pole]), length)[0][:, 0] * pole**lines.order / (lines.s[at] - pole)
         basis = np.linalg.qr(weight[:, None] * np.stack([far, far**2, np.ones(far.size), x[at] / x[-1]], axis=1))[0]
         part, shape = fit.participation[k] * lines.input, fit.shapes[:, k] * lines.response
         left = np.einsum("i,ifo,o->f", part.conj(), fit.known.rest[:, at], shape.conj())
@@ -69,33 +59,29 @@ def looks_faded(lines: Lines, fit: Refined, blocks: NoiseBlocks) -> bool:
     return like > _LOOKS * size > 0
 
 
-def blocks_note(blocks: NoiseBlocks, before: Complex, after: Complex) -> str:
+def hann_note(before: Complex, after: Complex) -> str:
     """Says what the fading took for damping."""
     more = 100 * (before.real / after.real - 1)
     return (
-        f"the FRFs are of blocks of noise {_NAMES[blocks.window]}, which fade the responses out: taken into account, "
-        f"else the damping would be {np.median(more):.2g} % too high at the typical mode, {more.max():.2g} % at most"
+        "the FRFs are of blocks of noise under a Hann window, which fades the responses out: taken into account, else "
+        f"the damping would be {np.median(more):.2g} % too high at the typical mode, {more.max():.2g} % at most"
     )
 
 
-def faded(s: Complex, poles: Complex, blocks: NoiseBlocks) -> tuple[Complex, Complex]:
-    """(freq, m) what the window takes of 1 = (s − λ) ∫ e^{(λ−s)τ} dτ, and its derivatives by λ.
+def faded(s: Complex, poles: Complex, length: float) -> tuple[Complex, Complex]:
+    """(freq, m) what the Hann window takes of 1 = (s − λ) ∫ e^{(λ−s)τ} dτ, and its derivatives by λ.
 
-    Hann's r(x) = (1 − x)(2 + cos 2πx)/3 + sin(2πx)/(2π) on 0 ≤ x = τ/T ≤ 1; r(x) = 1 − x without one.
+    r(x) = (1 − x)(2 + cos 2πx)/3 + sin(2πx)/(2π) on 0 ≤ x = τ/T ≤ 1.
 
     Parameters
     ----------
     s : (freq,) complex128, rad/s
     poles : (m,) complex128, rad/s
-    blocks : NoiseBlocks
-        Of length T.
+    length : float, s
+        T.
     """
-    length = blocks.length
     a = (poles - s[:, None]) * length
     growth = np.expm1(a)  # of e^a, the same for a ± 2πi
-    if blocks.window == "boxcar":
-        value, slope = _ramp(a, growth)
-        return 1 + a * value, length * (value + a * slope)
     ramps, waves = (
         [_ramp(x, growth) for x in (a, a + _TURN, a - _TURN)],
         [_wave(x, growth) for x in (a + _TURN, a - _TURN)],

@@ -19,7 +19,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import Norm
 from ringtrue.core.motions import POWER
-from ringtrue.core.signals import FrfSet, NoiseBlocks
+from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
 from ringtrue.identify.leakage import faded
 
@@ -122,8 +122,8 @@ class Lines:
         p of `kind`.
     kept : float, s
         Length of response behind the FRFs, `FrfSet.kept`.
-    blocks : NoiseBlocks, optional
-        `FrfSet.blocks`.
+    hann : float, s
+        `FrfSet.hann`.
     blows : Blows, optional
         `FrfSet.blows`.
     """
@@ -139,7 +139,7 @@ class Lines:
     input: Float
     order: int
     kept: float
-    blocks: NoiseBlocks | None
+    hann: float
     blows: Blows | None
 
 
@@ -156,7 +156,7 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     kind = np.asarray(s ** POWER[frfs.kind], dtype=np.complex128)
     weight, given = 1 / sigma.line, 1 / sigma.input
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
-    if np.isfinite(frfs.kept) or frfs.blocks:  # λ^p for s^p: what is cut off, or faded, leaves a polynomial
+    if np.isfinite(frfs.kept) or frfs.hann:  # λ^p for s^p: what is cut off, or faded, leaves a polynomial
         t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
     flat = np.linalg.qr(weight[:, None] * polynomials(s.imag, smooth))[0]
     beside = without(flat, weight[:, None] * t)
@@ -165,7 +165,7 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     y = without(terms, without(flat, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1)))
     power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
     order, response = POWER[frfs.kind], 1 / sigma.response
-    return Lines(s, kind, y, power, weight, terms, flat, response, given, order, frfs.kept, frfs.blocks, frfs.blows)
+    return Lines(s, kind, y, power, weight, terms, flat, response, given, order, frfs.kept, frfs.hann, frfs.blows)
 
 
 def polynomials(x: Float, count: int) -> Float:
@@ -200,12 +200,12 @@ def without(basis: Any_, y: Complex) -> Complex:
 def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
     """(freq, m) s^p/(s − λ) of a response that the block cuts off after τ, and its derivatives by λ.
 
-    The rest of the response, λ^p e^{λt} from τ on, is missing: λ^p e^{(λ−s)τ}/(s − λ). Of blocks of noise
-    what their window takes of the response is missing (`leakage.faded`).
+    The rest of the response, λ^p e^{λt} from τ on, is missing: λ^p e^{(λ−s)τ}/(s − λ). Of blocks under a Hann window
+    what that takes of the response is missing (`leakage.faded`).
     """
     far = 1 / (lines.s[:, None] - poles)
-    if lines.blocks:
-        share, slope = faded(lines.s, poles, lines.blocks)
+    if lines.hann:
+        share, slope = faded(lines.s, poles, lines.hann)
         tail = poles**lines.order * share
         tail_slope = tail * lines.order / poles + poles**lines.order * slope
     elif np.isfinite(lines.kept):
