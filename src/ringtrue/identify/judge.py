@@ -20,7 +20,7 @@ TOLD, SURE = 1.0, 3.0  # standard deviations of a residue, below and above which
 COMPLEX = 0.6  # confidence of a mode that is plain to see, but of complex shape
 BESIDE = 1.25  # times the last line, up to where modes count in the fit
 WHITE = 0.4  # correlation of errors at neighbouring lines, below which they are noise and no misfit
-AROUND, LEAST_LINES = 2.0, 8  # half bandwidths, and lines, near a mode that tell
+AROUND, LEAST_LINES = 2.0, 12  # half bandwidths on either side of a mode that tell, if they hold so many lines
 VISIBLE = 0.3  # share of the response at its own frequency that makes a mode plain to see
 
 
@@ -108,7 +108,7 @@ def judge(
     gains, ratio = _gains(lines, fit, total)
     real = _real(shapes, lines.response, strict)
     share = shares(lines, fit, shapes)
-    needed = _white(lines, fit) & (gains.factor > 0.99)
+    needed = _white(lines, fit) & (ratio > SIGNIFICANT * np.maximum(_together(lines, fit), 1))
     clear = _clear(fit, shapes, lines) & (share > VISIBLE) & (gains.factor > 0.99) & (driven.factor > 0.99)
     hidden = (candidates.support > HELD) & (ratio > HIDDEN) & (_mpc(shapes, lines.response) > REAL)
     aspects = [
@@ -144,7 +144,7 @@ def _mpc(shapes: Complex, weight: Float) -> Float:
 
 
 def _white(lines: Lines, fit: Refined) -> Bool:
-    """(m,) where the fit leaves nothing but noise, of lines that do not follow each other.
+    """(m,) where the fit leaves nothing but noise, of lines that do not follow each other, and there are many.
 
     FRFs that disagree leave smooth errors there, which further poles would patch up.
     """
@@ -152,8 +152,8 @@ def _white(lines: Lines, fit: Refined) -> Bool:
     along = (rest[:, 1:] * rest[:, :-1].conj()).real.sum(axis=(0, 2))
     power = (np.abs(rest) ** 2).sum(axis=(0, 2))
     far = np.abs(lines.s.imag[:, None] - fit.poles.imag)
-    near = far < np.maximum(AROUND * np.abs(fit.poles.real), np.sort(far, axis=0)[min(LEAST_LINES, len(far) - 1)])
-    return np.asarray(along @ near[1:] < WHITE * (power @ near))
+    near = far < AROUND * np.abs(fit.poles.real)
+    return np.asarray((near.sum(axis=0) >= LEAST_LINES) & (along @ near[1:] < WHITE * (power @ near)))
 
 
 def _stable(c: Candidates, clear: Bool, needed: Bool) -> _Aspect:
@@ -172,12 +172,29 @@ def _stable(c: Candidates, clear: Bool, needed: Bool) -> _Aspect:
 def _gains(lines: Lines, fit: Refined, total: Float) -> tuple[_Aspect, Float]:
     """Gain per real unknown over the squared error near the mode, weighted with its own magnitude; that ratio."""
     rest = 0.5 * (np.abs(fit.known.rest) ** 2).mean(axis=(0, 2))  # per real value
-    near = np.abs(1 / (lines.s[:, None] - fit.poles)) ** 4
-    near /= near.sum(axis=0)
+    near = _near(lines, fit)
     ratio = total / (2 * fit.shapes.shape[0]) / np.maximum(near.T @ rest, 1e-300)
     factor = np.clip(np.log(np.maximum(ratio, 1e-9) / 2) / np.log(SIGNIFICANT / 2), 0, 1)
     text = [f"contribution {10 * np.log10(max(r, 1e-9)):.0f} dB over the error" for r in ratio]
     return _texts(factor, text, [f"weak, {t}" for t in text]), ratio
+
+
+def _near(lines: Lines, fit: Refined) -> Float:
+    """(freq, m) weights of the lines near each mode, that add up to 1."""
+    near = np.abs(1 / (lines.s[:, None] - fit.poles)) ** 4
+    return np.asarray(near / near.sum(axis=0))
+
+
+def _together(lines: Lines, fit: Refined) -> Float:
+    """(m,) power of the error along each shape over that in the typical response, near the mode.
+
+    1 where responses err independently; as many as there are responses where they move together, as in wind.
+    """
+    seen = fit.shapes * lines.response[:, None]
+    seen = seen / np.maximum(np.linalg.norm(seen, axis=0), 1e-300)
+    near, rest = _near(lines, fit), fit.known.rest
+    along = (near * (np.abs(rest @ seen.conj()) ** 2).mean(axis=0)).sum(axis=0)
+    return np.asarray(along / np.maximum(near.T @ (np.abs(rest) ** 2).mean(axis=(0, 2)), 1e-300))
 
 
 def _damped(fit: Refined, damping_max: float) -> _Aspect:
