@@ -43,6 +43,25 @@ def accelerance(f: Any) -> Any:
 
 
 @pytest.mark.parametrize("more", [(), ("--direct",)])
+def test_matrices_of_responses_act_on_them_and_not_on_modes(
+    tmp_path: Path, more: tuple[str, ...], capsys: Capture
+) -> None:
+    """Half of 400 N/m, 1 kg and 2 N s/m more under node 6, by K2PP, M2PP and B2PP."""
+    deck, target = written(tmp_path / "d.bdf"), tmp_path / "f.h5"
+    terms = zip(("KP", "MP", "BP"), (400.0, 1.0, 2.0), strict=True)
+    dmig = "".join(f"DMIG,{name},0,6,1\nDMIG,{name},6,1,,6,1,{value}\n" for name, value in terms)
+    deck.write_text(f"CEND\nK2PP = 0.5*KP\nM2PP = MP\nB2PP = BP\n{deck.read_text()}{dmig}")
+    words = ["frf", str(deck), "--force", "6+X", "--fmin", "0.5", "--fmax", "5", *more]
+    assert run([*words, "--out", str(target)]) == 0
+    found = read_frfs(target)
+    w = 2 * np.pi * found.freqs
+    np.testing.assert_allclose(found.data[:, 0, 0], -(w**2) / (300 + 2.4j * w - 2 * w**2), rtol=1e-6)
+    capsys.readouterr()
+    assert run(["modes", str(deck), "--json", "-"]) == 0
+    assert SECOND in [pytest.approx(m["frequency_hz"]) for m in json.loads(capsys.readouterr().out)["modes"]]
+
+
+@pytest.mark.parametrize("more", [(), ("--direct",)])
 @pytest.mark.parametrize(("units", "scale"), IN_UNITS)
 def test_frfs_are_the_closed_form_in_si(
     tmp_path: Path, units: str, scale: dict[str, float], more: tuple[str, ...]

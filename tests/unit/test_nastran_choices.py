@@ -170,7 +170,8 @@ def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("case", "bulk", "told"),
     [
-        ("K2PP = KA, KB", "", "case control asks for K2PP = KA, KB: it is left out"),
+        ("K2PP = KA, KB", "", "K2PP acts on responses (ringtrue frf), not on modes"),
+        ("K42GG = KA", "", "case control asks for K42GG = KA: it is left out"),
         ("TFL = 3", "", "case control asks for TFL = 3: it is left out"),
         ("M2GG = MX", "DMIG,KX,0,6,1,0\nDMIG,KX,1,3,,1,3,5.", "DMIG KX: it adds nothing"),
         ("SPC = 5", "GRID,9,,1.,0.,0.,,,2", "GRID 9: SEID kept, not applied"),
@@ -245,8 +246,8 @@ def test_a_point_that_is_a_node_too_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_no_answer_holds_is_said_by_every_command(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    read_deck(write(tmp_path, f"CEND\nK2PP = KX\nBEGIN BULK\n{SPRING}CYJOIN,1,,1\n"))
-    assert "K2PP = KX: it is left out" in caplog.text
+    read_deck(write(tmp_path, f"CEND\nA2GG = KX\nBEGIN BULK\n{SPRING}CYJOIN,1,,1\n"))
+    assert "A2GG = KX: it is left out" in caplog.text
     assert "CYJOIN: kept, not applied: the modes are those of this segment alone" in caplog.text
 
 

@@ -38,6 +38,9 @@ def unapplied(model: Model) -> Iterator[Finding]:
             yield Finding("info", f"{', '.join(found)}: {what}")
     if "GRID" in model and (rows := np.flatnonzero(model["GRID"]["SEID"] > 0)).size:
         yield at_rows(model, "GRID", rows, "info", f"SEID {_WHOLE}")
+    for name in ("K2PP", "M2PP", "B2PP"):
+        if getattr(model.case, name.lower()):
+            yield Finding("info", f"{name} acts on responses (ringtrue frf), not on modes")
     for text in left_out(model):
         yield Finding("warning", text)
     yield from _idle_matrices(model)

@@ -23,6 +23,7 @@ from ringtrue.io.atomic import atomic_write
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.nastran.reader import read_damped_deck, read_deck, read_loaded_deck
 from ringtrue.io.statics import COLUMNS
+from ringtrue.model.choices import responding
 from ringtrue.model.damping import ModalDamping
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
@@ -81,7 +82,7 @@ def frf(
     with progress("frf") as show:
         show(0.0, f"reading {deck}")
         model, modal = read_damped_deck(deck)
-        with EmbeddedSolver(progress=part(show, 0.2, 1.0)).open(model) as analysis:
+        with EmbeddedSolver(progress=part(show, 0.2, 1.0)).open(responding(model)) as analysis:
             if damping is None and not (analysis.has_damping or (modal and not direct)):
                 own = "the deck has no damping of its own (dashpots, GE, PARAM G"
                 lost = f"--direct: {own}): leave --direct out" if direct else f"{own}, SDAMPING): give --damping 0.01"

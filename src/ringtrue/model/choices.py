@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringtrue.core.arrays import Int
+from ringtrue.errors import UnsupportedError
 from ringtrue.model.model import Model
 from ringtrue.model.references import unused
 
@@ -21,10 +24,12 @@ def taken_sets(model: Model, kind: str) -> Int:
 
 
 def untaken_matrices(model: Model) -> Int:
-    """Rows of DMIG that no K2GG, M2GG or B2GG takes."""
+    """Rows of DMIG that no K2GG, M2GG or B2GG takes, and no K2PP, M2PP or B2PP."""
     if "DMIG" not in model:
         return np.empty(0, dtype=np.int64)
-    taken = [name for terms in (model.case.k2gg, model.case.m2gg, model.case.b2gg) for _, name in terms]
+    case = model.case
+    terms = (*case.k2gg, *case.m2gg, *case.b2gg, *case.k2pp, *case.m2pp, *case.b2pp)
+    taken = [name for _, name in terms]
     return np.flatnonzero(~np.isin(np.char.upper(model["DMIG"]["NAME"].astype(str)), taken))
 
 
@@ -36,6 +41,22 @@ def left_out(model: Model) -> list[str]:
         modes = "the modes are those of this segment alone, not of the whole; give all segments"
         out.append(f"{', '.join(cyclic)}: kept, not applied: {modes}")
     return out
+
+
+def responding(model: Model) -> Model:
+    """The model as it responds: K2PP, M2PP and B2PP are added to stiffness, mass and damping (SOL 108 and 111).
+
+    Raises
+    ------
+    UnsupportedError
+        If PARAM CK2, CM2 or CB2 scale K2GG and its like, but not these.
+    """
+    case = model.case
+    for scale, more in (("CK2", case.k2pp), ("CM2", case.m2pp), ("CB2", case.b2pp)):
+        if more and model.param(scale, 1.0) != 1:
+            raise UnsupportedError(f"PARAM,{scale} beside {scale[1]}2PP: give the factor in case control, as in 1.5*KA")
+    k, m, b = (*case.k2gg, *case.k2pp), (*case.m2gg, *case.m2pp), (*case.b2gg, *case.b2pp)
+    return replace(model, case=replace(case, k2gg=k, m2gg=m, b2gg=b, k2pp=(), m2pp=(), b2pp=()))
 
 
 def idle(model: Model) -> dict[str, Int]:

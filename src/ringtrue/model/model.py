@@ -105,9 +105,10 @@ _SWITCH = {"YES": 1.0, "NO": 0.0}
 class CaseControl:
     """The choices of the (first) subcase; 0 where not made.
 
-    `k2gg`, `m2gg` and `b2gg` are the DMIG names that are added to stiffness, mass and damping, each with its factor;
-    `others` are further subcases that compute modes, of other sets, and are not taken; `unread` are commands that add
-    matrices in other solutions, as they stand.
+    `k2gg`, `m2gg` and `b2gg` are the DMIG names that are added to stiffness, mass and damping, each with its factor,
+    `k2pp`, `m2pp` and `b2pp` those that are so in responses alone (`choices.responding`); `others` are further
+    subcases that compute modes, of other sets, and are not taken; `unread` are commands that add matrices in other
+    solutions, as they stand.
     """
 
     title: str = ""
@@ -118,6 +119,9 @@ class CaseControl:
     k2gg: tuple[tuple[float, str], ...] = ()
     m2gg: tuple[tuple[float, str], ...] = ()
     b2gg: tuple[tuple[float, str], ...] = ()
+    k2pp: tuple[tuple[float, str], ...] = ()
+    m2pp: tuple[tuple[float, str], ...] = ()
+    b2pp: tuple[tuple[float, str], ...] = ()
     others: tuple[int, ...] = ()
     unread: tuple[str, ...] = ()
 

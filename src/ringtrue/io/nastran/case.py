@@ -13,7 +13,7 @@ from ringtrue.model.model import CaseControl
 
 _COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S)  # a blank may stand for =
 _SUBCASE = re.compile(r"\s*SUBC\w*[\s=]*(\d{1,9})?", re.I)
-_CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "K2GG", "M2GG", "B2GG", "NSM", "AUTOSPC", "SDAMPING")
+_CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "NSM", "AUTOSPC", "SDAMPING")
 _SETS = ("SPC", "MPC", "NSM", "K2GG", "M2GG", "B2GG")
 STIFFENING = {  # commands that bring in stiffness which is not read, and how the names of their cards begin
     "TEMPERATURE": ("MATT",),
@@ -23,9 +23,10 @@ STIFFENING = {  # commands that bring in stiffness which is not read, and how th
     **dict.fromkeys(("STATSUB", "NLIC"), (*PRELOADS, "BOLTFOR", "BOLTFRC", "PRETENS", "SPCR")),
 }
 _PRESTRESS = re.compile(r"\s*SOL[\s=]+(18[2-9]|.*PRESTRESS)", re.I)  # modes and responses under load, by Autodesk
-_UNREAD = ("K2PP", "M2PP", "B2PP", "K42GG", "A2GG", "TFL")  # matrices of other solutions
+_MATRICES = ("K2GG", "M2GG", "B2GG", "K2PP", "M2PP", "B2PP")
+_UNREAD = ("K42GG", "A2GG", "TFL")  # matrices of other solutions
 _LOADING = ("TEMP(INIT)", "DEFORM", "P2G")  # what else acts in statics, and is not read
-_NAMES = (*_CHOICES, *STIFFENING, *_UNREAD, *_LOADING, "LOAD", "TEMP(LOAD)")
+_NAMES = (*_CHOICES, *_MATRICES, *STIFFENING, *_UNREAD, *_LOADING, "LOAD", "TEMP(LOAD)")
 _SHORT = {
     "METH": "METHOD",
     "TITL": "TITLE",
@@ -150,7 +151,7 @@ def case_control(top: Sequence[str]) -> CaseControl:
     Raises
     ------
     DeckError
-        If K2GG, M2GG or B2GG names no matrices, or NSM, SPC or MPC no set.
+        If K2GG or its like names no matrices, or NSM, SPC or MPC no set.
     """
     found = commands(top)
     for kind in ("NSM", "SPC", "MPC"):
@@ -163,7 +164,7 @@ def case_control(top: Sequence[str]) -> CaseControl:
         number.get("SPC", 0),
         number.get("MPC", 0),
         number.get("NSM", 0),
-        **{name.lower(): _matrices(name, found) for name in ("K2GG", "M2GG", "B2GG")},
+        **{name.lower(): _matrices(name, found) for name in _MATRICES},
         others=_not_taken(top, found),
         unread=tuple(f"{name} = {found[name]}" for name in _UNREAD if name in found),
     )
