@@ -180,9 +180,9 @@ def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
     p = m.model["PSHELL"]
     mid1, mid2, mid3, mid4 = (p[c][row] for c in ("MID1", "MID2", "MID3", "MID4"))
     T, profile = thickness(t, at, corners, p["T"][row])
-    if (lost := (T.real <= 0) & ((mid1 > 0) | (mid2 > 0))).any():
+    if (lost := (T == 0) & ((mid1 > 0) | (mid2 > 0))).any():
         i = int(np.flatnonzero(lost)[0])
-        raise error(m.model, p, int(row[i]), f"{t.card} {t.ids[at[i]]} has no thickness: T is blank, 0 or less")
+        raise error(m.model, p, int(row[i]), f"{t.card} {t.ids[at[i]]} has no thickness: T is blank or 0")
     stretch = layers(m.model, mid1, p, row, confined=mid2 < 0)
     bend = layers(m.model, mid2, p, row)
     own = (mid2 > 0) & (mid3 > 0)
