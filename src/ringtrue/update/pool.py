@@ -11,7 +11,6 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.fem.change import rows_of, within
 from ringtrue.fem.dependence import nodes_of
-from ringtrue.fem.nodes import MOST
 from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
 from ringtrue.update.candidates import Candidate, Kind, counted, membership
@@ -25,6 +24,7 @@ MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"
 SMALL = 160  # vectors of the model that a proposal searches with
 DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
 MATE, MATES = 0.7, 2  # share of the best fall of J from which on a candidate may be meant in place of the best
+TOGETHER = 100  # matrices that those acting on one element may keep of all theirs: they take the memory
 NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
 
@@ -108,7 +108,7 @@ def tractable(model: Model, candidates: Sequence[Candidate], most: int) -> Int:
     kept = np.ones(members.shape[1])  # matrices of each element that those before may ask for
     for i, c in enumerate(candidates):
         mine, own = members[[i]].indices, nodes_of(model, c.parameter)
-        if own is None or (own and (1 + own) * kept[mine].max(initial=1.0) > MOST):
+        if own is None or (own and (1 + own) * kept[mine].max(initial=1.0) > TOGETHER):
             continue
         kept[mine] *= 1 + own
         out.append(i)
