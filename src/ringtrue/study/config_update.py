@@ -35,7 +35,7 @@ class UpdateSection(_Section):
 
     propose: bool = False  # the proposal of the localisation is a parameter set; the only one without [[candidate]]
     choose: int = Field(default=6, gt=0)
-    left_out: int | None = Field(default=None, ge=0)  # modes to judge by; None: a fifth, 5 at most
+    left_out: int | None = Field(default=None, ge=0)  # modes to judge by; None: a third, 5 at most
     step: Step = "trust-region"
     shape_weight: float = Field(default=1.0, ge=0)
     iterations: int = Field(default=30, gt=0)

@@ -171,11 +171,11 @@ def beyond(modes: ModeSet, fmax: float) -> tuple[str, ...]:
 def left_out(modes: ModeSet, count: int | None, least: float) -> Int:
     """Positions of the modes kept from the updating: confident ones, evenly spread over the band.
 
-    Fixed by the test alone, before the model is looked at. Where no `count` is given a fifth, 5 at most: few modes are
+    Fixed by the test alone, before the model is looked at. Where no `count` is given a third, 5 at most: few modes are
     needed to update by.
     """
     sure = np.flatnonzero(modes.confidence >= least)
-    count = min(5, sure.size // 5) if count is None else count
+    count = min(5, sure.size // 3) if count is None else count
     count = min(count, max(sure.size - 2, 0))
     if not count:
         return np.zeros(0, dtype=np.int64)
