@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import plotly.graph_objects as go
@@ -70,10 +70,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of texts or cells; a head that starts with `|` is left-aligned text, others are numbers.
-
-    A column of MAC without any number goes: no shapes were measured.
-    """
+    """Rows of texts or cells; a head that starts with `|` is left-aligned text, others are numbers."""
 
     heads: Sequence[str]
     rows: Sequence[Sequence[str | Cell]]
@@ -83,14 +80,15 @@ class Table:
     lead: int = 1  # columns that the first cell of the foot spans
     kind: str = field(default="table", init=False)
 
-    def __post_init__(self) -> None:
-        empty = [i for i, head in enumerate(self.heads) if "MAC" in head and not any(_told(r[i]) for r in self.rows)]
-        if not (empty and self.rows):
-            return
-        object.__setattr__(self, "heads", [h for i, h in enumerate(self.heads) if i not in empty])
-        object.__setattr__(self, "rows", [[c for i, c in enumerate(r) if i not in empty] for r in self.rows])
-        kept = [c for i, c in enumerate(self.foot, start=self.lead - 1) if i not in empty]
-        object.__setattr__(self, "foot", kept)
+    def without_blank(self, head: str) -> Table:
+        """The table without the columns with these words in their head, where no row has a number in them."""
+        blank = {i for i, h in enumerate(self.heads) if head in h and not any(_told(row[i]) for row in self.rows)}
+
+        def rest(cells: Sequence[str | Cell], first: int = 0) -> list[str | Cell]:
+            return [c for i, c in enumerate(cells, start=first) if i not in blank]
+
+        heads = [h for i, h in enumerate(self.heads) if i not in blank]
+        return replace(self, heads=heads, rows=[rest(r) for r in self.rows], foot=rest(self.foot, self.lead - 1))
 
 
 def _told(cell: str | Cell) -> bool:

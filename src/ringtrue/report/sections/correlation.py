@@ -35,7 +35,7 @@ def pairs(
     mean = [fixed(table.mean_deviation(), 2), "", fixed(table.mean_mac(), 1)]
     foot = ["Mean, of |Δf|", *mean, *[""] * (len(heads) - 8)]
     text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(sure)}"
-    return Table(heads, rows, text, foot if rows else (), lead=5)
+    return Table(heads, rows, text, foot if rows else (), lead=5).without_blank("MAC")
 
 
 def _scatter(sure: Significance) -> str:
@@ -134,7 +134,8 @@ def _history(steps: Sequence[RemodelStep]) -> Table:
         for i, s in enumerate(steps)
     ]
     heads = ("Step", "|What", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %")
-    return Table(heads, rows, "The deck as delivered and after each step of the remodelling, against the test.")
+    text = "The deck as delivered and after each step of the remodelling, against the test."
+    return Table(heads, rows, text).without_blank("MAC")
 
 
 def final(data: Stages) -> Section | None:

@@ -143,4 +143,5 @@ def _stages_table(data: Stages) -> Table:
             mac = (fixed(table.mean_mac(which), 1), fixed(table.min_mac(which), 1))
             rows.append((name.capitalize() if which is None else "", label, str(count), *deviation, *mac))
     heads = ("|Model", "|Modes", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Min MAC, %")
-    return Table(heads, rows, "The stages of the model against the test; the modes left out judge the prediction.")
+    text = "The stages of the model against the test; the modes left out judge the prediction."
+    return Table(heads, rows, text).without_blank("MAC")

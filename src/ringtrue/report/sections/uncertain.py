@@ -126,7 +126,8 @@ def _folds(s: UncertaintyStage) -> Table:
         f"{int(seen.sum())} modes, mean |Δf| {off} %; {fixed(100 * h.coverage(s.level), 0)} % are in their "
         f"{100 * s.level:g} % bands. The discrepancy of a band comes from all other modes that were predicted unseen."
     )
-    return Table(heads, rows, text if h.converged else text + " Not every updating converged.", scroll=len(rows) > 12)
+    text += "" if h.converged else " Not every updating converged."
+    return Table(heads, rows, text, scroll=len(rows) > 12).without_blank("MAC")
 
 
 def _parameters(s: UncertaintyStage) -> Table:

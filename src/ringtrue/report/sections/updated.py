@@ -97,7 +97,7 @@ def _compared(u: UpdateStage) -> Table:
         )
     other = [f"{s.name}: {s.settings}" for s in u.sets if s.settings]
     text = "Parameter sets updated and compared; the chosen one is marked."
-    return Table(heads, rows, " ".join([text, *(f"{sentence(o)}" for o in other)]))
+    return Table(heads, rows, " ".join([text, *(f"{sentence(o)}" for o in other)])).without_blank("MAC")
 
 
 def _parameters(u: UpdateStage, s: SetResult, std: Float) -> Table:
