@@ -69,7 +69,7 @@ def read_target(
         If no mode was measured at a common set of channels.
     """
     whole, (spread, _), notes = read_modes(test), read_std(test), tuple[str, ...]()
-    if len(whole) and not whole.channels:
+    if alone := bool(len(whole)) and not whole.channels:
         gates, locks = settings(config), Locks(positions(config.correlate.lock), positions(config.correlate.forbid))
         found = lent(whole, opened, gates, locks)
         whole, notes = found.modes, found.notes
@@ -86,7 +86,7 @@ def read_target(
     weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
     shapes = np.asarray(modes.shapes.real, dtype=np.float64)
     used = np.ones(len(modes), dtype=bool)
-    target = Target(modes.frequencies, shapes, relative, used, weights, gates, lent=bool(notes))
+    target = Target(modes.frequencies, shapes, relative, used, weights, gates, lent=alone)
     return config, target, modes, notes
 
 

@@ -43,9 +43,7 @@ class StudyRun:
     results: Mapping[str, Any]
     timings: Mapping[str, float] = field(default_factory=dict)
     loaded: tuple[str, ...] = ()
-    altered: tuple[
-        str, ...
-    ] = ()  # inputs that were edited while it ran: the results are of what they were at its start
+    altered: tuple[str, ...] = ()  # inputs that were edited while it ran: it is of what they were at its start
 
     @property
     def config(self) -> StudyConfig:
