@@ -207,6 +207,7 @@ def test_blows_recorded_as_text(tmp_path: Path) -> None:
     np.testing.assert_allclose(text.hammer.frequencies, ours.hammer.frequencies, rtol=1e-6)
 
 
+ONE = '[[candidate]]\nname = "b"\ntargets = ["MAT1 1 E"]\n'
 ALONE = small_study.MODEL + '[test]\nmodes = "test.csv"\n{}\n'
 
 
@@ -262,6 +263,16 @@ def test_a_lock_decides_what_a_frequency_is_in_a_study(tmp_path: Path) -> None:
     [
         ('[test]\nmodes = "m.csv"\n', "needs a \\[model\\]"),
         ('[model]\ndeck = "a.bdf"\n[test]\nlog = "c.json"\n', "needs a `sheet`"),
+        (ALONE.format("[correlate]\naccept_mac = 90"), r"\[correlate\] accept_mac asks for shapes"),
+        (ALONE.format('[update]\nresiduals = ["frequencies", "mac"]'), r"\[update\] residuals mac asks for shapes"),
+        (
+            ALONE.format(ONE + '[[set]]\nname = "a"\nresiduals = ["shapes"]'),
+            r"\[\[set\]\] residuals shapes asks for shapes",
+        ),
+        (
+            ALONE.format('[[configuration]]\nname = "a"\ndeck = "a.bdf"\nmodes = "b.csv"'),
+            r"\[\[configuration\]\] asks for shapes",
+        ),
     ],
 )
 def test_only_frequencies_need_no_sheet(tmp_path: Path, toml: str, names: str) -> None:

@@ -16,6 +16,7 @@ from ringtrue.model.halves import NODES
 from ringtrue.study.config_errors import explain
 from ringtrue.study.config_plan import PlanSection, rising
 from ringtrue.study.config_update import (
+    ALONE,
     AUTOMATIC,
     ConstraintSection,
     RemodelSection,
@@ -91,6 +92,9 @@ class IdentifySection(_Section):
 
 
 Tam = Literal["irs", "guyan", "hybrid", "serep", "craig-bampton"]
+
+
+OF_SHAPES = {"accept_mac", "accept_mean_mac", "accept_orthogonality", "accept_off_diagonal", "expand"}
 
 
 class CorrelateSection(_Section):
@@ -296,10 +300,6 @@ class StudyConfig(_Section):
     def _something(self) -> Self:
         if self.model is None and self.test is None:
             raise ValueError("a study needs a [model], a [test] or both")
-        if self.alone and self.model is None:
-            raise ValueError(
-                "[test] without a `sheet` is of frequencies alone: it needs a [model] to compare them with"
-            )
         names = [c.name for c in (*self.candidate, *self.suspension)]
         if twice := sorted({n for n in names if names.count(n) > 1}):
             raise ValueError(f"candidates and suspensions need names of their own; twice: {', '.join(twice)}")
@@ -329,6 +329,21 @@ class StudyConfig(_Section):
             raise ValueError("configurations need a [model] and a [test] that they are others of")
         if self.model is not None and self.model.refine:
             self._refinable(self.model.solver)
+        return self
+
+    @model_validator(mode="after")
+    def _nothing_of_shapes(self) -> Self:
+        """What a test of frequencies alone cannot be asked."""
+        why = "[test] without a `sheet` is of frequencies alone"
+        if self.alone and self.model is None:
+            raise ValueError(f"{why}: it needs a [model] to compare them with")
+        asked = [f"[correlate] {name}" for name in sorted(OF_SHAPES & self.correlate.model_fields_set)]
+        given = self.update.residuals if "residuals" in self.update.model_fields_set else []
+        asked += [f"[update] residuals {kind}" for kind in given if kind not in ALONE]
+        asked += [f"[[set]] residuals {kind}" for s in self.set for kind in s.residuals or [] if kind not in ALONE]
+        asked += ["[[configuration]]"] if self.configuration else []
+        if self.alone and asked:
+            raise ValueError(f"{why}: {asked[0]} asks for shapes")
         return self
 
     def _refinable(self, solver: str) -> None:
