@@ -26,6 +26,7 @@ INSIDE = 0.5  # length, in the band, of smooth terms that the fit has there
 LEAST = 12  # lines on each side
 FEWEST = 6  # responses
 TURNS = 12
+SETTLED = 1e-4  # of the squares left, that a step still takes away
 BETWEEN_TURNS = 10
 LEAST_DAMPED = 0.1  # of the half bandwidth
 DISAGREE = "the responses disagree"  # so begins the note
@@ -204,11 +205,12 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
         away = p + step - centre
         new = centre + away * np.minimum(1, reach / np.maximum(np.abs(away), 1e-300))
         new = np.minimum(new.real, -LEAST_DAMPED * half) + 1j * new.imag
-        better = band.residues(new)[2] < cost
-        if not better.any():
+        trial = band.residues(new)
+        better = trial[2] < cost
+        gain = (cost - trial[2])[better].sum()
+        p, q, r, cost = (np.where(better, x, y) for x, y in zip((new, *trial), (p, q, r, cost), strict=True))
+        if gain <= SETTLED * cost.sum():
             break
-        p = np.where(better, new, p)
-        q, r, cost = band.residues(p)
     free = z.shape[0] - band.neighbours.shape[1]  # of each response, to one participation vector
     variance = 0.5 * cost / max(free - 2, 1) / np.maximum(_squares(band.slopes(p, q, r)), 1e-300)
     values = free * band.part.size
