@@ -297,7 +297,7 @@ def _pload1(r: Reader) -> list[AnyLoad]:
 
 
 def _rforce(r: Reader) -> list[AnyLoad]:
-    """RFORCE: SID G CID A R1 R2 R3 METHOD RACC MB IDRF."""
+    """RFORCE: SID G CID A R1 R2 R3 METHOD RACC MB IDRF; A in revolutions per unit of time."""
     if r.real(8, "RACC", 0.0) or r.whole(10, "IDRF", 0):
         raise r.fail("RACC", "angular accelerations and sets of elements (IDRF) are not read; a steady spin of all is")
     turns = 2 * np.pi * r.real(3, "A", 0.0)
