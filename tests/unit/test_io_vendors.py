@@ -168,6 +168,8 @@ def test_a_step_of_three_digits_in_lvm_gives_way_to_its_column_of_times(tmp_path
     ("unit", "factor", "quantity"),
     [("µm/m", 1e-6, "strain"), ("µε", 1e-6, "strain"), ("m/s/s", 1.0, "acceleration"), ("mm/sec", 1e-3, "velocity"),
      ("deg/s", np.pi / 180, "angular velocity"), ("rad/s²", 1.0, "angular acceleration"), ("Nm", 1.0, "moment"),
+     ("N m", 1.0, "moment"), ("N-m", 1.0, "moment"), ("kNm", 1e3, "moment"), ("NM", 1.0, "moment"),
+     ("ft-lb", 4.4482216152605 * 12 * 0.0254, "moment"), ("lbf in", 4.4482216152605 * 0.0254, "moment"),
      ("nm", 1e-9, "displacement"), ("N·mm", 1e-3, "moment"), ("mrad", 1e-3, "rotation")],
 )  # fmt: skip
 def test_units_as_laboratories_write_them(unit: str, factor: float, quantity: str) -> None:

@@ -61,7 +61,21 @@ _UNITS: dict[str, tuple[Quantity, float, str]] = {
     "mv": ("unknown", 1e-3, "V"),
     "pa": ("unknown", 1.0, "Pa"),
 }
+_MOMENTS = {  # as they are also written
+    f"{a}{by}{b}": moment
+    for moment, *ways in (
+        ("n*m", "n m"),
+        ("kn*m", "kn m"),
+        ("n*mm", "n mm"),
+        ("lbf*in", "lbf in", "lb in", "in lbf", "in lb"),
+        ("lbf*ft", "lbf ft", "lb ft", "ft lbf", "ft lb"),
+    )
+    for a, b in map(str.split, ways)
+    for by in ("-", " ", ".", "*", "")
+    if f"{a}{by}{b}" != "nm"  # a billionth of a metre
+}
 _SAME = {
+    **_MOMENTS,
     "lb": "lbf",
     "lbs": "lbf",
     "g's": "g",
@@ -107,7 +121,7 @@ def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
     allowed = get_args(Quantity)
     if quantity and quantity not in allowed:
         raise DataError(f"quantity {quantity!r}{did_you_mean(quantity, allowed)}")
-    text = "N*m" if unit.strip() == "Nm" else unit  # nm is a billionth of a metre
+    text = "N*m" if unit.strip() in ("Nm", "NM") else unit
     text = text.strip().lower().replace("·", "*").replace("²", "^2").replace("µ", "u").replace("μ", "u")
     if not text:
         return quantity or "unknown", 1.0, UNIT.get(quantity, "")  # type: ignore[return-value]
