@@ -287,3 +287,11 @@ def test_modes_with_shapes_need_the_sheet(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(ALONE.format("").replace("test.csv", "test.json"))
     with pytest.raises(DataError, match="give the `sheet`"):
         run_study(tmp_path / "study.toml", until="identify")
+
+
+def test_shapes_that_the_deck_lends_are_not_drawn_as_measured(tmp_path: Path) -> None:
+    frequencies_alone(tmp_path, "")
+    page = deliver(run_study(tmp_path / "study.toml", until="identify")).read_text(encoding="utf-8")
+    assert "Modes of file test.csv" in page
+    assert '"stage":"File test.csv"' not in page
+    assert "channels at" not in page

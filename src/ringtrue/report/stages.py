@@ -95,10 +95,8 @@ class Stages:
     @property
     def test(self) -> TestModel | None:
         """The test model as measured, else as planned; none of frequencies alone."""
-        if self.correlate is not None and self.correlate.initial.alone:
-            return None
         if self.identify is not None:
-            return self.identify.test
+            return None if self.identify.lent else self.identify.test
         return self.plan.test if self.plan is not None else None
 
     @property

@@ -79,7 +79,7 @@ def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> Ide
         raise DataError(f"{path}: has shapes; give the `sheet` of [test] that says where its channels are")
     c = config.correlate
     found = lent(modes, opened, settings(config), Locks(positions(c.lock), positions(c.forbid)))
-    return replace(_stage(path, found.points, found.modes, found.taken, std), frf_notes=found.notes)
+    return replace(_stage(path, found.points, found.modes, found.taken, std), frf_notes=found.notes, lent=True)
 
 
 def _stage(
@@ -100,7 +100,7 @@ def _stage(
         hammer_reasons=why,
         hammer_diagrams=(),
         synthesis_error=np.zeros((0, 0)),
-        source=path.name,
+        source=f"file {path.name}",
     )
 
 
