@@ -136,6 +136,6 @@ def _print(deck: Path, found: Proposed) -> None:
         for i, m in enumerate(found.proposal.members, start=1)
     ]
     heads = ("#", "parameter", "factor, or added", "±", "worth (AICc)", "not told from it")
-    told = f", {len(found.screened)} tell less than those looked at closely" if found.screened else ""
+    told = f", {len(found.screened)} are not looked at closely" if found.screened else ""
     rows(f"{deck}: {found.made} candidates, {len(found.dropped)} of them change no mode{told}", heads, body)
     out.print(found.proposal.text())

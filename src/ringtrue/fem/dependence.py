@@ -7,7 +7,6 @@ elements they are what interpolates the matrices between chosen factors (`interp
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.progress import Progress, part
@@ -24,7 +23,6 @@ from ringtrue.fem.rows import union, without
 from ringtrue.model.model import Model
 
 SAMPLE = 40  # elements of a kind that tell a polynomial
-Form = Literal["powers", "interpolated", "rough"]
 
 
 def affine_terms(
@@ -61,20 +59,10 @@ def affine_terms(
         smooth -= lost  # elements that are not in the sample, or what two of them do together
 
 
-def form(model: Model, parameter: Parameter) -> Form:
-    """How K and M depend on a parameter, tried on a sample of its elements; "rough": `affine_terms` has no parts.
+def matrices_kept(model: Model, parameter: Parameter) -> int | None:
+    """How many matrices the interpolation of a parameter by itself keeps, on a sample of its elements.
 
-    Raises
-    ------
-    InputError
-        If a target or element is not in the model.
-    """
-    kept = nodes_of(model, parameter)
-    return "rough" if kept is None else "interpolated" if kept else "powers"
-
-
-def nodes_of(model: Model, parameter: Parameter) -> int | None:
-    """How many matrices the interpolation of a parameter by itself keeps; 0 for powers, None where it is rough.
+    0 where powers of it do; None where K and M are no smooth function of it: `affine_terms` has no parts.
 
     Several on the same elements keep up to the product of these, each and the nominal one counted: at most
     `fem.nodes.MOST`.

@@ -24,7 +24,7 @@ from ringtrue.update.identifiable import ALIKE
 from ringtrue.update.localise import reduced_errors
 from ringtrue.update.lumps import lumped, places
 from ringtrue.update.objective import Target, Weights, match
-from ringtrue.update.pool import SMALL, conflicts, drawn, left_out
+from ringtrue.update.pool import SMALL, conflicts, drawn, passed_over
 from ringtrue.update.proposal import Proposal, propose
 from ringtrue.update.screening import screened
 
@@ -45,7 +45,7 @@ class Proposed:
     dropped : tuple of Dropped
         That change no mode.
     screened : tuple of str
-        That tell less than those looked at closely.
+        That were not looked at closely.
     made : int
         All that were made from the deck.
     """
@@ -131,7 +131,7 @@ def directly_proposed(
         apart=conflicts(model, keep),
         errors=_errors(opened, reduced, aim, keep),
         words=[c.what for c in keep],
-        passed_over=left_out(moved, keep),
+        passed_over=passed_over(moved, keep),
         progress=part(progress, 0.55, 1.0),
     )
     names = {c.name for c in keep}
@@ -140,10 +140,10 @@ def directly_proposed(
 
 def with_lumps(opened: Opened, bridge: Observation, settings: CandidateSettings) -> tuple[Model, tuple[Candidate, ...]]:
     """The deck with places for masses that it may lack, and these as candidates (`update.lumps`)."""
-    return lumped(opened.model, nodes_of(opened, bridge), mass_properties(opened.analysis.system).mass, settings)
+    return lumped(opened.model, lump_places(opened, bridge), mass_properties(opened.analysis.system).mass, settings)
 
 
-def nodes_of(opened: Opened, bridge: Observation) -> Int:
+def lump_places(opened: Opened, bridge: Observation) -> Int:
     """Nodes that cover the structure, those of the channels among them, ids (k,) int64."""
     seen = opened.analysis.dofs.node[np.unique(sparse.coo_array(bridge.matrix).col)]
     return places(opened.model, opened.moves, seen)

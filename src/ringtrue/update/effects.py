@@ -245,7 +245,7 @@ def reduced_candidates(
     Raises
     ------
     UnsupportedError
-        If the `fem.dependence.form` of one of them is rough.
+        If K and M are no smooth functions of one of them (`fem.dependence.matrices_kept`).
     """
     chosen = parameters(candidates)
     parts = affine_terms(model, chosen, system, progress=part(progress, 0.0, 0.5))

@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.fem.change import rows_of, within
-from ringtrue.fem.dependence import nodes_of
+from ringtrue.fem.dependence import matrices_kept
 from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
 from ringtrue.update.candidates import Candidate, Kind, counted, membership
@@ -61,7 +61,7 @@ def _in_turn(misfits: Sequence[tuple[Float, Float]], some: Int, most: int, stay:
     return list(dict.fromkeys([*stay, *(i for turn in zip_longest(*orders) for i in turn if i is not None)]))
 
 
-def left_out(candidates: Sequence[Candidate], kept: Sequence[Candidate]) -> int:
+def passed_over(candidates: Sequence[Candidate], kept: Sequence[Candidate]) -> int:
     """How many of the candidates are not kept; lumps, of which there are always as many, do not count."""
     many, few = (sum(c.kind != "lump" for c in some) for some in (candidates, kept))
     return many - few
@@ -107,7 +107,7 @@ def tractable(model: Model, candidates: Sequence[Candidate], most: int) -> Int:
     members, out = membership(model, candidates), list[int]()
     kept = np.ones(members.shape[1])  # matrices of each element that those before may ask for
     for i, c in enumerate(candidates):
-        mine, own = members[[i]].indices, nodes_of(model, c.parameter)
+        mine, own = members[[i]].indices, matrices_kept(model, c.parameter)
         if own is None or (own and (1 + own) * kept[mine].max(initial=1.0) > TOGETHER):
             continue
         kept[mine] *= 1 + own

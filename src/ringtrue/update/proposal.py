@@ -355,7 +355,7 @@ def _loss(end: Residual, without: Residual, lent: bool) -> str:
     """What a fit loses without a member; shapes that are `lent` tell nothing."""
     lost = int(end.used.sum()) - int(without.used.sum())
     if lost > 0:
-        return f"{lost} of {int(end.used.sum())} modes lose their partner"
+        return f"{lost} of {int(end.used.sum())} modes are too far off to count as paired"
     both = (end, without)
     told = {
         "mean |Δf|": [f"{100 * _mean(np.abs(r.frequency_error[r.used])):.2f}" for r in both],

@@ -21,7 +21,7 @@ from ringtrue.update import choose
 from ringtrue.update.candidates import Candidate
 from ringtrue.update.effects import misfits
 from ringtrue.update.objective import Target
-from ringtrue.update.pool import close, conflicts, left_out
+from ringtrue.update.pool import close, conflicts, passed_over
 from ringtrue.update.subsets import subsets
 
 Look = Callable[[tuple[Candidate, ...]], tuple[choose.Candidates, ReducedModel]]
@@ -67,7 +67,7 @@ def screened(
     if len(some) == len(candidates):
         return some
     search, whole = look(some)
-    found = subsets(search, aim, most, alike, conflicts(model, some), progress, None, left_out(candidates, some))
+    found = subsets(search, aim, most, alike, conflicts(model, some), progress, None, passed_over(candidates, some))
     best, groups = found.path[-1], found.search.groups
     if not best.members.size:
         return some

@@ -21,7 +21,7 @@ from ringtrue.study.expansion import expanded
 from ringtrue.study.measured import flexible
 from ringtrue.study.objective import names_of, problem_of
 from ringtrue.study.parametric import AtChannels
-from ringtrue.study.proposing import nodes_of
+from ringtrue.study.proposing import lump_places
 from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
@@ -32,7 +32,7 @@ from ringtrue.update.identifiable import identifiability
 from ringtrue.update.joint import joint_residual
 from ringtrue.update.localise import ElementErrors, expanded_errors, reduced_errors, variation
 from ringtrue.update.objective import Target, match, residual
-from ringtrue.update.pool import SMALL, conflicts, drawn, of_parameter
+from ringtrue.update.pool import SMALL, conflicts, drawn, of_parameter, passed_over
 from ringtrue.update.proposal import Proposal, propose
 from ringtrue.update.screening import screened
 from ringtrue.update.several import Problem
@@ -55,7 +55,7 @@ class _Pool:
     made: int = 0
     dropped: tuple[str, ...] = ()
     screened: tuple[str, ...] = ()
-    lumps: int = 0  # of these
+    passed_over: int = 0  # of these, those whose number counts
 
 
 def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
@@ -138,9 +138,8 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
         alike=asked.alike,
         progress=progress,
     )
-    far = [c for c in some if c not in near]
-    lumps = sum(c.kind == "lump" for c in far)
-    return _Pool(near, len(every), tuple(d.name for d in lost), tuple(c.name for c in far), lumps)
+    far = tuple(c.name for c in some if c not in near)
+    return _Pool(near, len(every), tuple(d.name for d in lost), far, passed_over(some, near))
 
 
 def _lumps(desk: Workbench) -> tuple[Candidate, ...]:
@@ -148,7 +147,7 @@ def _lumps(desk: Workbench) -> tuple[Candidate, ...]:
     if "lump" not in desk.config.localise.kinds or desk.config.configuration or desk.engine is not None:
         return ()
     deck = desk.steps[-1]
-    return desk.with_lumps(nodes_of(deck, desk.bridge(deck)))
+    return desk.with_lumps(lump_places(deck, desk.bridge(deck)))
 
 
 def _condensed(model: AtChannels, points: Sequence[Float]) -> AtChannels:
@@ -212,7 +211,7 @@ def _proposal(
         errors=errors,
         words=[c.what for c in pool.candidates],
         problem=_problem(desk, search, also),
-        passed_over=len(pool.screened) - pool.lumps,
+        passed_over=pool.passed_over,
         progress=progress,
     )
 
