@@ -48,6 +48,14 @@ def test_a_sound_structure_is_reciprocal_and_nothing_is_said(points: int) -> Non
         assert reciprocity_note(model, driving_pairs(model)) == ""
 
 
+def test_two_noisy_modes_do_not_tell_a_factor() -> None:
+    """The scatter of two modes at two points is known by one value."""
+    for seed in range(60):
+        model = structure(seed, 2, 0.05)
+        few = replace(model, poles=model.poles[:2], shapes=model.shapes[:, :2], participation=model.participation[:2])
+        assert "sensitivity" not in reciprocity_note(few, driving_pairs(few))
+
+
 @pytest.mark.parametrize("factor", [0.5, 1.25, 3.0])
 def test_a_wrong_sensitivity_is_named_with_its_factor(factor: float) -> None:
     off, named = [], 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
+from scipy.special import stdtrit
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modal import ModalModel
@@ -15,7 +16,7 @@ from ringtrue.identify.lsfd import Pairs, driving_pairs
 
 _GOOD, _DOUBTFUL, _POOR = 0.95, 0.9, 0.8  # agreement that is sound, that one fault may explain, and that is told anyhow
 _FACTOR = 0.1  # of a calibration, from which on it is told
-_SURE = 4.0  # standard deviations of the factor
+_CHANCE = 3e-4  # that a factor of a sound point is told: its deviation rests on few modes
 
 
 def reciprocity(model: ModalModel) -> Float:
@@ -80,16 +81,18 @@ def reciprocity_note(model: ModalModel, sound: Pairs) -> str:
     psi = psi * np.where([i in used for _, i, _ in driving_pairs(model)], 1.0, -1.0)[:, None]
     factor, std = calibrations(model)
     if _agreement(psi / factor[:, None], part) > _GOOD:
-        return _miscalibrated(names, factor, std)
+        sure = float(stdtrit((len(names) - 1) * (model.poles.size - 1), 1 - _CHANCE / 2))
+        return _miscalibrated(names, factor, sure * std)
     return _mislaid(psi, part, names)
 
 
-def _miscalibrated(names: list[str], factor: Float, std: Float) -> str:
+def _miscalibrated(names: list[str], factor: Float, doubt: Float) -> str:
+    """Factors beyond `doubt` of their logarithms."""
     off = np.abs(np.log(factor))
     low, high = factor.argmin(), factor.argmax()
     if len(names) == 2:  # their median lies between them
-        off, std = 2 * off, 2 * std
-    odd = np.flatnonzero((off > np.log1p(_FACTOR)) & (off > _SURE * std))
+        off, doubt = 2 * off, 2 * doubt
+    odd = np.flatnonzero((off > np.log1p(_FACTOR)) & (off > doubt))
     if not odd.size:
         return ""
     if len(names) == 2:
