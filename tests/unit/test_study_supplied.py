@@ -295,3 +295,14 @@ def test_shapes_that_the_deck_lends_are_not_drawn_as_measured(tmp_path: Path) ->
     assert "Modes of file test.csv" in page
     assert '"stage":"File test.csv"' not in page
     assert "channels at" not in page
+
+
+def test_a_study_without_a_pair_rests_on_what_else_was_measured(tmp_path: Path) -> None:
+    """Nothing is localised then, so that no proposal is there to start from."""
+    write_modes(tmp_path / "test.json", true_modes(tmp_path))
+    more = '[correlate]\nfrequency_gate = 0.0005\n[[residual]]\nkind = "mass"\nmass = 100.0\nmass_error = 0.05\n'
+    text = TOML.format('modes = "test.json"') + more + small_study.candidates(small_study.TRUTH)
+    done = run_study(study(tmp_path, "", text), until="update")
+    assert done.results["localise"] is None
+    best = done.results["update"].sets[done.results["update"].chosen]
+    np.testing.assert_allclose(best.factor, 1.0)  # moduli have no mass

@@ -117,8 +117,8 @@ def _with_further_starts(
     One is where the proposal was found: its search has left minima in which the way from the deck may end.
     """
     best, more = results[chosen], further(desk.config.update)
-    found: LocaliseStage = desk.get("localise")
-    at = {m.name: m.factor for m in found.proposal.members}
+    found: LocaliseStage | None = desk.get("localise")
+    at = {m.name: m.factor for m in found.proposal.members} if found is not None else {}
     others = list[tuple[str, UpdateSection | None, dict[str, float] | None]]()
     others += [("from the proposal", None, at)] if set(at) == set(best.parameters) else []
     others += [("further starts", more, None)] if more is not None else []
