@@ -539,6 +539,17 @@ def test_a_vector_a_channel_in_hdf5_and_tdms(tmp_path):
         np.testing.assert_allclose(got.data, SIGNAL)
 
 
+def test_groups_of_other_rates_are_no_one_record(tmp_path):
+    path = tmp_path / "runs.h5"
+    with h5py.File(path, "w") as file:
+        for name, rate in (("one", 512.0), ("two", 256.0)):
+            file.create_group(name).attrs["fs"] = rate
+            file[name].create_dataset("101+Z", data=SIGNAL[0])
+    with pytest.raises(DataError, match="256 to 512 Hz: choose one of the groups"):
+        read_record(path)
+    assert read_record(path, group="two").rate == 256
+
+
 @pytest.mark.parametrize(
     "unit", ["g", b"g", np.array([b"g"]), "counts of 24 bits"], ids=["text", "bytes", "array", "free"]
 )

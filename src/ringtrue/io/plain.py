@@ -141,7 +141,7 @@ def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, 
         raise DataError(f"{path}: several tables of samples ({told}): choose one with group (--group NAME)")
     data = (long or found)[0]
     check_stored(data, path)
-    attrs = {k.lower(): v for o in (file.file, file, data.parent, data) for k, v in o.attrs.items()}
+    attrs = _attributes(file.file, file, data.parent, data)
     scalars = {k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1}
     beside = {k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name}
     times = {k: v[()] for k, v in beside.items() if v.size == max(data.shape) and is_time(k)}
@@ -170,7 +170,7 @@ def _h5_part(file: h5py.Group, path: Path, group: str) -> RawTable:
     if isinstance(part, h5py.Group):
         return read_h5_table(part, path)
     check_stored(part, path)
-    rate = named_rate({k.lower(): v for o in (file, part.parent, part) for k, v in o.attrs.items()})
+    rate = named_rate(_attributes(file, part.parent, part))
     return without_time(numbered(columns_first(part[()], path), rate), path)
 
 
@@ -185,8 +185,11 @@ def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
         check_stored(v, path)
     samples = max(v.size for v in one.values())
     short = {k.rpartition("/")[2]: v[()] for k, v in one.items() if v.size == samples}
-    groups = {v.parent.name: v.parent for v in one.values()}
-    attrs = {k.lower(): v for o in (file, *groups.values(), *one.values()) for k, v in o.attrs.items()}
+    told = [_attributes(v.parent, v) for v in one.values() if v.size == samples]
+    rates = [rate for each in told if (rate := named_rate(each))]
+    if rates and max(rates) > (1 + _SAME_RATE) * min(rates):
+        raise DataError(f"{path}: {min(rates):g} to {max(rates):g} Hz: choose one of the groups (--group NAME)")
+    attrs = {k: v for each in (_attributes(file), *told) for k, v in each.items()}
     scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1}
     rate, rows = time_grid(short, samples, path, named_rate({**scalars, **attrs}))
     signals = {k: v for k, v in one.items() if v.size == samples and not is_time(k.rpartition("/")[2])}
@@ -196,6 +199,11 @@ def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
     alone = len({v.parent.name for v in signals.values()}) == 1
     names = tuple(k.rpartition("/")[2] if alone else k.replace("/", ".") for k in signals)
     return replace(table, names=names, units=tuple(_unit(v) for v in signals.values()), rows=rows)
+
+
+def _attributes(*objects: h5py.Group | h5py.Dataset) -> dict[str, Any]:
+    """Attributes by their names in lower case, the last counts."""
+    return {k.lower(): v for o in objects for k, v in o.attrs.items()}
 
 
 def _unit(data: h5py.Dataset) -> str:
