@@ -223,7 +223,7 @@ def _points(
         aims = _aims(desk, plan, able, seen, phi, targets)
         chosen = greedy_logdet(aims, count, xyz=xyz, min_distance=apart, fixed=fixed, cost=cost)
     kept = 0.0 if plan.min_distance is None else apart  # what was asked for holds for additions, too
-    most = plan.sensors + 15
+    most = plan.at_hand if plan.at_hand >= plan.sensors else plan.sensors + 15
     chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, most, xyz=xyz, min_distance=kept, worth=WORTH)
     if plan.redundancy:
         most = 2 * plan.sensors + 15
