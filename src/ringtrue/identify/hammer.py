@@ -85,7 +85,7 @@ class HammerModes:
     damping_max: float = 0.5
     bands: tuple[tuple[float, float], ...] = ()
     confidence_min: float = 0.5
-    searches: int = 4
+    searches: int = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
