@@ -225,7 +225,7 @@ def test_a_study_of_frequencies_alone_finds_what_they_tell(tmp_path: Path) -> No
     done = run_study(tmp_path / "study.toml")
     correlate, update, final = (done.results[n] for n in ("correlate", "update", "final"))
     assert correlate.initial.pairing.b.tolist() == [0, 1, 2, 3, 5, 6, 7, 8]
-    assert correlate.left_out.size == 1
+    assert correlate.left_out.size == 2
     best = update.sets[update.chosen]
     found = dict(zip(best.parameters, best.factor.tolist(), strict=True))
     assert [found[n] for n in sorted(found)] == pytest.approx([*small_study.TRUTH.values()], rel=0.02)
