@@ -125,6 +125,8 @@ def one(pyoma: str, toolbox: str) -> None:
         ours("ringtrue with standard deviations", band.format("")),
     ]
     theirs = [Run(f"pyoma-2 {m}", pyoma, PYOMA, f"run('{m}', 50, 100)") for m in ("cov_R", "cov")]
+    turned = PYOMA + "y = np.asfortranarray(y)\n"  # channel by channel in memory, as a record that was transposed
+    theirs.insert(1, Run("pyoma-2 cov_R, channel by channel", pyoma, turned, "run('cov_R', 50, 100)"))
     compare(system().ambient(16, 60, 0), mine, [*theirs, Run("pyoma-toolbox", toolbox, TOOLBOX, "run(50, 100)")])
 
 
