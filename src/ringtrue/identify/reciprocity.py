@@ -13,6 +13,7 @@ from scipy.special import stdtrit
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modal import ModalModel
 from ringtrue.identify.lsfd import Pairs, driving_pairs
+from ringtrue.shapes.mac import paired_mac
 
 _GOOD, _DOUBTFUL, _POOR = 0.95, 0.9, 0.8  # agreement that is sound, that one fault may explain, and that is told anyhow
 _FACTOR = 0.1  # of a calibration, from which on it is told
@@ -26,7 +27,7 @@ def reciprocity(model: ModalModel) -> Float:
     FRFs of the points on themselves need not be among the data: the residues of rank one give them.
     """
     psi, part, names = _at_both(model)
-    return _alike(psi, part) if len(names) > 1 else np.full(model.poles.size, np.nan)
+    return paired_mac(psi, part) if len(names) > 1 else np.full(model.poles.size, np.nan)
 
 
 def calibrations(model: ModalModel) -> tuple[Float, Float]:
@@ -49,6 +50,11 @@ def calibrations(model: ModalModel) -> tuple[Float, Float]:
         Of its logarithm, from the scatter over the modes.
     """
     psi, part, _ = _at_both(model)
+    return _factors(psi, part)
+
+
+def _factors(psi: Complex, part: Complex) -> tuple[Float, Float]:
+    """`calibrations` by shapes and participations (p, m)."""
     own = np.abs(psi * part)
     weight = np.sqrt(own / np.maximum(own.max(axis=0), 1e-300))  # the noise of a logarithm falls as its number grows
     ratio = np.log(np.maximum(np.abs(psi), 1e-300) / np.maximum(np.abs(part), 1e-300))
@@ -79,7 +85,7 @@ def reciprocity_note(model: ModalModel, sound: Pairs) -> str:
         return ""
     used = {i for _, i, _ in sound}
     psi = psi * np.where([i in used for _, i, _ in driving_pairs(model)], 1.0, -1.0)[:, None]
-    factor, std = calibrations(model)
+    factor, std = _factors(psi, part)
     if _agreement(psi / factor[:, None], part) > _GOOD:
         sure = float(stdtrit((len(names) - 1) * (model.poles.size - 1), 1 - _CHANCE / 2))
         return _miscalibrated(names, factor, sure * std)
@@ -132,11 +138,6 @@ def _at_both(model: ModalModel) -> tuple[Complex, Complex, list[str]]:
     return model.shapes[o] * sign, model.participation.T[i], [model.inputs[k].id for k in i]
 
 
-def _alike(psi: Complex, part: Complex) -> Float:
-    size = (np.abs(psi) ** 2).sum(axis=0) * (np.abs(part) ** 2).sum(axis=0)
-    return np.asarray(np.abs((part.conj() * psi).sum(axis=0)) ** 2 / np.where(size > 0, size, 1.0))
-
-
 def _agreement(psi: Complex, part: Complex) -> float:
     """The median: a mode that hardly moves the points struck has noise there."""
-    return float(np.median(_alike(psi, part)))
+    return float(np.median(paired_mac(psi, part)))
