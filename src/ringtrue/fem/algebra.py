@@ -69,6 +69,16 @@ def scaled(c: Any_, K: Any_) -> Any_:
     return np.asarray(c.reshape(-1, *(1,) * (K.ndim - 1)) * K)
 
 
+def applied(A: Any_, x: Any_) -> Any_:
+    """Matrices (e, d, d), or diagonals (e, d), times motions (e, d, m)."""
+    return A[:, :, None] * x if A.ndim == 2 else A @ x
+
+
+def add_at(out: Any_, dofs: Int, values: Any_) -> None:
+    """Add what elements have at their DOFs, (e, d) each, -1 for none, to that of all, (dof,)."""
+    np.add.at(out, dofs[dofs >= 0], values[dofs >= 0])
+
+
 def scatter(e: int, d: int, *blocks: tuple[list[int], Any_]) -> Any_:
     """The sum of blocks (rows, (e, r, r)) placed into (e, d, d)."""
     out = np.zeros((e, d, d), dtype=np.result_type(float, *(b.dtype for _, b in blocks)))

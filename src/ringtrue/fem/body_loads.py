@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Float
+from ringtrue.fem.algebra import add_at, applied
 from ringtrue.fem.assembly import pieces
 from ringtrue.fem.elements import mass
 from ringtrue.fem.mesh import Mesh
@@ -29,20 +30,10 @@ def spin_forces(m: Mesh, origin: Float, spin: Float) -> Float:
     pull = spin @ spin * np.eye(3) - np.outer(spin, spin)  # -ω × (ω × r)
     field[: 6 * len(m.xyz)].reshape(-1, 6)[:, :3] = (m.xyz - origin) @ pull
     for _, _, p in pieces(m):
-        _add(out, p.dofs, _times(p.mass, field[p.dofs.clip(min=0)]))
+        add_at(out, p.dofs, applied(p.mass, field[p.dofs.clip(min=0), None])[:, :, 0])
     if "CONM2" in m.model:
         p = mass.build(m, "CONM2", np.arange(len(m.model["CONM2"])))
         moment, inertia = p.mass[:, :3, 3:], p.mass[:, 3:, 3:]  # the first is -[m d ×]
         arm = np.stack([moment[:, 1, 2], moment[:, 2, 0], moment[:, 0, 1]], axis=1)
-        _add(out, p.dofs, np.concatenate([arm @ pull, -np.cross(spin, inertia @ spin)], axis=1))
+        add_at(out, p.dofs, np.concatenate([arm @ pull, -np.cross(spin, inertia @ spin)], axis=1))
     return np.asarray(out * m.model.param("WTMASS", 1.0))
-
-
-def _times(block: Any_, x: Float) -> Float:
-    """Element matrices (e, d, d), or diagonals (e, d), times vectors (e, d)."""
-    return np.asarray(block * x if block.ndim == 2 else np.einsum("eij,ej->ei", block, x))
-
-
-def _add(out: Float, dofs: Int, values: Float) -> None:
-    """Add values (e, d) at DOFs (e, d), -1 for none."""
-    np.add.at(out, dofs[dofs >= 0], values[dofs >= 0])

@@ -10,6 +10,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import Parameter, Target
 from ringtrue.eigen.derivatives import Slope
+from ringtrue.fem.algebra import applied
 from ringtrue.fem.assembly import System, full_matrices, rayleigh, sum_up, turn
 from ringtrue.fem.constraints import eliminate
 from ringtrue.fem.elements import dmig
@@ -165,9 +166,8 @@ def congruent(
 
 def _through(A: Float, x: Float) -> Float:
     """Σ xᵀAx over elements, (m, m), of matrices (e, d, d) or diagonals (e, d) and motions (e, d, m)."""
-    Ax = A[:, :, None] * x if A.ndim == 2 else A @ x
     m = x.shape[2]
-    return np.asarray(x.reshape(-1, m).T @ Ax.reshape(-1, m))
+    return np.asarray(x.reshape(-1, m).T @ applied(A, x).reshape(-1, m))
 
 
 def _padded(system: System, x: Float) -> Float:
@@ -208,7 +208,7 @@ def bilinear(
             dofs, at = s.dofs, _gathered([v, *u], s.dofs)
         for total, A in ((K, s.stiffness), (M, s.mass)):
             if np.any(A):
-                Av = A[:, :, None] * at[0] if A.ndim == 2 else A @ at[0]
+                Av = applied(A, at[0])
                 np.add.at(total, s.owner, np.stack([np.einsum("edm,edm->em", x, Av) for x in at[1:]], axis=1))
     for i, (p, dT) in enumerate(zip(parameters, _transforms(model, parameters, system), strict=True)):
         if dT is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.fem.algebra import arm
+from ringtrue.fem.algebra import add_at, arm
 from ringtrue.fem.elements import bar
 from ringtrue.fem.mesh import Isotropic, Mesh, error
 from ringtrue.fem.place import node_dofs
@@ -78,7 +78,7 @@ def line_forces(m: Mesh, card: str, at: Int, ends: Float, sizes: Float, along: F
         )
     forces = np.einsum("eij,ei->ej", placed.local, work)
     out = np.zeros(m.size)
-    np.add.at(out, node_dofs(placed.nodes), forces)
+    add_at(out, node_dofs(placed.nodes), forces)
     return out
 
 

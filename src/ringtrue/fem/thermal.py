@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.fem.algebra import add_at
 from ringtrue.fem.assembly import pieces
 from ringtrue.fem.elements import bar
 from ringtrue.fem.kinds import PROPERTY, SHELLS, SOLIDS
@@ -53,7 +54,7 @@ def thermal_forces(m: Mesh, warm: Float) -> Float:
         arms = bar.offsets(m, card, at, nodes) if card in ("CBAR", "CBEAM") else np.zeros_like(x)
         motion = _free(x + arms, arms, nodes >= 0, T - reference, SPREADS[card])[:, :, :step]
         force = np.einsum("eij,ej->ei", p.stiffness, alpha * np.where(used, motion.reshape(used.shape), 0.0))
-        np.add.at(out, p.dofs[used], force[used])
+        add_at(out, p.dofs, force)
     return out
 
 
