@@ -105,10 +105,11 @@ def judge(
     # fall of the weighted sum of squares (σ = 1) by each mode with all others present
     total = (2 * np.abs(shapes) ** 2 / np.maximum(fit.known.state.shape_var, np.finfo(float).tiny)).sum(axis=0)
     driven = _driven(fit, shapes, pairs, strict)
-    gains, ratio = _gains(lines, fit, total)
+    near = _near(lines, fit)
+    gains, ratio = _gains(fit, total, near)
     real = _real(shapes, lines.response, strict)
     share = shares(lines, fit, shapes)
-    needed = _white(lines, fit) & (ratio > SIGNIFICANT * np.maximum(_together(lines, fit), 1))
+    needed = _white(lines, fit) & (ratio > SIGNIFICANT * np.maximum(_together(lines, fit, near), 1))
     clear = _clear(fit, shapes, lines) & (share > VISIBLE) & (gains.factor > 0.99) & (driven.factor > 0.99)
     hidden = (candidates.support > HELD) & (ratio > HIDDEN) & (_mpc(shapes, lines.response) > REAL)
     aspects = [
@@ -169,10 +170,9 @@ def _stable(c: Candidates, clear: Bool, needed: Bool) -> _Aspect:
     )
 
 
-def _gains(lines: Lines, fit: Refined, total: Float) -> tuple[_Aspect, Float]:
+def _gains(fit: Refined, total: Float, near: Float) -> tuple[_Aspect, Float]:
     """Gain per real unknown over the squared error near the mode, weighted with its own magnitude; that ratio."""
     rest = 0.5 * (np.abs(fit.known.rest) ** 2).mean(axis=(0, 2))  # per real value
-    near = _near(lines, fit)
     ratio = total / (2 * fit.shapes.shape[0]) / np.maximum(near.T @ rest, 1e-300)
     factor = np.clip(np.log(np.maximum(ratio, 1e-9) / 2) / np.log(SIGNIFICANT / 2), 0, 1)
     text = [f"contribution {10 * np.log10(max(r, 1e-9)):.0f} dB over the error" for r in ratio]
@@ -185,14 +185,14 @@ def _near(lines: Lines, fit: Refined) -> Float:
     return np.asarray(near / near.sum(axis=0))
 
 
-def _together(lines: Lines, fit: Refined) -> Float:
+def _together(lines: Lines, fit: Refined, near: Float) -> Float:
     """(m,) power of the error along each shape over that in the typical response, near the mode.
 
     1 where responses err independently; as many as there are responses where they move together, as in wind.
     """
     seen = fit.shapes * lines.response[:, None]
     seen = seen / np.maximum(np.linalg.norm(seen, axis=0), 1e-300)
-    near, rest = _near(lines, fit), fit.known.rest
+    rest = fit.known.rest
     along = (near * (np.abs(rest @ seen.conj()) ** 2).mean(axis=0)).sum(axis=0)
     return np.asarray(along / np.maximum(near.T @ (np.abs(rest) ** 2).mean(axis=(0, 2)), 1e-300))
 
