@@ -26,7 +26,7 @@ from ringtrue.study.config_plan import Directions, Method, Strike
 from ringtrue.study.measured import LENGTH
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.summary import plan_json
+from ringtrue.study.summary import setups_json
 from ringtrue.study.words import left_by_loss, setups
 from ringtrue.virtual.sensors import ICP
 
@@ -241,7 +241,7 @@ def _told(run: StudyRun) -> dict[str, Any]:
             "steady": stage.steady,
         }
     if stage.setups is not None:
-        told["setups"] = plan_json(stage)["setups"]
+        told["setups"] = setups_json(stage)
     if stage.rehearsal is not None:
         told["virtual_test"] = {
             "trials": stage.rehearsal.trials,

@@ -13,7 +13,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
-from ringtrue.correlate.assign import Locks, PairingSettings
+from ringtrue.correlate.assign import PairingSettings
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import DataError, NumericalError
 from ringtrue.io.modes_json import read_modes, read_std
@@ -37,7 +37,7 @@ from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.placing import placed
-from ringtrue.study.reference import measured_part, positions, settings
+from ringtrue.study.reference import locks, measured_part, settings
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.residuals import Weighted
 from ringtrue.update.settle import displaced, whole_cost
@@ -70,8 +70,7 @@ def read_target(
     """
     whole, (spread, _), notes = read_modes(test), read_std(test), tuple[str, ...]()
     if alone := bool(len(whole)) and not whole.channels:
-        gates, locks = settings(config), Locks(positions(config.correlate.lock), positions(config.correlate.forbid))
-        found = lent(whole, opened, gates, locks)
+        found = lent(whole, opened, settings(config), locks(config))
         whole, notes = found.modes, found.notes
         config = config.model_copy(update={"test": None, "update": config.update.alone()})
     if config.test and config.test.leave_out:

@@ -123,11 +123,18 @@ def support_motions(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> tu
 
 def _displaced(model: Model) -> dict[tuple[int, int], float]:
     """D of SPC by node and component."""
-    if "SPC" not in model:
+    if not (rows := _displacing(model)).size:
         return {}
     table = model["SPC"]
-    rows = np.flatnonzero(np.isin(table["SID"], taken_sets(model, "SPC")) & (table["D"] != 0)).tolist()
-    return {(int(table["G"][i]), int(c)): float(table["D"][i]) for i in rows for c in table["C"][i] or "0"}
+    return {(int(table["G"][i]), int(c)): float(table["D"][i]) for i in rows.tolist() for c in table["C"][i] or "0"}
+
+
+def _displacing(model: Model) -> Int:
+    """Rows of SPC whose D displaces a support."""
+    if "SPC" not in model:
+        return np.empty(0, dtype=np.int64)
+    table = model["SPC"]
+    return np.flatnonzero(np.isin(table["SID"], taken_sets(model, "SPC")) & (table["D"] != 0))
 
 
 def _enforced(model: Model, case: LoadCase) -> dict[tuple[int, int], float]:
@@ -153,11 +160,9 @@ def refuse_displaced(model: Model) -> None:
     DeckError
         At the first.
     """
-    if "SPC" in model:
-        table = model["SPC"]
-        rows = np.flatnonzero(np.isin(table["SID"], taken_sets(model, "SPC")) & (table["D"] != 0))
-        if rows.size:
-            raise error(model, table, int(rows[0]), "displaces a support (D); forces alone act on one that is at 0")
+    if (rows := _displacing(model)).size:
+        why = "displaces a support (D); forces alone act on one that is at 0"
+        raise error(model, model["SPC"], int(rows[0]), why)
 
 
 def _scalar(dofs: DofSet, case: LoadCase, ld: Load) -> int:

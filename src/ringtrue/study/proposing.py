@@ -85,7 +85,7 @@ def directly_proposed(
     """
     model, analysis, every = opened.model, opened.analysis, generate(opened.model, settings)
     if "lump" in settings.kinds:
-        model, more = with_lumps(opened, bridge, settings)
+        model, more = with_lumps(opened, lump_places(opened, bridge), settings)
         every += more
     test = test.take(np.flatnonzero(test.frequencies > 0))
     weights, used = Weights(shape=0.0) if lent else Weights(), np.ones(len(test), dtype=bool)
@@ -138,9 +138,9 @@ def directly_proposed(
     return Proposed(found, model, keep, lost, tuple(c.name for c in moved if c.name not in names), len(every))
 
 
-def with_lumps(opened: Opened, bridge: Observation, settings: CandidateSettings) -> tuple[Model, tuple[Candidate, ...]]:
-    """The deck with places for masses that it may lack, and these as candidates (`update.lumps`)."""
-    return lumped(opened.model, lump_places(opened, bridge), mass_properties(opened.analysis.system).mass, settings)
+def with_lumps(opened: Opened, nodes: Int, settings: CandidateSettings) -> tuple[Model, tuple[Candidate, ...]]:
+    """The deck with places for masses that it may lack at nodes, ids (k,), and these as candidates (`update.lumps`)."""
+    return lumped(opened.model, nodes, mass_properties(opened.analysis.system).mass, settings)
 
 
 def lump_places(opened: Opened, bridge: Observation) -> Int:

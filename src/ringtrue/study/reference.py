@@ -12,7 +12,7 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet, rigid_below
 from ringtrue.core.pairing import Pairing
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.assign import NO_LOCKS, Followed, PairingSettings
+from ringtrue.correlate.assign import NO_LOCKS, Followed, Locks, PairingSettings
 from ringtrue.correlate.pairing import CorrelationTable, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import read_modes, read_std
@@ -194,6 +194,11 @@ def settings(config: StudyConfig) -> PairingSettings:
     return PairingSettings(
         mac_gate=c.mac_gate, frequency_gate=c.frequency_gate, min_confidence=config.identify.confidence
     )
+
+
+def locks(config: StudyConfig) -> Locks:
+    """The pairs that the user decides."""
+    return Locks(positions(config.correlate.lock), positions(config.correlate.forbid))
 
 
 def rigid_settings(config: StudyConfig) -> PairingSettings:

@@ -84,6 +84,12 @@ def precision(plan: PlanStage, found: IdentifyStage) -> list[dict[str, float]]:
     return [dict(zip(names, row, strict=True)) for row in np.stack(columns, axis=1).tolist()]
 
 
+def setups_json(plan: PlanStage) -> dict[str, Any]:
+    """Points that are measured in all setups, and those of each."""
+    count = plan.setups.count if plan.setups is not None else 0
+    return {"stay": plan.roving(-1), "rove": [plan.roving(k) for k in range(count)]}
+
+
 def plan_json(plan: PlanStage) -> dict[str, Any]:
     """What is measured and excited, and how well the target modes are reached."""
     modes = zip((plan.target_modes + 1).tolist(), plan.target_frequencies.tolist(), plan.reach.tolist(), strict=True)
@@ -95,7 +101,7 @@ def plan_json(plan: PlanStage) -> dict[str, Any]:
         "modes": [dict(zip(("mode", "frequency_hz", "reach"), m, strict=True)) for m in modes],
     }
     if plan.setups is not None:
-        out["setups"] = {"stay": plan.roving(-1), "rove": [plan.roving(k) for k in range(plan.setups.count)]}
+        out["setups"] = setups_json(plan)
     for m, value, forces in zip(out["modes"], plan.indicator.tolist(), plan.forces.tolist(), strict=False):
         m |= {"indicator": value, "forces": forces}
     return out

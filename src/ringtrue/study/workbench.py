@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from ringtrue.backends.registry import EMBEDDED, solver
-from ringtrue.checks.mass import mass_properties
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
@@ -33,11 +32,11 @@ from ringtrue.study.measured import LENGTH, Measured, channels_of, excited, flex
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels, build
 from ringtrue.study.placing import alignment
+from ringtrue.study.proposing import with_lumps
 from ringtrue.study.reference import reference_modes
 from ringtrue.study.results import ConfigurationsStage, CorrelateStage, LocaliseStage
 from ringtrue.study.store import Store
 from ringtrue.update.candidates import Candidate, CandidateSettings
-from ringtrue.update.lumps import lumped
 from ringtrue.update.residuals_static import RigidMass
 
 OWN = ""  # the deck of the study among the configurations
@@ -135,8 +134,7 @@ class Workbench:
     def with_lumps(self, nodes: Int) -> tuple[Candidate, ...]:
         """What the remodelled deck may lack at these nodes, ids (k,); it has a place for it from now on."""
         deck = self.steps[-1]
-        total = mass_properties(deck.analysis.system).mass
-        model, found = lumped(deck.model, nodes, total, CandidateSettings(units=self.deck.units))
+        model, found = with_lumps(deck, nodes, CandidateSettings(units=self.deck.units))
         self.lumped = deck.extended(model) if nodes.size else None
         return found
 

@@ -13,7 +13,6 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.assign import Locks
 from ringtrue.errors import DataError
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.modes_json import read_modes, read_std
@@ -22,7 +21,7 @@ from ringtrue.signal.setups import join_frfs
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.lent import lent
 from ringtrue.study.opened import Opened
-from ringtrue.study.reference import positions, settings
+from ringtrue.study.reference import locks, settings
 from ringtrue.study.results import IdentifyStage
 
 NO_MODES = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
@@ -77,8 +76,7 @@ def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> Ide
         raise DataError(f"{path}: no mode in the file")
     if modes.channels:
         raise DataError(f"{path}: has shapes; give the `sheet` of [test] that says where its channels are")
-    c = config.correlate
-    found = lent(modes, opened, settings(config), Locks(positions(c.lock), positions(c.forbid)))
+    found = lent(modes, opened, settings(config), locks(config))
     return replace(_stage(path, found.points, found.modes, found.taken, std), frf_notes=found.notes, lent=True)
 
 
