@@ -106,6 +106,16 @@ def test_a_good_plan_finds_all_modes_and_a_node_loses_its_mode() -> None:
     assert [w.split(" is ")[0] for w in words] == ["mode 2 at 16 Hz", "mode 4 at 32 Hz"]
 
 
+def test_a_light_structure_is_struck_with_a_small_hammer() -> None:
+    """A thousandth of the mass, a thousandth of the force: the noise of the force cell does not drown the blows."""
+    heavy, rng = planned((3, 6)), np.random.default_rng(6)
+    light = replace(heavy, outputs=heavy.outputs * 1000**0.5, inputs=heavy.inputs * 1000**0.5)
+    found = rehearse(light, Conditions(trials=2), rng)
+    assert found.force < 20  # N, far below the smallest hammer's range
+    assert (found.found == 1).all()
+    assert np.abs(found.damping_bias).max() < 0.05
+
+
 def test_noise_makes_what_is_found_worse() -> None:
     plan, seed = planned((3,), 20.0), 2
     quiet = rehearse(plan, Conditions(trials=4), np.random.default_rng(seed))

@@ -29,6 +29,7 @@ from ringtrue.virtual.noise import coloured
 from ringtrue.virtual.response import decay_time, lines, response_spectrum
 from ringtrue.virtual.sensors import FORCE_CELL, ICP, Chain, Sensor
 
+SMALLEST = 200.0  # N, range of the smallest impact hammers
 RATE = 3.2  # over fmax: the recorder's filter is flat up to 0.4 of the rate
 
 
@@ -341,15 +342,20 @@ def measured(
     conditions : Conditions
     rate : float, Hz
     """
-    limit = hammer.peak[1] / 0.85
-    cell = replace(FORCE_CELL, sensitivity=FORCE_CELL.range / limit)
-    sensors = (cell, *(conditions.sensor,) * len(model.outputs))
+    sensors = (_cell(hammer.peak[1] / 0.85), *(conditions.sensor,) * len(model.outputs))
     chain = Chain.draw(sensors, rng)
     records = [_record(model, i, hammer, chain, conditions, rate, rng) for i in range(len(model.inputs))]
     full = {c.id: s.range / s.sensitivity for r in records for c, s in zip(r.channels, sensors, strict=True)}
     block = round(hammer.block * rate) / rate
     settings = HammerSettings(block=block - hammer.pretrigger, pretrigger=hammer.pretrigger)
     return estimate_frf(records, settings, full_scale=full)[0]
+
+
+def _cell(limit: float) -> Sensor:
+    """A force cell of so many N: the noise of a smaller hammer is smaller, too."""
+    size = max(limit, SMALLEST) * FORCE_CELL.sensitivity / FORCE_CELL.range
+    floor = replace(FORCE_CELL.floor, density=FORCE_CELL.floor.density * size)
+    return replace(FORCE_CELL, sensitivity=FORCE_CELL.range / limit, floor=floor)
 
 
 def _record(
