@@ -11,7 +11,7 @@ real shapes; `leakage` of Hann windows; `split` and `local` responses and setups
 several force levels; `frf_methods` by another method.
 
 Methods: `ssi`, `ssi_data`, `era`, `half_spectra`, `fdd`, `bayes` (ambient); `plscf`, `lsce`, `rfp`, `peaks`
-(FRFs); `opinion` asks one of them for a second opinion.
+(FRFs), `definite` their normal matrices; `opinion` asks one of them for a second opinion.
 
 From poles to modes: `poles` of all orders, `stabilise` and `cluster` or `pick`, `judge` with reasons,
 `variance` their scatter, `whittle` their maximum likelihood, `repeated` and `repeated_hammer` roots nearer

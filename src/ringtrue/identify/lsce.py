@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import solve_triangular
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.errors import InputError
+from ringtrue.identify.definite import lower_factor
 from ringtrue.identify.poles import PoleSet, check_orders, unit
 
 
@@ -109,8 +110,7 @@ def _factor(h: Complex, n: int) -> Complex:
     windows = np.lib.stride_tricks.sliding_window_view(h, n + 1, axis=0)[:rows]  # (time, out, in, lag)
     x = windows.transpose(0, 1, 3, 2).reshape(-1, (n + 1) * m)
     normal = x.conj().T @ x
-    ridge = 1e-13 * np.trace(normal).real / len(normal)  # exact data make the matrix singular
-    return np.asarray(cholesky(normal + ridge * np.eye(len(normal)), lower=True))
+    return lower_factor(normal, 1e-13 * np.trace(normal).real / len(normal))
 
 
 def _order(factor: Complex, n: int, m: int) -> tuple[Complex, Complex]:

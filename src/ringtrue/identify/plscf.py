@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.linalg import cholesky, solve_triangular, toeplitz
+from scipy.linalg import solve_triangular, toeplitz
 from scipy.spatial.distance import squareform
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.errors import InputError
+from ringtrue.identify.definite import lower_factor
 from ringtrue.identify.poles import PoleSet, check_orders, unit
 from ringtrue.shapes.mac import mac
 
@@ -97,7 +98,7 @@ def _factor(h: Complex, place: Float, n: int) -> Float:
     lag = np.arange(n + 1)[None, :] - np.arange(n + 1)[:, None] + n
     size = (n + 1) * m
     big_t = t[lag].transpose(0, 2, 1, 3).reshape(size, size)
-    low = cholesky(r, lower=True)
+    low = lower_factor(r, np.finfo(float).eps * r[0, 0])
     v = solve_triangular(low, s[lag].reshape(n + 1, -1), lower=True, check_finite=False)
     v = v.reshape(n + 1, n + 1, n_out, m).transpose(0, 2, 1, 3).reshape(-1, size)
     normal = big_t - v.T @ v
@@ -105,7 +106,7 @@ def _factor(h: Complex, place: Float, n: int) -> Float:
     normal = normal[np.ix_(flip, flip)]
     # exact data make the matrix singular, or less than the rounding of what it is the difference of
     ridge = max(1e-13 * np.trace(normal), 1e-15 * np.trace(big_t)) / size
-    return np.asarray(cholesky(normal + ridge * np.eye(size), lower=True))
+    return lower_factor(normal, ridge)
 
 
 def _order(factor: Float, n: int, m: int, freqs: Float) -> tuple[Complex, Complex]:

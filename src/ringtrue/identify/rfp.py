@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import solve_triangular
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.errors import InputError
+from ringtrue.identify.definite import lower_factor
 from ringtrue.identify.poles import PoleSet, check_orders, unit
 
 
@@ -131,8 +132,7 @@ def _denominator(h: Complex, q: Complex, n: int) -> Complex:
     normal = outer[: n + 1] @ (basis * power[:, None])
     moments = np.concatenate([outer @ (x[:, None] * basis) for x in h.T])  # a handful of FRFs
     normal -= moments.conj().T @ moments
-    normal += 1e-14 * np.trace(normal).real * np.eye(n + 1)
-    low = cholesky(normal, lower=True)
+    low = lower_factor(normal, 1e-14 * np.trace(normal).real)
     free = -solve_triangular(low[:n, :n].conj().T, low[n, :n].conj())
     return np.append(free, 1.0)
 
