@@ -6,10 +6,14 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.modes import elastic
 from ringtrue.eigen.factor import Factor, Pencil
+from ringtrue.eigen.problem import frequencies
 from ringtrue.errors import SingularModel
 from ringtrue.reduce.basis import CHUNK, orthonormal_part, project
 from ringtrue.reduce.parametric import ReducedModel
+
+DEPENDENT, MASSLESS = 1e-10, 1e-11  # shares of the energy below which a vector is one of others, or has no mode
 
 
 def with_responses(
@@ -54,6 +58,25 @@ def with_responses(
     energy = sparse.csr_array(model.system.stiffness - model.shift * model.system.mass)
     vectors = np.hstack([model.basis.vectors, orthonormal_part(energy, model.basis.vectors, new)])
     return model.with_basis(project(model.system, vectors, model.basis)), error
+
+
+def responding(model: ReducedModel, channels: Int, x: Float) -> tuple[Float, Float]:
+    """λ (r,) and vectors (f, r) of unit modal mass: the modes at x (p,) and, as modes of the space that they span
+    together, the static responses to unit loads at channels that are in the basis.
+
+    Of a structure that is free the responses are those of K − σM.
+    """
+    k, m = model.projected(model.system.parameters.factors(model.full_vector(x)))
+    lam, y = model.coordinates(x)
+    energy = k if lam[0] > 0 and elastic(frequencies(lam))[0] else k - model.shift * m
+    some = np.hstack([y, linalg.solve(energy, model.basis.observe[channels].T, assume_a="sym")])
+    some = some / np.sqrt(np.einsum("ij,ij->j", some, energy @ some))
+    size, turn = linalg.eigh(some.T @ energy @ some)
+    some = some @ (turn / np.sqrt(size))[:, size > DEPENDENT]
+    inverse, turn = linalg.eigh(some.T @ m @ some)
+    some = some @ turn[:, inverse > MASSLESS * inverse.max()]
+    values, turn = linalg.eigh(some.T @ k @ some, some.T @ m @ some)
+    return values, model.basis.vectors @ (some @ turn)
 
 
 def _definite(pencil: Pencil, shift: float) -> tuple[float, Factor]:

@@ -9,7 +9,7 @@ stage is a module of `stages`, its result a type of `results`.
 
 What several stages need of the test: `blows` and `forced` FRFs of records, `placing` and `arrangement` its
 geometry, `reference` the modes judged by, `lent` shapes where it tells frequencies alone, `measured` data
-beside modes, `evidence` what a correlation rests on, `expansion` its shapes.
+beside modes, `beside` what candidates do to these, `evidence` what a correlation rests on, `expansion` its shapes.
 
 Of the model: `opened`, `parametric`, `loads`, `scene`. Of the plan: `planned_targets`, `virtual_test`. Of the
 updating: `objective`, `course`; `direct` and `proposing` do without stages.

@@ -12,7 +12,6 @@ from ringtrue.core.modes import elastic
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.model.edit import carried
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.evidence import channel_mass
@@ -115,18 +114,25 @@ def data_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Data, ...]:
         f = model.model.modes(np.zeros(len(model.parameters))).frequencies
         if not elastic(f)[0]:
             raise DataError(f"a static test needs a structure that is held; mode 1 of the deck is at {f[0]:.3g} Hz")
+    check_moving(found, {c: i for i, c in enumerate(desk.channels(name))}, model.model.basis.observe)
+    every = model.model.system.parameters
+    return on_parameters(desk, name, lambda: _rigid(desk, name, every), tuple(model.model.active))
+
+
+def on_parameters(
+    desk: Workbench, name: str, rigid: Callable[[], RigidMass], active: tuple[int, ...]
+) -> tuple[Data, ...]:
+    """What was measured beside the modes of a configuration, on the active of the parameters that `rigid` is over."""
     at = {c: i for i, c in enumerate(desk.channels(name))}
-    check_moving(found, at, model.model.basis.observe)
-    active = tuple(model.model.active)
-    return tuple(residual_data(m, at, desk.deck.units, lambda: _rigid(desk, name), active) for m in found)
+    return tuple(residual_data(m, at, desk.deck.units, rigid, active) for m in desk.measured(name))
 
 
-def _rigid(desk: Workbench, name: str) -> RigidMass:
-    """Over all candidates and suspensions that the deck has, as its reduced model."""
-    if name not in desk.weighed:
-        every, model = desk.everything, desk.deck_of(name)[0].model
-        desk.weighed[name] = rigid_mass(model, every if name == OWN else carried(model, every))
-    return desk.weighed[name]
+def _rigid(desk: Workbench, name: str, every: ParameterSet) -> RigidMass:
+    """Over all parameters of a reduced model."""
+    key = (name, every.names)
+    if key not in desk.weighed:
+        desk.weighed[key] = rigid_mass(desk.deck_of(name)[0].model, every)
+    return desk.weighed[key]
 
 
 def data_count(problem: Problem, at: Evaluated) -> float:

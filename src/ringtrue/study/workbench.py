@@ -61,7 +61,7 @@ class Workbench:
     _others: dict[str, AtChannels] = field(default_factory=dict)  # their reduced models
     _measured: dict[str, tuple[Measured, ...]] = field(default_factory=dict)  # by configuration
     masses: dict[str, Float] = field(default_factory=dict)  # at the channels of the test modes, by configuration
-    weighed: dict[str, RigidMass] = field(default_factory=dict)  # rigid-body masses, by configuration
+    weighed: dict[tuple[str, tuple[str, ...]], RigidMass] = field(default_factory=dict)  # by configuration and names
     _placed: dict[TestModel, TestModel] = field(default_factory=dict)  # sheets as laid onto the deck, by those measured
     _channels: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of the reduced models, by configuration
 

@@ -8,6 +8,7 @@ Lv 2008, sec. 4.1).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from scipy import sparse
@@ -22,7 +23,19 @@ from ringtrue.update.candidates import Candidate
 from ringtrue.update.effects import misfits
 from ringtrue.update.objective import Target
 from ringtrue.update.pool import close, conflicts, passed_over
+from ringtrue.update.several import Problem
 from ringtrue.update.subsets import subsets
+
+
+class Beside(Protocol):
+    """What was measured beside the modes, over all candidates."""
+
+    def misfit(self, at: ReducedModel | None, x: Float, which: Sequence[int], aim: Target) -> tuple[Float, Float]:
+        """As those of `misfits`, at x (k,) of a model over the candidates `which`; of the deck without a model."""
+
+    def problem(self, search: Any, aim: Target) -> Problem:
+        """Modes and data of a model that is searched with."""
+
 
 Look = Callable[[tuple[Candidate, ...]], tuple[choose.Candidates, ReducedModel]]
 
@@ -40,6 +53,7 @@ def screened(
     most: int,
     alike: float,
     progress: Progress,
+    beside: Beside | None = None,
 ) -> tuple[Candidate, ...]:
     """Up to `pool` of the candidates, in their order.
 
@@ -57,22 +71,32 @@ def screened(
         Candidates that are kept, and parameters of the first choice.
     alike : float
         |cosine| from which on two candidates are one to the data.
+    beside : Beside, optional
+        What else was measured: it counts with the modes, and a candidate that it alone sees is seen.
     """
 
-    def seen(modes: tuple[Float, Float]) -> tuple[tuple[Float, Float], ...]:
-        return misfits(model, system, candidates, *modes, observe @ modes[1], aim)
+    def seen(
+        modes: tuple[Float, Float], at: ReducedModel | None, x: Float, which: Sequence[int]
+    ) -> tuple[tuple[Float, Float], ...]:
+        found = misfits(model, system, candidates, *modes, observe @ modes[1], aim)
+        if beside is None:
+            return found
+        more, slopes = beside.misfit(at, x, which, aim)
+        return tuple((np.append(r, more), np.concatenate([g, slopes])) for r, g in found)
 
-    at = close(model, candidates, seen(modes), pool)
+    at = close(model, candidates, seen(modes, None, np.zeros(0), ()), pool)
     some = tuple(candidates[i] for i in at.tolist())
     if len(some) == len(candidates):
         return some
     search, whole = look(some)
-    found = subsets(search, aim, most, alike, conflicts(model, some), progress, None, passed_over(candidates, some))
+    problem = None if beside is None else beside.problem(search, aim)
+    far = passed_over(candidates, some)
+    found = subsets(search, aim, most, alike, conflicts(model, some), progress, problem, far)
     best, groups = found.path[-1], found.search.groups
     if not best.members.size:
         return some
     x = np.zeros(len(candidates))
     x[at] = best.x / whole.parameters.std()
     stay = at[np.isin(groups, groups[best.members])]
-    near = [(r + g @ x, g) for r, g in seen(whole.vectors(best.x))]
+    near = [(r + g @ x, g) for r, g in seen(whole.vectors(best.x), whole, best.x, at.tolist())]
     return tuple(candidates[i] for i in close(model, candidates, near, pool, stay=stay.tolist()))

@@ -16,6 +16,7 @@ from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
 from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.study.beside import Beside
 from ringtrue.study.evidence import at_channels
 from ringtrue.study.expansion import expanded
 from ringtrue.study.measured import flexible
@@ -119,11 +120,15 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
     every += more
     system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.fmax).modes
     lam, vectors = (2 * np.pi * modes.frequencies) ** 2, np.asarray(system.local @ modes.shapes)
-    some, lost = effective(model, system, every, lam, vectors)
+    beside = Beside.of(desk, every) if desk.measured(OWN) and _shared(desk) else None
+    strained = (lam, vectors) if beside is None else beside.strained()
+    some, lost = effective(model, system, every, *strained)
+    beside = beside and replace(beside, candidates=some)
 
     def look(few: tuple[Candidate, ...]) -> tuple[AtChannels, ReducedModel]:
         reduced = desk.apart(parameters(few), quiet)
-        return _condensed(reduced, _points(desk, reduced, few)), reduced.model
+        reduced = reduced if beside is None else beside.loaded(reduced)
+        return _small(desk, OWN, reduced, _points(desk, reduced, few)), reduced.model
 
     near = screened(
         model,
@@ -137,6 +142,7 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
         most=asked.most,
         alike=asked.alike,
         progress=progress,
+        beside=beside,
     )
     far = tuple(c.name for c in some if c not in near)
     return _Pool(near, len(every), tuple(d.name for d in lost), far, passed_over(some, near))
