@@ -147,12 +147,11 @@ def groups(count: int) -> None:
             settings, macs, shares = PairingSettings(largest_group=largest), list[float](), list[float]()
             for a, b, share in cases:
                 p = pair_modes(a, b, settings)
-                own = {
-                    j: g for g in scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings).groups_b for j in g
-                }
+                turns = scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings).turns
                 macs += p.mac.tolist()
-                for i, j, turned in zip(p.a.tolist(), p.b.tolist(), p.subspace.tolist(), strict=True):
-                    shares.append(float(share[i, list(own[j]) if turned else j].sum()))
+                for i, j in zip(p.a.tolist(), p.b.tolist(), strict=True):
+                    gained = sum(w[i] * (share[i, list(g)].sum() - share[i, j]) for g, w in turns if j in g)
+                    shares.append(float(share[i, j] + gained))
             wrong = (np.array(shares) < 0.4).sum() / count
             print(
                 f"{100 * spacing:11.1f} %  {channels:8d}  {largest:13d}  {len(macs) / count:5.1f}  {wrong:5.1f}"

@@ -17,7 +17,8 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.complete import complete, complete_json
 from ringtrue.correlate.frf import amplitude_correlation, band_levels, compare_frfs, shape_correlation
 from ringtrue.correlate.gates import Gate
-from ringtrue.correlate.pairing import pair_modes, turning
+from ringtrue.correlate.pairing import pair_modes
+from ringtrue.correlate.turning import turning
 from ringtrue.errors import InputError
 from ringtrue.io.modes_json import read_std, write_modes
 from ringtrue.shapes.orthogonality import read_orthogonality, serep_mass

@@ -9,7 +9,8 @@ import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlate.assign import Followed, Locks
-from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes, paired_shapes, turning
+from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes
+from ringtrue.correlate.turning import paired_shapes, turning
 from ringtrue.errors import ConfigError, InputError
 
 CHANNELS = tuple("abcdefghij")

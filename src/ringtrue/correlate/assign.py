@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -10,12 +12,13 @@ from scipy.optimize import linear_sum_assignment
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import ConfigError
 from ringtrue.shapes.mac import mac, paired_mac
-from ringtrue.shapes.subspace import close_groups, rotation, subspace_mac
+from ringtrue.shapes.subspace import FADE, close_groups, fade, rotation, subspace_mac
 
 TIE = 1e-3
 LOCKED = 1e6  # worth of a forced pair, above that of all others together
 APART = 4.0  # times the distance of close modes: as far may be in B what is close in A
 SOFT = 0.02  # 1 − MAC below this brings no further gain: it is noise
+SHARED = 0.1  # above the MAC gate, from where on a share counts whole
 HOLD = 0.5  # of the MAC gate: a shape that matches less is another, which no rotation mends; of 1/frequency gate
 
 
@@ -30,9 +33,9 @@ class PairingSettings:
     frequency_gate : float
         Largest |f_B − f_A|/f_A of a pair.
     close : float
-        Relative distance below which neighbours of one set are one subspace.
+        Relative distance below which neighbours of one set are one subspace; from there to `FADE` times it ever less.
     distinct : float
-        Shapes that match one to one with a MAC from here on are not rotated, however close they are.
+        Shapes that match one to one with a MAC above it are rotated ever less, from halfway to 1 on not at all.
     largest_group : int
         Most modes in one subspace.
     min_confidence : float
@@ -148,14 +151,15 @@ class Scores:
         With shapes of a close group rotated towards A; equal to `mac` elsewhere.
     error : (ma, mb) float64
         (f_B − f_A)/f_A.
-    groups_b : tuple of tuple of int
-        Close groups of B, those that close modes of A mix among them.
+    turns : tuple of (group, weight)
+        Close groups of B, those that close modes of A mix among them, and how far each is rotated towards every mode
+        of A, (ma,) float64, 0..1.
     """
 
     mac: Float
     merged: Float
     error: Float
-    groups_b: tuple[tuple[int, ...], ...]
+    turns: tuple[tuple[tuple[int, ...], Float], ...]
 
 
 def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) -> Scores:
@@ -174,14 +178,15 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
     single = mac(a, b)
     merged = single.copy()
     groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
-    groups_b = close_groups(fb, settings.close, settings.largest_group)
+    mixed, turns = list[list[tuple[float, Int]]](), []
     for ga in (g for g in groups_a if g.size > 1):
         share = np.where((np.abs(error[ga]) <= settings.frequency_gate).any(axis=0), subspace_mac(b, a[:, ga]), 0.0)
         if share.any():
             here = fb[share.argmax()]
-            share[np.abs(fb - here) > APART * settings.close * here] = 0.0
-            groups_b = _joined(groups_b, _mixed(single[ga], share, settings), settings.largest_group)
-    for gb in (np.array(g) for g in groups_b if len(g) > 1):
+            near = fade(np.abs(fb - here) / max(APART * settings.close * here, np.finfo(float).tiny))[0]
+            mixed.append(_mixed(single[ga], share, near, settings))
+    for group, weight in _weighed(fb, mixed, settings).items():
+        gb, turn = np.array(group), np.zeros(fa.size)
         share = subspace_mac(a, b[:, gb])  # no rotation inside the group reaches more
         held = np.asarray(share > HOLD * settings.mac_gate)
         gains = held & np.asarray(share > single[:, gb].max(axis=1) + SOFT - TIE)
@@ -191,8 +196,13 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
             these = np.sort(ga[np.argsort(-share[ga], kind="stable")[: gb.size]])
             these = these[held[these]]
             if gains[these].any():
-                _merge(merged, single, error, these, gb, a, b, settings)
-    return Scores(single, merged, error, groups_b)
+                block = np.ix_(these, gb)
+                turned, far = _turned(single[block], error[block], a[:, these], b[:, gb], settings)
+                turn[these] = weight * far
+                merged[block] += turn[these, None] * (turned[:, None] - single[block])
+        if turn.any():
+            turns.append((group, turn))
+    return Scores(single, merged, error, tuple(turns))
 
 
 def peak_shares(shapes: Any_) -> Float:
@@ -202,16 +212,51 @@ def peak_shares(shapes: Any_) -> Float:
     return np.asarray(peak / typical if typical > 0 else np.ones_like(peak))
 
 
-def _mixed(single: Float, share: Float, settings: PairingSettings) -> Int:
-    """The modes of B that a group of close modes of A mixes; none where single shapes match one to one.
+def _mixed(single: Float, share: Float, near: Float, settings: PairingSettings) -> list[tuple[float, Int]]:
+    """The modes of B that a group of close modes of A mixes, as sets that grow, each with how far that is so, 0..1.
 
-    How close modes share two shapes is decided by perturbations as small as their distance: it differs between two
-    sets whose frequencies differ by more, whichever of the two has them close.
+    Not where single shapes match one to one. How close modes share two shapes is decided by perturbations as small as
+    their distance: it differs between two sets whose frequencies differ by more, whichever of the two has them close.
     """
-    best = np.argsort(-share, kind="stable")[: single.shape[0]]
-    best = best[share[best] >= settings.mac_gate]
-    rows, cols = linear_sum_assignment(-single[:, best])
-    return best if (single[:, best][rows, cols] < settings.distinct).any() else best[:0]
+    held = near * np.clip((share - settings.mac_gate) / SHARED, 0.0, 1.0)
+    best = np.lexsort((-share, -held))[: single.shape[0]]
+    held, out = held[best], []
+    for k in range(2, int(np.count_nonzero(held)) + 1):
+        out.append((float(held[k - 1] * _blurred(single[:, best[:k]], settings)), best[:k]))
+    return out
+
+
+def _blurred(block: Float, settings: PairingSettings) -> float:
+    """How far single shapes (ka, kb), by their MAC, fail to match one to one: 1 below `distinct`, from there ever less.
+
+    Nothing from halfway to a MAC of 1 on.
+    """
+    rows, cols = linear_sum_assignment(-block)
+    return float(np.clip(2 * (1 - block[rows, cols].min()) / (1 - settings.distinct) - 1, 0.0, 1.0))
+
+
+def _weighed(
+    fb: Float, mixed: Sequence[Sequence[tuple[float, Int]]], settings: PairingSettings
+) -> dict[tuple[int, ...], float]:
+    """Groups of more than one mode of B, each with its weight: the mean over all limits between `close` and `FADE` it.
+
+    Each limit joins those that `mixed` says, too, where that is so by more than the limit asks. A mean over limits has
+    no jump where two modes pass one.
+    """
+    order = np.sort(fb)
+    gap = np.diff(order) / np.maximum(np.abs(order[1:]), np.finfo(float).tiny)
+    near = fade(gap / settings.close)[0] if settings.close else np.zeros(gap.size)
+    steps = np.unique(np.concatenate([[0.0, 1.0], near, [s for sets in mixed for s, _ in sets]]))
+    out: dict[tuple[int, ...], float] = {}
+    for low, high in pairwise(steps.tolist()):
+        limit = float(gap[near <= low].min(initial=FADE * settings.close))
+        groups = close_groups(fb, limit, settings.largest_group)
+        for sets in mixed:
+            members = [m for s, m in sets if s >= high]
+            groups = _joined(groups, members[-1], settings.largest_group) if members else groups
+        for g in (tuple(sorted(g)) for g in groups if len(g) > 1):
+            out[g] = out.get(g, 0.0) + high - low
+    return out
 
 
 def _joined(groups: tuple[tuple[int, ...], ...], members: Int, largest: int) -> tuple[tuple[int, ...], ...]:
@@ -224,17 +269,16 @@ def _joined(groups: tuple[tuple[int, ...], ...], members: Int, largest: int) -> 
     return (*(g for g in groups if g not in touched), one)
 
 
-def _merge(
-    merged: Float, single: Float, error: Float, ga: Int, gb: Int, a: Any_, b: Any_, settings: PairingSettings
-) -> None:
-    """Raise `merged` in place for the group `gb` where a rotation explains the shapes `ga` and single shapes do not."""
-    block = np.ix_(ga, gb)
-    rows, cols = linear_sum_assignment(-single[block])
-    if np.abs(error[block]).min() > settings.frequency_gate or single[block][rows, cols].min() >= settings.distinct:
-        return
-    turned = paired_mac(a[:, ga], b[:, gb] @ rotation(a[:, ga], b[:, gb]))
-    gain = turned > single[block].max(axis=1) + SOFT
-    merged[block] = np.where(gain[:, None], turned[:, None], single[block])
+def _turned(single: Float, error: Float, a: Any_, b: Any_, settings: PairingSettings) -> tuple[Float, Float]:
+    """MAC (ka,) with shapes `b` (n, kb) rotated towards `a` (n, ka), and how far that is done, (ka,) 0..1.
+
+    Done where a rotation explains the shapes and single ones do not; `single` and `error` are (ka, kb).
+    """
+    far = _blurred(single, settings) if np.abs(error).min() <= settings.frequency_gate else 0.0
+    if not far:
+        return np.zeros(len(single)), np.zeros(len(single))
+    turned = paired_mac(a, b @ rotation(a, b))
+    return turned, far * np.clip((turned - single.max(axis=1)) / SOFT - 1, 0.0, 1.0)
 
 
 def within(

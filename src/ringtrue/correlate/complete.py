@@ -17,8 +17,8 @@ from ringtrue.correlate.comac import comac, ecomac
 from ringtrue.correlate.contribution import Elimination, eliminate, mac_contribution
 from ringtrue.correlate.faults import Suspect, suspect_channels
 from ringtrue.correlate.gates import TRADE, Gate, Verdict, judge, verdict_json
-from ringtrue.correlate.pairing import paired_shapes, turning
 from ringtrue.correlate.significance import Significance, significance
+from ringtrue.correlate.turning import paired_shapes, turning
 from ringtrue.errors import InputError
 from ringtrue.shapes.complexity import mcf, mpc, mpd
 from ringtrue.shapes.mac import auto_mac, unit, worst_off_diagonal

@@ -12,7 +12,7 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.pairing import Pairing
 from ringtrue.correlate.assign import PairingSettings
-from ringtrue.correlate.pairing import paired_shapes
+from ringtrue.correlate.turning import paired_shapes
 from ringtrue.errors import InputError
 from ringtrue.shapes.mac import paired_mac
 from ringtrue.shapes.scale import modal_scale_factor

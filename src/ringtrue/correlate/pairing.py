@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.pairing import Pairing
 from ringtrue.correlate.alone import by_frequency
@@ -24,7 +23,6 @@ from ringtrue.correlate.assign import (
     within,
 )
 from ringtrue.errors import InputError
-from ringtrue.shapes.subspace import rotation
 
 __all__ = [
     "BEYOND_THE_GATE",
@@ -34,8 +32,6 @@ __all__ = [
     "PairingSettings",
     "correlation_table",
     "pair_modes",
-    "paired_shapes",
-    "turning",
 ]
 
 BEYOND_THE_GATE = "beyond the gate"  # in the reason of such a mode
@@ -109,68 +105,6 @@ def pair_modes(
         why_b=tuple(hidden[j] or why.of_b(j, a, b) for j in lone_b.tolist()),
         rival=rival,
     )
-
-
-def paired_shapes(
-    a: ModeSet,
-    b: ModeSet,
-    pairing: Pairing,
-    settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
-) -> tuple[Any_, Any_]:
-    """The shapes (n, k) of the pairs; those of B turned inside their close group where the pairing did so.
-
-    Parameters
-    ----------
-    a, b : ModeSet
-        As they were paired.
-    settings : PairingSettings
-        Those of the pairing.
-    """
-    b = b if b.channels == a.channels else b.rows(a.channels)
-    left, right = a.shapes[:, pairing.a], np.array(b.shapes[:, pairing.b])
-    for group in _groups(a, b, settings):
-        at = np.flatnonzero(np.isin(pairing.b, group) & pairing.subspace)
-        if at.size:
-            space = b.shapes[:, list(group)]
-            turned = space @ rotation(left[:, at], space)
-            right = right.astype(np.result_type(right, turned), copy=False)
-            right[:, at] = turned
-    return left, right
-
-
-def turning(
-    a: ModeSet,
-    b: ModeSet,
-    pairing: Pairing,
-    settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
-) -> Any_:
-    """The matrix U (mb, mb), UᴴU = 1, that turns close modes of B as the pairing did: compare A with `b.shapes @ U`.
-
-    Mass-normalised shapes stay orthonormal; what a group holds beyond its pairs takes the directions that are left.
-
-    Parameters
-    ----------
-    a, b : ModeSet
-        As they were paired.
-    settings : PairingSettings
-        Those of the pairing.
-    """
-    b = b if b.channels == a.channels else b.rows(a.channels)
-    kind = np.result_type(a.shapes, b.shapes, np.float64)
-    out = np.eye(len(b), dtype=kind)
-    for group in _groups(a, b, settings):
-        at = np.flatnonzero(np.isin(pairing.b, group) & pairing.subspace)
-        if not at.size:
-            continue
-        turn = rotation(a.shapes[:, pairing.a[at]], b.shapes[:, list(group)])
-        columns = [*pairing.b[at].tolist(), *(j for j in group if j not in pairing.b[at])]
-        rest = linalg.null_space(turn.conj().T) if turn.shape[1] < len(group) else turn[:, :0]
-        out[np.ix_(list(group), columns)] = np.concatenate([turn, rest], axis=1)
-    return out
-
-
-def _groups(a: ModeSet, b: ModeSet, settings: PairingSettings) -> tuple[tuple[int, ...], ...]:
-    return scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings).groups_b
 
 
 def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:

@@ -9,6 +9,7 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.shapes.mac import unit
 
 RANK = 1e-10  # relative singular value below which columns count as dependent
+FADE = 1.5  # times a limit, where what holds below the limit has faded away
 
 
 def basis(b: Any_) -> Any_:
@@ -54,6 +55,15 @@ def rotation(a: Any_, b: Any_) -> Any_:
     raw = np.linalg.lstsq(np.asarray(b), unit(np.asarray(a)), rcond=None)[0]
     u, _, vh = np.linalg.svd(unit(raw), full_matrices=False)
     return np.asarray(u @ vh)
+
+
+def fade(ratio: Float) -> tuple[Float, Float]:
+    """How far what holds up to a limit still holds, 1 up to ratio 1 and 0 from `FADE` on, and its derivative.
+
+    Smooth, so that what rests on closeness does not jump where modes move apart.
+    """
+    t = np.clip((FADE - np.asarray(ratio)) / (FADE - 1), 0.0, 1.0)
+    return t * t * (3 - 2 * t), 6 * t * (t - 1) / (FADE - 1)
 
 
 def close_groups(frequencies: Float, close: float, largest: int = 4) -> tuple[tuple[int, ...], ...]:

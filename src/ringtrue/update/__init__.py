@@ -7,8 +7,8 @@ Choice: `localise` indicators by element, `screening` and `pool` which are looke
 `subsets`, `sparse` and `search` which are taken, `joint` what other data say, `identifiable` what cannot be
 told apart, `lacking` whether masses are left out, `proposal` all of it explained.
 
-Objective: `objective` and `several` (configurations), of `residuals`, `residuals_frf` and `residuals_static`,
-weighed by `weights` and `robust`.
+Objective: `objective` and `several` (configurations), of `residuals`, `residuals_frf` and `residuals_static`, close
+modes as `spans`, weighed by `weights` and `robust`.
 
 Methods: `trust` is the driver, with `gauss_newton` and `quadratic`; `multistart` many starts, `verified` ends
 on full solutions, `settle` from the first pairs to the last weights, `best` a yardstick.

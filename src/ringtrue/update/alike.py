@@ -19,7 +19,8 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.subspace import basis
 from ringtrue.update.localise import strain_energies
-from ringtrue.update.objective import Target, match, shape_residual, spans
+from ringtrue.update.objective import Target, match
+from ringtrue.update.spans import span_residual
 
 
 def energy_shares(model: Model, system: System, vectors: Float) -> Float:
@@ -56,11 +57,10 @@ def effective_freedom(correlation: Float) -> float:
 
 def errors_of_shapes(target: Target, now: Linearisation) -> float:
     """`independent_errors` of the used shapes of a test against a model at a point; 1 without a pair."""
-    pairs, _, groups = match(target, now)
-    pairs = pairs[target.used[pairs[:, 0]]]
-    of = spans(target, pairs, groups)
-    rest = [shape_residual(target, now, t, g)[0] for t, g in zip(pairs[:, 0].tolist(), of, strict=True)]
-    return independent_errors(np.stack(rest, axis=1), np.array([g.size for g in of]), now.shapes) if rest else 1.0
+    pairs, _, of = match(target, now)
+    some = [(t, s) for t, s in zip(pairs[:, 0].tolist(), of, strict=True) if target.used[t]]
+    rest = [span_residual(target.shapes, now, t, s)[0] for t, s in some]
+    return independent_errors(np.stack(rest, axis=1), np.array([s.size for _, s in some]), now.shapes) if rest else 1.0
 
 
 def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
@@ -73,7 +73,7 @@ def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
     ----------
     rest : (n, k) float64
         Unit test shapes less their part in the span of the modes that stand for them.
-    own : (k,) int64
+    own : (k,) float64
         Number of these modes.
     shapes : (n, m) float64
         Of the model, the lowest first; n/2 of them are looked at.

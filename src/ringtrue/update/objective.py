@@ -26,8 +26,7 @@ from ringtrue.correlate.assign import (
 )
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
-from ringtrue.shapes.mac import unit
-from ringtrue.shapes.subspace import close_groups
+from ringtrue.update.spans import Span, span_residual, spans
 
 LOST = 100.0  # a used mode without a partner counts like a frequency deviation of ten standard deviations
 DOUBT = 16.0  # four standard deviations
@@ -89,7 +88,7 @@ class Target:
         "cost" J is a minimum over assignments and continuous where pairs change; it has no gates.
     lost : float
         Cost of a used mode without a partner; with "capped" and "cost" no pair costs more.
-    fixed : (pairs (k, 2), close groups of the model), optional
+    fixed : (pairs (k, 2), their spans (k)), optional
         Pairs that are not made anew.
     followed : Followed, optional
         Pairs that the user decides.
@@ -105,7 +104,7 @@ class Target:
     pairing: PairingSettings = field(default_factory=PairingSettings)
     rule: Literal["gates", "capped", "cost"] = "gates"
     lost: float = LOST
-    fixed: tuple[Int, tuple[tuple[int, ...], ...]] | None = None
+    fixed: tuple[Int, tuple[Span, ...]] | None = None
     followed: Followed | None = None
     lent: bool = False
 
@@ -139,11 +138,11 @@ class Target:
         partner near enough, the point is no end, and the pairs are those of the own rule.
         """
         for aim in (self.doubting(spread), self):
-            pairs, _, groups = match(aim, now)
+            pairs, _, spread_out = match(aim, now)
             used = self.used & np.isin(np.arange(self.used.size), pairs[:, 0])
             if used.any():
                 break
-        return replace(self, used=used, fixed=(pairs, groups))
+        return replace(self, used=used, fixed=(pairs, tuple(s.held() for s in spread_out)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,29 +179,28 @@ class Residual:
     more: float = 0.0
 
 
-def match(
-    target: Target, now: Linearisation, held: Bool | None = None
-) -> tuple[Int, Float, tuple[tuple[int, ...], ...]]:
-    """Pairs (k, 2), their MAC (k,) and the close groups of the model, by one assignment over MAC and frequency.
+def match(target: Target, now: Linearisation, held: Bool | None = None) -> tuple[Int, Float, tuple[Span, ...]]:
+    """Pairs (k, 2), their MAC (k,) and what stands for each test mode, by one assignment over MAC and frequency.
 
     Test modes in `held` (m,) keep a partner down to half the MAC gate: one that stands at the gate must not come and
     go from step to step. With the rule "capped" these are all.
     """
     if target.fixed is not None:
-        pairs, groups = target.fixed
-        return pairs, _inside(target, now, spans(target, pairs, groups), pairs), groups
+        pairs, of = target.fixed
+        rest = [span_residual(target.shapes, now, t, s)[0] for t, s in zip(pairs[:, 0].tolist(), of, strict=True)]
+        return pairs, np.array([1 - r @ r for r in rest]), of
     s = scores(target.frequencies, target.shapes, now.frequencies, now.shapes, target.pairing)
     locks = target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
     if target.rule == "cost":
         pairs = _cheapest(target, now, s, locks)
-        return pairs, s.merged[pairs[:, 0], pairs[:, 1]], s.groups_b
-    if target.rule == "capped":
+    elif target.rule == "capped":
         pairs = _gated(target, now, s, locks, np.ones(target.used.size, dtype=np.bool_))
         forced, _ = locks.mask((target.used.size, now.frequencies.size))
         pairs = pairs[((_costs(target, s) < target.lost) | forced)[pairs[:, 0], pairs[:, 1]]]
     else:
         pairs = _gated(target, now, s, locks, held)
-    return pairs, s.merged[pairs[:, 0], pairs[:, 1]], s.groups_b
+    of = spans(target.frequencies, target.used, pairs, now, target.pairing)
+    return pairs, s.merged[pairs[:, 0], pairs[:, 1]], of
 
 
 def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bool | None) -> Int:
@@ -259,17 +257,9 @@ def _costs(target: Target, s: Scores) -> Float:
     return np.asarray((root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + shape)
 
 
-def _inside(target: Target, now: Linearisation, groups: Sequence[Int], pairs: Int) -> Float:
-    """MAC (k,) of the test mode of each pair with the span of its group of FE modes."""
-    psi = unit(target.shapes[:, pairs[:, 0]])
-    return np.array(
-        [np.sum((np.linalg.qr(now.shapes[:, g])[0].T @ p) ** 2) for g, p in zip(groups, psi.T, strict=True)]
-    )
-
-
 def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Residual:
     """Residuals of the used pairs at a point, modes paired anew; `held` (m,) as in `match`."""
-    pairs, mac, groups = match(target, now, held)
+    pairs, mac, of = match(target, now, held)
     test, fe = pairs[:, 0], pairs[:, 1]
     used = target.used[test]
     error = now.frequencies[fe] / target.frequencies[test] - 1
@@ -282,38 +272,11 @@ def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Re
     value, slope = np.empty(k * (1 + n)), np.empty((k * (1 + n), now.d_lambda.shape[1]))
     value[:k], slope[:k] = root * (1 - lam / lam_test), root[:, None] * now.d_lambda[fe[used]] / lam_test[:, None]
     if n:
-        for i, ((t, _), group) in enumerate(zip(pairs[used].tolist(), spans(target, pairs[used], groups), strict=True)):
-            r, g = shape_residual(target, now, t, group)  # each pair has its own subspace
+        for i, k_th in enumerate(np.flatnonzero(used).tolist()):  # each pair has its own space
+            r, g = span_residual(target.shapes, now, int(test[k_th]), of[k_th])
             rows = slice(k + i * n, k + (i + 1) * n)
             value[rows], slope[rows] = np.sqrt(w.of_shape) * r, np.sqrt(w.of_shape) * g
     return Residual(value, slope, pairs, mac, error, used)
-
-
-def spans(target: Target, pairs: Int, groups: Sequence[tuple[int, ...]]) -> tuple[Int, ...]:
-    """The FE modes that stand for the test mode of each pair: the pair's own, or its close group where the test is
-    close, too."""
-    group_of = {j: g for g in groups for j in g}
-    near = close_groups(target.frequencies, target.pairing.close, target.pairing.largest_group)
-    alone = {t for g in near if len(g) == 1 for t in g}
-    return tuple(np.array((f,) if t in alone else group_of.get(f, (f,))) for t, f in pairs.tolist())
-
-
-def shape_residual(target: Target, now: Linearisation, t: int, group: Int) -> tuple[Float, Float]:
-    """(I − P) ψ and ∂(Pψ)/∂x with P the projector on the model's shapes; ‖(I − P) ψ‖² = 1 − MAC.
-
-    The scale (modal scale factor) and a rotation inside the group are projected out at every point.
-    """
-    psi = unit(target.shapes[:, [t]])[:, 0]
-    phi = now.shapes[:, group]
-    alone = group.size == 1  # as nearly always: half the time
-    plus = phi.T / max(float((phi**2).sum()), np.finfo(np.float64).tiny) if alone else np.linalg.pinv(phi)
-    inside = phi @ (plus @ psi)
-    rest = psi - inside
-    d_phi = now.d_shapes[:, group, :]
-    first = np.einsum("cgp,g->cp", d_phi, plus @ psi)
-    first -= phi @ (plus @ first)
-    second = plus.T @ np.einsum("cgp,c->gp", d_phi, rest)
-    return rest, first + second
 
 
 def objective(target: Target, r: Residual, x: Float, prior_std: Float) -> float:

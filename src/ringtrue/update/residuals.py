@@ -15,8 +15,8 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.errors import NumericalError
 from ringtrue.model.ports import Linearisation, ObservedModel
-from ringtrue.shapes.mac import unit
-from ringtrue.update.objective import Target, match, shape_residual, spans
+from ringtrue.update.objective import Target, match
+from ringtrue.update.spans import Span, span_residual
 
 NO_MODE = -1
 
@@ -32,7 +32,7 @@ class Point:
     target : Target
     pairs : (k, 2) int64
         Test mode and FE mode of the used pairs.
-    spans : tuple (k) of (g,) int64
+    spans : tuple (k) of Span
         The FE modes that stand for each test mode.
     every : (l, 2) int64
         All pairs, those of modes left out too.
@@ -45,7 +45,7 @@ class Point:
     now: Linearisation
     target: Target
     pairs: Int
-    spans: tuple[Int, ...]
+    spans: tuple[Span, ...]
     every: Int
     mac: Float
     whole: Linearisation
@@ -121,9 +121,10 @@ def point(
 ) -> Point:
     """The modes `now` of the model, paired with the test; test modes in `held` keep a partner below the gate."""
     keep = None if held is None else np.isin(np.arange(target.used.size), held)
-    pairs, mac, groups = match(target, now, keep)
-    used = pairs[target.used[pairs[:, 0]]]
-    return Point(model, now, target, used, spans(target, used, groups), pairs, mac, now if whole is None else whole)
+    pairs, mac, of = match(target, now, keep)
+    used = np.flatnonzero(target.used[pairs[:, 0]])
+    stand = tuple(of[i] for i in used.tolist())
+    return Point(model, now, target, pairs[used], stand, pairs, mac, now if whole is None else whole)
 
 
 def default_terms(target: Target) -> tuple[Term, ...]:
@@ -221,18 +222,19 @@ class Shapes:
 
     def __call__(self, at: Point) -> Block:
         """See `Term`."""
-        root, rule = np.sqrt(self.factor / self.mac), {"fit": shape_residual, "largest": _at_largest}[self.scaling]
-        parts = [rule(at.target, at.now, t, s) for t, s in zip(at.pairs[:, 0].tolist(), _spans(self, at), strict=True)]
+        root, shapes = np.sqrt(self.factor / self.mac), at.target.shapes
+        if self.scaling == "fit":
+            parts = [
+                span_residual(shapes, at.now, t, s) for t, s in zip(at.pairs[:, 0].tolist(), at.spans, strict=True)
+            ]
+        else:
+            parts = [_at_largest(shapes, at.now, t, f) for t, f in at.pairs.tolist()]
         return _shapes([(root * r, root * g) for r, g in parts], at)
 
 
-def _spans(term: Shapes, at: Point) -> tuple[Int, ...]:
-    return at.spans if term.scaling == "fit" else tuple(at.pairs[:, [1]])
-
-
-def _at_largest(target: Target, now: Linearisation, t: int, group: Int) -> tuple[Float, Float]:
+def _at_largest(shapes: Float, now: Linearisation, t: int, f: int) -> tuple[Float, Float]:
     """ψ/ψ_q − φ/φ_q with q where |ψ| is largest, over ‖ψ/ψ_q‖, and its sensitivity."""
-    psi, phi, d_phi = target.shapes[:, t], now.shapes[:, group[0]], now.d_shapes[:, group[0]]
+    psi, phi, d_phi = shapes[:, t], now.shapes[:, f], now.d_shapes[:, f]
     q = int(np.argmax(np.abs(psi)))
     if phi[q] == 0.0:
         raise NumericalError(f"test mode {t + 1}: the FE shape is zero at channel {q + 1}, which scales it")
@@ -259,9 +261,9 @@ class Mac:
         """See `Term`."""
         t = at.pairs[:, 0]
         value, slope = np.zeros(t.size), np.zeros((t.size, at.now.d_lambda.shape[1]))
-        for i, (k, span) in enumerate(zip(t.tolist(), at.spans, strict=True)):  # each pair has its own subspace
-            rest, d_inside = shape_residual(at.target, at.now, k, span)
-            value[i], slope[i] = rest @ rest, unit(at.target.shapes[:, [k]])[:, 0] @ d_inside
+        for i, (k, span) in enumerate(zip(t.tolist(), at.spans, strict=True)):  # each pair has its own space
+            rest, d_inside = span_residual(at.target.shapes, at.now, k, span)
+            value[i], slope[i] = rest @ rest, 2 * rest @ d_inside
         if self.form == "ratio":
             # 1 − √m = (1 − m)/(1 + √m) keeps its digits where m is nearly 1
             root = np.sqrt(np.maximum(1 - value, 1e-12))

@@ -24,7 +24,8 @@ from ringtrue.errors import InputError, NotConverged, NumericalError, SolverErro
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.shapes.mac import mac
 from ringtrue.shapes.subspace import close_groups
-from ringtrue.update.objective import Target, shape_residual, used_up
+from ringtrue.update.objective import Target, used_up
+from ringtrue.update.spans import shape_residual
 
 MOST = 50_000  # assignments that are ranked
 KEPT = 24  # of these refined at most
@@ -231,7 +232,7 @@ def _evaluate(
         near = close_groups(target.frequencies, target.pairing.close, target.pairing.largest_group)
         alone = {t for g in near if len(g) == 1 for t in g}
         for t, j in zip(tests.tolist(), chosen.tolist(), strict=True):
-            r, g = shape_residual(target, now, t, np.array((j,) if t in alone else group.get(j, (j,))))
+            r, g = shape_residual(target.shapes, now, t, np.array((j,) if t in alone else group.get(j, (j,))))
             value.append(np.sqrt(w.shape / w.mac) * r)
             slope.append(np.sqrt(w.shape / w.mac) * g)
     v, s = np.concatenate(value), np.concatenate(slope)

@@ -201,7 +201,7 @@ class Descent:
         """One accepted step, or the same point with less reach."""
         d, promised = self.propose(state)
         size = float(np.abs(d).max(initial=0.0))
-        if size == 0.0:
+        if np.array_equal(state.at.y + d, state.at.y):
             return self._rejected(state, size, "no step inside the limits lowers J")
         try:
             trial = self.problem.evaluate(state.at.y + d, state.at)

@@ -23,12 +23,13 @@ from ringtrue.update.alike import effective_freedom, energy_shares, errors_of_sh
 from ringtrue.update.joint import left_at
 from ringtrue.update.kfold import Held, folds_of, with_discrepancy
 from ringtrue.update.mcmc import Chains, ensemble, log_posterior
-from ringtrue.update.objective import Target, Weights, match
+from ringtrue.update.objective import Target, Weights
 from ringtrue.update.plausible import form_flags, kept, plausibility
 from ringtrue.update.pool import conflicts, of_parameter
 from ringtrue.update.posterior import Posterior, around, as_likelihood
 from ringtrue.update.residuals import Eigenvalues, Weighted
 from ringtrue.update.several import Configuration, Problem
+from ringtrue.update.spans import spans
 
 SMALL = 100  # vectors of the model that is updated fold by fold and sampled
 DRAWS = 12  # points around the updated one whose modes it holds, beside those of each parameter by itself
@@ -188,9 +189,9 @@ def _paired(aim: Target, model: AtChannels, final: FinalStage, x: Float) -> Targ
     now = model.linearise(x)
     pairs = np.stack([final.table.pairing.a, final.table.pairing.b], axis=1)
     pairs = pairs[pairs[:, 1] < now.frequencies.size]
-    _, _, groups = match(aim, now)
     used = aim.settled(now).used & np.isin(np.arange(aim.used.size), pairs[:, 0])
-    return replace(aim, used=used, fixed=(pairs, groups))
+    of = spans(aim.frequencies, used, pairs, now, aim.pairing)
+    return replace(aim, used=used, fixed=(pairs, tuple(s.held() for s in of)))
 
 
 def _near(desk: Workbench, model: AtChannels, x: Float, std: Float, rng: np.random.Generator) -> AtChannels:
