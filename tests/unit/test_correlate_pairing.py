@@ -119,7 +119,7 @@ def test_each_unpaired_mode_has_its_reason() -> None:
     mixed = phi[:, 2] + 1.1 * phi[:, 5]
     a = modes([10, 20, 30, 300, 40], np.stack([phi[:, 0], phi[:, 1], mixed, phi[:, 4], phi[:, 3]], axis=1))
     a = replace(a, confidence=np.array([1, 0.3, 1, 1, 1]))
-    b = modes([10, 20, 30, 41, 900], phi[:, :5], Norm.MASS)
+    b = modes([10, 20, 30, 41, 1200], phi[:, :5], Norm.MASS)
     p = pair_modes(a, b, visible_b=np.array([1, 1, 1, 0.001, 1]))
     why = dict(zip(p.lone_a.tolist(), p.why_a, strict=True))
     assert why[1] == "confidence 0.30 < 0.50"
@@ -136,11 +136,52 @@ def test_each_unpaired_mode_has_its_reason() -> None:
 def test_a_mode_that_looks_alike_beyond_the_gate_is_told() -> None:
     phi = sines(4)
     a, b = modes([6, 20, 30, 40], phi), modes([9, 20, 30, 90], phi, Norm.MASS)
-    first, last = pair_modes(a, b).why_a
+    first, last = pair_modes(a, b, PairingSettings(reach=1.0)).why_a
     assert first == "no FE mode within 40 %; beyond the gate FE 1, +50 %, has 100 %: widen it (frequency_gate)"
     assert last.startswith("no FE mode within 40 % has MAC")  # 125 %: another mode of the same look
     assert "beyond" not in last
-    assert len(pair_modes(a, b, PairingSettings(frequency_gate=0.6))) == 3
+    assert len(pair_modes(a, b, PairingSettings(frequency_gate=0.6, reach=1.0))) == 3
+
+
+def test_modes_alike_and_like_no_other_are_pairs_beyond_the_gate() -> None:
+    """Springs four times too soft: the two lowest modes are at half their frequency."""
+    phi = sines(4)
+    a, b = modes([6, 9, 20, 30], phi), modes([3, 4.5, 20, 31], phi, Norm.MASS)
+    p = pair_modes(a, b)
+    assert p.b.tolist() == [0, 1, 2, 3]
+    assert p.beyond.tolist() == [True, True, False, False]
+    told = (
+        "test 1 is taken for FE 1, -50 %, beyond the frequency gate: they look alike (MAC 100 %) and like no other mode"
+    )
+    assert p.far()[0] == told
+    assert pair_modes(a, modes([1.9, 4.5, 20, 31], phi, Norm.MASS)).a.tolist() == [1, 2, 3]  # a third is out of reach
+    assert 0 not in pair_modes(a, b, locks=Locks((), ((0, 0),))).a
+
+
+def test_close_modes_beyond_the_gate_are_one_subspace() -> None:
+    phi = sines(4)
+    a, b = modes([6, 6.01, 20, 30], mixed(phi, 0, np.pi / 4)), modes([3, 3.01, 20, 31], phi, Norm.MASS)
+    p = pair_modes(a, b)
+    assert p.subspace.tolist() == p.beyond.tolist() == [True, True, False, False]
+    np.testing.assert_allclose(p.mac, 1.0, rtol=1e-9)
+    np.testing.assert_allclose(*paired_shapes(a, b, p), atol=1e-9)
+
+
+@pytest.mark.parametrize("why", ["another", "one channel", "few channels"])
+def test_no_pair_is_made_beyond_the_gate_where_shapes_leave_doubt(why: str) -> None:
+    phi = sines(4)
+    a, b = modes([6, 20, 30, 40], phi), modes([3, 20, 30, 40], phi, Norm.MASS)
+    if why == "another":  # that looks much the same, and has no partner either
+        like = 0.8 * phi[:, :1] + 0.6 * phi[:, 1:2]
+        b = modes([3, 20, 30, 40, 1.5], np.concatenate([phi, like], axis=1), Norm.MASS)
+    if why == "one channel":  # carries both shapes: it reads all modes of its panel alike
+        local = np.concatenate([np.eye(10)[:, :1], phi[:, 1:]], axis=1)
+        a, b = replace(a, shapes=local), replace(b, shapes=local)
+    if why == "few channels":
+        a, b = (m.rows(CHANNELS[:3]).take(np.arange(2)) for m in (a, b))
+    p = pair_modes(a, b)
+    assert 0 not in p.a
+    assert not p.beyond.any()
 
 
 def test_faint_mode_is_not_observable() -> None:

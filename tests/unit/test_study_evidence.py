@@ -195,7 +195,9 @@ def test_a_study_without_candidates_judges_its_deck(done: StudyRun) -> None:
 def test_no_pair_is_no_success(done: StudyRun) -> None:
     table = done.results["final"].table
     p = table.pairing
-    none = replace(p, **{k: getattr(p, k)[:0] for k in ("a", "b", "mac", "frequency_error", "sign", "subspace")})
+    none = replace(
+        p, **{k: getattr(p, k)[:0] for k in ("a", "b", "mac", "frequency_error", "sign", "subspace", "beyond")}
+    )
     empty = replace(table, pairing=none, test_hz=[], fe_hz=[], std_hz=[], used=[])
     results = {"final": replace(done.results["final"], table=empty), "correlate": done.results["correlate"]}
     config = done.config.model_copy(update={"correlate": type(done.config.correlate)(accept_percent=5.0)})

@@ -19,7 +19,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
 from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.observe import Method, at_dofs
-from ringtrue.correlate.pairing import Locks, PairingSettings, correlation_table, pair_modes
+from ringtrue.correlate.pairing import Locks, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError, about
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import READ, read_modes, read_std
@@ -96,7 +96,7 @@ def _of_deck(
 ) -> tuple[ModeSet, tuple[str, ...], Callable[[], ChannelMass]]:
     """The modes of a deck at the channels of a test, as far up as a partner may lie, notes, and the deck's mass."""
     unit, top = unit_length(units), float(test.frequencies.max(initial=0.0))
-    reach = max(ABOVE, 1 + asked.frequency_gate) * top
+    reach = max(ABOVE, 1 + asked.gates().frequency_gate) * top
     notes: list[str] = []
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
@@ -208,7 +208,12 @@ def correlate(
         one_of("--align", ("points", "nearest"), "Lay the sheet onto the deck, by points numbered as nodes or nearest"),
     ] = None,
     mac_gate: Annotated[float, typer.Option(metavar="%", help="Least MAC of a pair.")] = 60.0,
-    frequency_gate: Annotated[float, typer.Option(metavar="%", help="Largest deviation of a pair.")] = 40.0,
+    frequency_gate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="%", help="Largest deviation of a pair.", show_default="40; modes like no other go beyond"
+        ),
+    ] = None,
     lock: Annotated[
         list[str] | None, typer.Option("--lock", metavar="A:B", help="Modes that belong together, such as 3:4.")
     ] = None,
@@ -238,7 +243,6 @@ def correlate(
 
     Example: ringtrue correlate test.json wing.bdf --sensors sensors.csv --complete
     """
-    settings = PairingSettings(mac_gate=mac_gate / 100, frequency_gate=frequency_gate / 100)
     locks = Locks(_pair_list("--lock", lock), _pair_list("--forbid", forbid))
     both, deck = _decks(a, b, sensors, align)
     whole = everything or mass is not None
@@ -261,8 +265,15 @@ def correlate(
     units, tolerance = units or "SI", 0.05 if tolerance is None else tolerance
     match, tam = match or "nearest", tam or "irs"
     asked = CorrelateSection.model_validate(
-        {"match": "rigid" if both else match, "align": align or "", "tam": tam, "frequency_gate": frequency_gate / 100}
+        {
+            "match": "rigid" if both else match,
+            "align": align or "",
+            "tam": tam,
+            "mac_gate": mac_gate / 100,
+            "frequency_gate": None if frequency_gate is None else frequency_gate / 100,
+        }
     )
+    settings = asked.gates()
     test, points, first = _as_test(a, units) if both else (read_modes(a), sensors, "")
     there, notes, held = (
         _of_deck(b, test, points, units, tolerance, asked) if deck else (read_modes(b), (), ChannelMass)
@@ -274,7 +285,7 @@ def correlate(
         notes = (*notes, BY_FREQUENCY)
     names = ("A", "B")
     table = correlation_table(one, two, pair_modes(one, two, settings, names=names, locks=locks), names=names)
-    notes = (*notes, *table.pairing.doubts(names))
+    notes = (*notes, *table.pairing.doubts(names), *table.pairing.far(names))
     value: dict[str, Any] = correlation_json(table)
     full: CompleteCorrelation | None = None
     if whole:

@@ -34,6 +34,8 @@ class Pairing:
     rival : (k,) int64
         Where frequencies alone decide: another mode of B that the mode of A may be, -1 if it may have no partner at
         all, `SURE` where neither is likely; empty where shapes decide.
+    beyond : (k,) bool
+        The pair is beyond the frequency gate: its modes look alike and like no other.
     """
 
     a: Int
@@ -47,10 +49,13 @@ class Pairing:
     lone_b: Int
     why_b: tuple[str, ...]
     rival: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    beyond: Bool = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        i, f = np.int64, np.float64
-        freeze_fields(self, a=i, b=i, mac=f, frequency_error=f, sign=f, subspace=np.bool_, lone_a=i, lone_b=i, rival=i)
+        i, f, yes = np.int64, np.float64, np.bool_
+        freeze_fields(self, a=i, b=i, mac=f, frequency_error=f, sign=f, subspace=yes, lone_a=i, lone_b=i)
+        object.__setattr__(self, "beyond", self.beyond if len(self.beyond) else np.zeros(len(self.a), dtype=yes))
+        freeze_fields(self, rival=i, beyond=yes)
 
     def __len__(self) -> int:
         return int(self.a.size)
@@ -63,4 +68,13 @@ class Pairing:
             + (f"{b} {k + 1}" if k >= 0 else f"no mode of {b}")
             for i, j, k in zip(self.a.tolist(), self.b.tolist(), self.rival.tolist(), strict=False)
             if k != SURE
+        )
+
+    def far(self, names: tuple[str, str] = ("test", "FE")) -> tuple[str, ...]:
+        """Each pair beyond the frequency gate, in words."""
+        a, b = names
+        return tuple(
+            f"{a} {self.a[k] + 1} is taken for {b} {self.b[k] + 1}, {100 * self.frequency_error[k]:+.3g} %, beyond the "
+            f"frequency gate: they look alike (MAC {100 * self.mac[k]:.0f} %) and like no other mode"
+            for k in np.flatnonzero(self.beyond).tolist()
         )

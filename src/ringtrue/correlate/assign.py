@@ -32,6 +32,9 @@ class PairingSettings:
         Least MAC of a pair.
     frequency_gate : float
         Largest |f_B − f_A|/f_A of a pair.
+    reach : float
+        Largest ratio of the frequencies of a pair beyond that gate; only modes that look alike and like no other are
+        taken there (`beyond.uncontested`). 1: none.
     close : float
         Relative distance below which neighbours of one set are one subspace; from there to `FADE` times it ever less.
     distinct : float
@@ -49,6 +52,7 @@ class PairingSettings:
 
     mac_gate: float = 0.6
     frequency_gate: float = 0.4
+    reach: float = 3.0
     close: float = 0.02
     distinct: float = 0.9
     largest_group: int = 4
@@ -57,10 +61,11 @@ class PairingSettings:
     faint: float = 0.01
 
     def __post_init__(self) -> None:
-        if not (0 <= self.mac_gate < 1 and self.frequency_gate > 0 and self.close >= 0 and self.largest_group >= 1):
+        gates = 0 <= self.mac_gate < 1 and self.frequency_gate > 0 and self.reach >= 1
+        if not (gates and self.close >= 0 and self.largest_group >= 1):
             raise ConfigError(
                 f"pairing: mac_gate {self.mac_gate} (0..1), frequency_gate {self.frequency_gate} (> 0), "
-                f"close {self.close} (>= 0), largest_group {self.largest_group} (>= 1)"
+                f"reach {self.reach} (>= 1), close {self.close} (>= 0), largest_group {self.largest_group} (>= 1)"
             )
 
 
@@ -162,7 +167,7 @@ class Scores:
     turns: tuple[tuple[tuple[int, ...], Float], ...]
 
 
-def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) -> Scores:
+def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *, mixed: bool = True) -> Scores:
     """MAC and frequency errors of all combinations, with close groups of B rotated towards those of A.
 
     Parameters
@@ -170,6 +175,8 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
     fa, fb : (ma,), (mb,) float64, Hz
     a, b : (n, ma), (n, mb) float64 or complex128
         Without channels, n = 0, frequencies alone tell which modes belong together.
+    mixed : bool
+        Also make one group of the modes of B that close modes of A mix.
     """
     scale = np.maximum(np.abs(fa), np.finfo(float).tiny)[:, None]
     error = (fb[None, :] - fa[:, None]) / scale
@@ -178,14 +185,14 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings) ->
     single = mac(a, b)
     merged = single.copy()
     groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
-    mixed, turns = list[list[tuple[float, Int]]](), []
-    for ga in (g for g in groups_a if g.size > 1):
+    shared, turns = list[list[tuple[float, Int]]](), []
+    for ga in (g for g in groups_a if g.size > 1 and mixed):
         share = np.where((np.abs(error[ga]) <= settings.frequency_gate).any(axis=0), subspace_mac(b, a[:, ga]), 0.0)
         if share.any():
             here = fb[share.argmax()]
             near = fade(np.abs(fb - here) / max(APART * settings.close * here, np.finfo(float).tiny))[0]
-            mixed.append(_mixed(single[ga], share, near, settings))
-    for group, weight in _weighed(fb, mixed, settings).items():
+            shared.append(_mixed(single[ga], share, near, settings))
+    for group, weight in _weighed(fb, shared, settings).items():
         gb, turn = np.array(group), np.zeros(fa.size)
         share = subspace_mac(a, b[:, gb])  # no rotation inside the group reaches more
         held = np.asarray(share > HOLD * settings.mac_gate)

@@ -22,6 +22,7 @@ from ringtrue.correlate.assign import (
     scores,
     within,
 )
+from ringtrue.correlate.beyond import uncontested
 from ringtrue.errors import InputError
 
 __all__ = [
@@ -50,6 +51,7 @@ def pair_modes(
 ) -> Pairing:
     """Pair the modes of two sets by one global assignment over MAC and frequency.
 
+    Modes left over that look alike and like no other are pairs beyond the frequency gate, too (`settings.reach`).
     Blind to the order of modes and channels and to the sign, phase and scale of shapes. Close modes
     (`settings.close`) are treated as subspaces where a rotation inside the group of B explains A and single shapes
     do not.
@@ -82,10 +84,13 @@ def pair_modes(
     plain = np.array([not why for why in hidden], dtype=np.bool_)
     if a.channels:
         (rows, cols), rival = assign(s, settings, sure, plain, locks), np.zeros(0, dtype=np.int64)
+        free = np.logical_and.outer(sure, plain) & locks.mask((len(a), len(b)))[1]
+        more = uncontested(a.frequencies, a.shapes, b.frequencies, b.shapes, s, (rows, cols), free, settings)
+        rows, cols, s, beyond = more.rows, more.columns, more.score, more.beyond
     else:
         wide = within(s, replace(settings, frequency_gate=settings.frequency_gate / HOLD), sure, plain, locks)[0]
         found = by_frequency(a.frequencies, b.frequencies, *within(s, settings, sure, plain, locks), wide)
-        rows, cols, rival = found.rows, found.columns, found.rival
+        rows, cols, rival, beyond = found.rows, found.columns, found.rival, np.zeros(0, dtype=np.bool_)
     lone_a = np.setdiff1d(np.arange(len(a)), rows)
     lone_b = np.setdiff1d(np.arange(len(b)), cols)
     why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure)
@@ -104,6 +109,7 @@ def pair_modes(
         lone_b=lone_b,
         why_b=tuple(hidden[j] or why.of_b(j, a, b) for j in lone_b.tolist()),
         rival=rival,
+        beyond=beyond,
     )
 
 
@@ -219,6 +225,7 @@ class CorrelationRow:
     mac_percent: float
     used: bool
     subspace: bool
+    beyond: bool
     significance: float
 
 
@@ -311,6 +318,7 @@ class CorrelationTable:
             self.mac_percent,
             self.used,
             self.pairing.subspace,
+            self.pairing.beyond,
             self.significance,
         )
         return tuple(CorrelationRow(*row) for row in zip(*(c.tolist() for c in columns), strict=True))

@@ -9,6 +9,7 @@ from ringtrue.core.arrays import Any_
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.pairing import Pairing
 from ringtrue.correlate.assign import PairingSettings, scores
+from ringtrue.correlate.beyond import among
 from ringtrue.shapes.subspace import rotation
 
 
@@ -56,7 +57,12 @@ def turning(
     if not turned.size:
         return out
     plain = out.copy()
-    for group, weight in scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings).turns:
+    f = (a.frequencies, a.shapes, b.frequencies, b.shapes)
+    turns = scores(*f, settings).turns
+    if pairing.beyond.any():
+        left = np.setdiff1d(np.arange(len(b)), pairing.b[~pairing.beyond])
+        turns += among(*f, pairing.a[pairing.beyond], left, settings).turns
+    for group, weight in turns:
         at = turned[np.isin(pairing.b[turned], group)]
         if at.size:
             inside = np.ix_(list(group), list(group))

@@ -109,7 +109,7 @@ class Conditions:
     sensor: Sensor = ICP
     hits: int = 5
     hammer: HammerPlan | None = None
-    pairing: PairingSettings = field(default_factory=lambda: PairingSettings(mac_gate=0.8, frequency_gate=0.03))
+    pairing: PairingSettings = field(default_factory=lambda: PairingSettings(0.8, 0.03, reach=1.0))
 
     def __post_init__(self) -> None:
         if (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -11,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from ringtrue.backends.registry import EMBEDDED
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.correlate.assign import PairingSettings
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.model.halves import NODES
 from ringtrue.study.config_errors import explain
@@ -101,7 +103,8 @@ class CorrelateSection(_Section):
     """Pairing and acceptance."""
 
     mac_gate: float = Field(default=0.6, gt=0, lt=1)
-    frequency_gate: float = Field(default=0.4, gt=0)
+    # |f_FE − f_test|/f_test; None: 0.4, and beyond it modes that look alike and like no other
+    frequency_gate: float | None = Field(default=None, gt=0)
     lock: list[str] = []  # "3:7": test mode 3 belongs to mode 7 of the deck as delivered, and to what becomes of it
     forbid: list[str] = []  # that do not belong together
     rigid_below: float | None = None  # Hz: rigid-body modes lie below; None: the largest gap decides
@@ -130,6 +133,12 @@ class CorrelateSection(_Section):
         if wrong := [v for v in value if not re.fullmatch(r"[1-9]\d*:[1-9]\d*", v)]:
             raise ValueError(f"{wrong[0]!r} is no pair of a test mode and a mode of the deck, from 1, such as '3:7'")
         return value
+
+    def gates(self, confidence: float = 0.5) -> PairingSettings:
+        """The gates of the pairing; a frequency gate that is given holds for all pairs."""
+        gates = PairingSettings(mac_gate=self.mac_gate, min_confidence=confidence)
+        own = self.frequency_gate
+        return gates if own is None else replace(gates, frequency_gate=own, reach=1.0)
 
 
 class Candidate(_Section):

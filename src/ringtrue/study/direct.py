@@ -13,7 +13,6 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
-from ringtrue.correlate.assign import PairingSettings
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import DataError, NumericalError
 from ringtrue.io.modes_json import read_modes, read_std
@@ -80,12 +79,11 @@ def read_target(
     if not len(modes) or not modes.channels:
         raise DataError(f"{test}: no mode was measured at a common set of channels")
     relative = np.nan_to_num(spread[kept] / modes.frequencies, nan=0.0)
-    gates = PairingSettings(mac_gate=config.correlate.mac_gate, frequency_gate=config.correlate.frequency_gate)
     u = config.update
     weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
     shapes = np.asarray(modes.shapes.real, dtype=np.float64)
     used = np.ones(len(modes), dtype=bool)
-    target = Target(modes.frequencies, shapes, relative, used, weights, gates, lent=alone)
+    target = Target(modes.frequencies, shapes, relative, used, weights, settings(config), lent=alone)
     return config, target, modes, notes
 
 

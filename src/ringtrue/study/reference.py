@@ -190,10 +190,7 @@ def used_mask(n: int, out: Int) -> Bool:
 
 def settings(config: StudyConfig) -> PairingSettings:
     """The gates of the study."""
-    c = config.correlate
-    return PairingSettings(
-        mac_gate=c.mac_gate, frequency_gate=c.frequency_gate, min_confidence=config.identify.confidence
-    )
+    return config.correlate.gates(config.identify.confidence)
 
 
 def locks(config: StudyConfig) -> Locks:

@@ -48,6 +48,7 @@ def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
             "mac_percent": _number(r.mac_percent),
             "used": r.used,
             "subspace": r.subspace,
+            "beyond_gate": r.beyond,
             "deviation_std": _number(z),
             "within_scatter": not beyond if np.isfinite(z) else None,
         }

@@ -59,6 +59,8 @@ def _row(number: int, r: CorrelationRow, data: Stages, updating: bool, scatter: 
     row.append(Cell("accepted", "good") if ok else Cell("outside", "bad"))
     if updating:
         row.append("used" if r.used else Cell("left out", "chip"))
+    if r.beyond:
+        return [*row, Cell("beyond the gate", "chip", "beyond the frequency gate, but alike and like no other mode")]
     return [*row, Cell("subspace", "chip", "MAC of the subspace of close modes") if r.subspace else ""]
 
 

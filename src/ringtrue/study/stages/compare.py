@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringtrue.core.modes import ModeSet
@@ -27,7 +29,7 @@ def run(desk: Workbench, progress: Progress) -> CompareStage | None:
     high = np.flatnonzero(found.hammer.frequencies >= edge)
     a, b = ambient.rows(common), found.hammer.take(high).rows(common)
     names = ("ambient", "hammer")
-    gates = settings(desk.config)
+    gates = replace(settings(desk.config), reach=1.0)  # of one structure
     pairing = pair_modes(a, b, gates, names=names)
     measures = complete(a, b, pairing, std_a=std, std_b=found.hammer_uncertainty.frequency[high], settings=gates)
     return CompareStage(

@@ -104,9 +104,10 @@ def _mesh(desk: Workbench, table: CorrelationTable) -> tuple[str, ...]:
 
 
 def _far(table: CorrelationTable) -> tuple[str, ...]:
-    """Lone test modes that look like one of the deck that the frequency gate keeps from them."""
+    """Pairs beyond the frequency gate, and lone test modes that it keeps from one of the deck that looks alike."""
     p = table.pairing
-    return tuple(f"test mode {i + 1}: {w}" for i, w in zip(p.lone_a, p.why_a, strict=True) if BEYOND_THE_GATE in w)
+    lone = zip(p.lone_a, p.why_a, strict=True)
+    return (*p.far(), *(f"test mode {i + 1}: {w}" for i, w in lone if BEYOND_THE_GATE in w))
 
 
 def _shared(desk: Workbench) -> tuple[str, ...]:
