@@ -124,6 +124,25 @@ def test_one_parameter_by_itself() -> None:
         slopes_are_derivatives(scaled(m, g1z, a), [g1z], terms, np.array([a]))
 
 
+def test_entries_that_two_parameters_change_together_alone() -> None:
+    """A panel of one square: thickness or a modulus by itself tells of such an entry 1e-9, both together 1e-2."""
+    x, quads = square(1, 50.0, 50.0)
+    skin = {"E1": 1.35e5, "E2": 9e3, "NU12": 0.3, "G12": 4500.0, "G1Z": 4500.0, "G2Z": 4500.0, "RHO": 1.6e-9}
+    core = {"E1": 10.0, "E2": 10.0, "NU12": 0.3, "G12": 5.0, "G1Z": 220.0, "G2Z": 130.0, "RHO": 8e-11}
+    plies = {"MID": [1, 1, 2, 1, 1], "T": [0.2, 0.2, 20.0, 0.2, 0.2], "THETA": [0.0, 90.0, 0.0, 90.0, 0.0]}
+    m = model(
+        grid(x),
+        cards("MAT8", MID=[1, 2], **{f: [skin[f], core[f]] for f in skin}),
+        shells(quads),
+        cards("PCOMP", PID=[1], **{f: ragged(v) for f, v in plies.items()}),
+    )
+    densities = [parameter(f"RHO {i}", Target("MAT8", i, "RHO"), lower=2 / 3, upper=1.5) for i in (1, 2)]
+    thickness = parameter("T", *(Target("PCOMP", 1, f"T{i}") for i in range(1, 6)))
+    every = [*constants("E1", "E2", "G12", lower=0.4, upper=2.5), thickness, *densities]
+    terms = as_assembled_anew(m, assemble(m), every, np.array([0.5, 1.4, 2.2, 1.7, 0.8, 1.3]))
+    assert len(terms) <= 12
+
+
 def test_nominal_is_exact() -> None:
     m = plate()
     terms = affine_terms(m, ParameterSet(tuple(constants("E1", "E2", "NU12"))), assemble(m))

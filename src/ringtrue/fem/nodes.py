@@ -77,7 +77,7 @@ class _Learner:
         self.learn(axes, found)
 
     def learn(self, factors: Sequence[Float], found: Found) -> Float | None:
-        """See more points: one of them if what is kept holds at all of them, else keep what it lacks."""
+        """See more points: one of them if what is kept holds at all of them, else keep what tells all best."""
         which = list(self.region.which)
         some = [(a, f) for a, f in zip(factors, found, strict=True) if f is not None and (a[which] != 1).any()]
         if not some:
@@ -88,10 +88,12 @@ class _Learner:
         rest = (changes - c.T @ self.changes) / size[:, None]
         if np.abs(rest).max(initial=0.0) < HOLDS:
             return np.asarray(some[-1][0])
-        nodes, places = _pivots(rest, MOST + 1 - len(self.places))
-        self.places += places
-        self.changes = np.vstack([self.changes, changes[nodes]])
-        self.factors = np.vstack([self.factors, *(some[i][0] for i in nodes)])
+        # chosen anew among all: what stood out by 1e-9 alone at few points is a poor node once others are seen
+        self.factors = np.vstack([self.factors, *(a for a, _ in some)])
+        self.changes = np.vstack([self.changes, changes])
+        size = np.abs(self.changes + self.weights * self.start).max(axis=1, initial=1e-300)
+        nodes, self.places = _pivots(self.changes / size[:, None], MOST + 1)
+        self.factors, self.changes = self.factors[nodes], self.changes[nodes]
         return None
 
     def told(self, m: Mesh, check: Float) -> Nodes:
