@@ -214,6 +214,7 @@ def test_what_was_measured_beside_modes_is_fitted_and_told(capsys: Capture, fold
         (("--residuals", ","), "at least one of eigenvalues"),
         (("--starts", "3", "--checkpoint", "x.json"), "does not go with --starts"),
         (("--search", "global", "--checkpoint", "x.json"), "does not go with --starts and --search global"),
+        (("--search", "global", "--starts", "4"), "an updating begins in one way"),
         (("--search", "global", "--solver", "mystran"), "takes thousands of points"),
     ],
 )

@@ -45,6 +45,18 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
             MODEL + '[[residual]]\nkind = "mas"\n',
             "residual.0: unknown kind 'mas'; did you mean 'mass'? Allowed: anti-res",
         ),
+        (
+            MODEL + '[update]\nsearch = "global"\nstarts = 8\n',
+            "update: search and starts: an updating begins in one way: starts = N, stages, or search",
+        ),
+        (
+            MODEL + '[update]\nstages = [["a"]]\nstarts = 8\n',
+            "update: starts and stages: an updating begins in one way",
+        ),
+        (
+            MODEL + '[[set]]\nname = "s"\nsearch = "global"\nstarts = 2\n',
+            "set.0: search and starts: an updating begins in one way",
+        ),
         ("", "study: a study needs a [model], a [test] or both"),
         ("[model\n", "study.toml: not TOML: "),
     ],
@@ -70,6 +82,16 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "latin.toml").write_bytes("[study]\ntitle = 'Prüfstand'\n".encode("latin-1"))
     with pytest.raises(ConfigError, match="not UTF-8"):
         read_config(tmp_path / "latin.toml")
+
+
+def test_a_set_begins_where_it_says_not_where_the_study_does() -> None:
+    text = (
+        MODEL + '[update]\nsearch = "global"\nshape_weight = 0.5\n[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\n'
+    )
+    config = parse_config(text + '[[set]]\nname = "s"\nstarts = 3\n[[set]]\nname = "t"\nloss = "huber"\n', HERE)
+    first, second = (s.settings(config.update) for s in config.set)
+    assert (first.search, first.starts, first.shape_weight) == ("starts", 3, 0.5)
+    assert (second.search, second.loss) == ("global", "huber")
 
 
 def test_whole_numbers_serve_as_real_ones() -> None:

@@ -6,6 +6,8 @@ so J has two equal minima, mirror images of one another; shapes tell them apart.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -16,6 +18,8 @@ from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduce.affine import AffineSystem
 from ringtrue.reduce.parametric import BasisOptions, reduced_model
+from ringtrue.study.config_update import UpdateSection
+from ringtrue.study.course import begun, course_of
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.multistart import global_search, latin_hypercube, multi_start
 from ringtrue.update.objective import Target, Weights
@@ -67,6 +71,14 @@ def test_global_search_ends_at_the_truth() -> None:
     linked = Problem(problem(1.0).configurations, link=link_equal(between_walls().parameters, [("left", "right")]))
     with pytest.raises(ConfigError, match="leave the links out"):
         global_search(linked, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("settings", [{"starts": 4}, {"search": "global"}], ids=["starts", "global"])
+def test_an_updating_goes_on_from_the_end_of_a_search_and_does_not_solve_it_again(settings: dict[str, Any]) -> None:
+    u = UpdateSection(**settings)
+    done = begun(problem(1.0), u, course_of(u), 1, lambda _, __: None)
+    np.testing.assert_allclose(done.x, TRUTH, atol=1e-4)
+    assert done.evaluations > 1  # the way there, not a look at its end
 
 
 class Broken:

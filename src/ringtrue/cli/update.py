@@ -147,7 +147,7 @@ def _check(u: UpdateSection, checkpoint: Path | None, anew: bool) -> None:
     """Options before any work."""
     if anew and u.search == "global":
         raise ConfigError("--search global takes thousands of points: it needs the embedded solver")
-    if not u.begins_at_the_deck and checkpoint is not None:
+    if not u.one_start and checkpoint is not None:
         raise ConfigError("--checkpoint keeps one iterate: it does not go with --starts and --search global")
     if u.prior != "study" and checkpoint is not None:
         raise ConfigError("--checkpoint keeps no weight of the prior: it goes with --prior study only")
@@ -171,6 +171,8 @@ def _settings(
 ) -> StudyConfig:
     """The study with what the options say in place of it, and files and a mass beside its [[residual]]s."""
     change: dict[str, Any] = {n: v for n, v in words.items() if v is not None}
+    if words["search"] == "global" and words["starts"] is not None:
+        raise ConfigError("--starts N or --search global: an updating begins in one way")
     if residuals is not None:
         names = [t.strip() for t in residuals.split(",") if t.strip()]
         for name in names:
@@ -187,7 +189,7 @@ def _settings(
     extra += [FrfResidual(kind="frf", file=str(frf.absolute()))] if frf else []
     extra += [StaticResidual(kind="static", file=str(static.absolute()))] if static else []
     extra += [MassResidual(kind="mass", mass=mass)] if mass else []
-    return config.model_copy(update={"update": config.update.model_copy(update=change), "residual": extra})
+    return config.model_copy(update={"update": config.update.otherwise(change), "residual": extra})
 
 
 def _edited(model: Model, config: StudyConfig, done: Verified, folder: Path | None) -> list[Path]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -16,6 +17,7 @@ Search = Literal["starts", "global"]
 Discrepancy = Literal["found", "assumed", "evidence"]
 Prior = Literal["study", "evidence", "gcv", "l-curve"]
 Robust = Literal["squares", "huber", "tukey"]
+BEGINS: dict[str, object] = {"search": "starts", "starts": 1, "stages": []}  # where an updating begins: at the deck
 
 
 class _Section(BaseModel):
@@ -48,7 +50,7 @@ class UpdateSection(_Section):
     loss: Robust = "squares"  # against a wrong mode
     starts: int = Field(default=1, gt=0)  # the first is the deck
     search: Search = "starts"  # where it begins: at the best of these, or where a global search inside the bounds ends
-    stages: list[list[str]] = []  # growing sets of candidates that are freed one after the other
+    stages: list[list[str]] = []  # growing sets of candidates that are freed one after the other; in place of both
 
     @field_validator("residuals")
     @classmethod
@@ -56,6 +58,17 @@ class UpdateSection(_Section):
         if not value or len(set(value)) < len(value):
             raise ValueError("residuals: at least one kind of the paired modes, each once")
         return value
+
+    @model_validator(mode="after")
+    def _one_beginning(self) -> Self:
+        begins_once({n: getattr(self, n) for n in BEGINS})
+        return self
+
+    def otherwise(self, change: Mapping[str, Any]) -> UpdateSection:
+        """The same but for some settings; one that says where it begins takes the place of all that do."""
+        dropped = BEGINS if any(n in BEGINS for n in change) else {}
+        kept = {n: v for n, v in self.model_dump(exclude_unset=True).items() if n not in dropped}
+        return UpdateSection.model_validate(kept | dict(change))
 
     def alone(self) -> Self:
         """The same without what needs shapes: frequencies alone are compared."""
@@ -76,14 +89,29 @@ class UpdateSection(_Section):
     def plain(self) -> bool:
         """Whether eigenvalues and shapes are compared by squares, with a prior and errors as given or left over."""
         usual = self.loss == "squares" and self.prior == "study" and self.discrepancy != "evidence"
-        return (
-            usual and set(self.residuals) == {"eigenvalues", "shapes"} and self.begins_at_the_deck and not self.stages
-        )
+        at_the_deck = all(getattr(self, n) == v for n, v in BEGINS.items())
+        return usual and set(self.residuals) == {"eigenvalues", "shapes"} and at_the_deck
 
     @property
-    def begins_at_the_deck(self) -> bool:
+    def one_start(self) -> bool:
         """Whether there is one start, at the deck."""
         return self.starts == 1 and self.search == "starts"
+
+
+def begins_once(settings: Mapping[str, object]) -> None:
+    """Refuse settings of which more than one says where an updating begins.
+
+    Raises
+    ------
+    ValueError
+        With what was asked.
+    """
+    asked = [n for n, plain in BEGINS.items() if settings.get(n) not in (None, plain)]
+    if len(asked) > 1:
+        raise ValueError(
+            f'{" and ".join(asked)}: an updating begins in one way: starts = N, stages, or search = "global", which '
+            "needs neither"
+        )
 
 
 class UncertaintySection(_Section):
@@ -115,13 +143,18 @@ class SetSection(_Section):
     starts: int | None = Field(default=None, gt=0)
     search: Search | None = None
 
+    @model_validator(mode="after")
+    def _one_beginning(self) -> Self:
+        begins_once(self.own())
+        return self
+
     def own(self) -> dict[str, object]:
         """What it does otherwise."""
         return {k: v for k, v in self.model_dump(exclude={"name", "candidates"}).items() if v is not None}
 
     def settings(self, update: UpdateSection) -> UpdateSection:
         """[update] as this set has it."""
-        return UpdateSection.model_validate(update.model_dump(exclude_unset=True) | self.own())
+        return update.otherwise(self.own())
 
     def comparable(self, update: UpdateSection) -> bool:
         """Whether its J weighs data as that of the other sets does."""

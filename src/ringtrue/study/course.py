@@ -33,7 +33,7 @@ def further(u: UpdateSection) -> UpdateSection | None:
     and some without partner.
     """
     enough = u.starts >= STARTS or u.search == "global"
-    return None if u.step == "published" or enough else u.model_copy(update={"starts": STARTS})
+    return None if u.step == "published" or enough else u.otherwise({"starts": STARTS})
 
 
 def settled(
@@ -66,23 +66,24 @@ def begun(
     checkpoint: Path | None = None,
 ) -> Solution:
     """Where the gates lead: from a global search, the best end of several starts, sets that grow, or the deck."""
-    start, limit = _start(problem, u, course.method, seed, progress), course.iterations
-    return solve(problem, course.method, start=start, iterations=limit, checkpoint=checkpoint, progress=told)
-
-
-def _start(problem: Problem, u: UpdateSection, method: Method, seed: int, progress: Progress) -> Float:
-    members = problem.parameters.names
-    start: Float = np.zeros(problem.size)
+    method, limit = course.method, course.iterations
     if u.search == "global":
-        return np.array(global_search(problem, np.random.default_rng([seed, 9]), method, progress=progress).y)
+        return global_search(problem, np.random.default_rng([seed, 9]), method, progress=progress)
     if u.starts > 1:
         more = latin_hypercube(problem.parameters, u.starts - 1, np.random.default_rng([seed, 9]))
         rows, limits = problem.inequalities()
         more = more[(more @ rows.T <= limits).all(axis=1)]
-        found = multi_start(problem, np.vstack([start, more]), method, iterations=u.iterations, finish=BEST)
-        start = np.array(found.best.y)
+        starts = np.vstack([np.zeros(problem.size), more])
+        return multi_start(problem, starts, method, iterations=limit, finish=BEST, progress=progress).best
+    start = _grown(problem, u, method, progress)
+    return solve(problem, method, start=start, iterations=limit, checkpoint=checkpoint, progress=told)
+
+
+def _grown(problem: Problem, u: UpdateSection, method: Method, progress: Progress) -> Float:
+    """Where the sets of [update] stages end, (q,); the deck where none is smaller than the whole."""
+    members = problem.parameters.names
     grown = [[n for n in stage if n in members] for stage in u.stages]
     grown = [g for g in grown if g and len(g) < len(members)]
-    if grown and u.starts == 1:
-        start = np.array(staged(problem, grown, method, iterations=u.iterations, progress=progress)[-1].x)
-    return start
+    if not grown:
+        return np.zeros(problem.size)
+    return np.array(staged(problem, grown, method, iterations=u.iterations, progress=progress)[-1].x)
