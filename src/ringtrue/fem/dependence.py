@@ -59,29 +59,25 @@ def affine_terms(
         smooth -= lost  # elements that are not in the sample, or what two of them do together
 
 
-def matrices_kept(model: Model, parameter: Parameter) -> int | None:
-    """How many matrices the interpolation of a parameter by itself keeps, on a sample of its elements.
+def matrices_kept(model: Model, *parameters: Parameter) -> int | None:
+    """How many matrices the interpolation of parameters together keeps of an element, seen on a sample of elements.
 
-    0 where powers of it do; None where K and M are no smooth function of it: `affine_terms` has no parts.
-
-    Several on the same elements keep up to the product of these, each and the nominal one counted: at most
-    `fem.nodes.MOST`.
+    0 where powers of each do; None where K and M are no smooth function of them: `affine_terms` has no parts.
 
     Raises
     ------
     InputError
         If a target or element is not in the model.
     """
-    m, kept = mesh(model), 0
+    m = mesh(model)
+    groups = [g for i, p in enumerate(parameters) for g in groups_of(model, i, p)]
     try:
-        groups = groups_of(model, 0, parameter)
         parts = [_parts(m, g) for g in groups]
-        for g, powers in zip(groups, parts, strict=True):
-            if powers is None:
-                kept = max(kept, *(len(n.factors) for n in learn(m, regions([g], few(g.rows, SAMPLE)))))
+        rough = [g.rows for g, powers in zip(groups, parts, strict=True) if powers is None]
+        found = [n for rows in rough for n in learn(m, regions(groups, few(rows, SAMPLE)))]
     except UnsupportedError:
         return None
-    return kept if any(p is None or p for p in parts) else None
+    return max((len(n.factors) for n in found), default=0) if rough or any(parts) else None
 
 
 def _parts(m: Mesh, g: Group) -> tuple[int, ...] | None:

@@ -105,12 +105,19 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
 def tractable(model: Model, candidates: Sequence[Candidate], most: int) -> Int:
     """The first whose matrices can be taken apart, in order, also where several act on the same elements."""
     members, out = membership(model, candidates), list[int]()
-    kept = np.ones(members.shape[1])  # matrices of each element that those before may ask for
+    kept = np.zeros(members.shape[1], dtype=np.int64)  # matrices of each element that those before may ask for
     for i, c in enumerate(candidates):
         mine, own = members[[i]].indices, matrices_kept(model, c.parameter)
-        if own is None or (own and (1 + own) * kept[mine].max(initial=1.0) > TOGETHER):
+        if own is None:
             continue
-        kept[mine] *= 1 + own
+        both = (1 + own) * (1 + kept[mine])  # at most the product of those of each, the nominal one counted
+        if own and both.max(initial=0) > TOGETHER:
+            beside = [candidates[k].parameter for k in out if np.isin(members[[k]].indices, mine).any()]
+            found = matrices_kept(model, *beside, c.parameter)
+            if found is None or found > TOGETHER:
+                continue
+            both = np.minimum(both, 1 + found)
+        kept[mine] = both - 1
         out.append(i)
         if len(out) == most:
             break
