@@ -27,7 +27,7 @@ from ringtrue.study.measured import LENGTH
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.summary import setups_json
-from ringtrue.study.words import left_by_loss, setups
+from ringtrue.study.words import left_by_loss, missed, setups
 from ringtrue.virtual.sensors import ICP
 
 METHODS, STRIKES, DIRECTIONS = (get_args(kind) for kind in (Method, Strike, Directions))
@@ -220,6 +220,10 @@ def _told(run: StudyRun) -> dict[str, Any]:
         "points": stage.test.points.tolist(),
         "channels": list(stage.test.channels),
         "references": list(stage.references),
+        "reference_sets": [
+            {"references": list(s), "worst_reach": float(r.min()), "missed": [names[i] for i in m]}
+            for s, r, m in zip(stage.sets, stage.set_reach, stage.missed_by_sets, strict=True)
+        ],
         "reciprocity": [list(p) for p in reciprocity_pairs(stage.references, stage.test.channels)],
         "rule": stage.rule,
         "modes": _modes(stage),
@@ -308,6 +312,12 @@ def _print_modes(title: str, modes: list[dict[str, Any]]) -> None:
     rows(title, [HEADS[k][0] for k in here], body)
 
 
+def _best(stage: PlanStage) -> dict[int, float]:
+    """Number of points struck -> reach of the mode that the best set of so many excites worst."""
+    least = {len(s): float(r.min()) for s, r in zip(stage.sets[::-1], stage.set_reach[::-1], strict=True)}
+    return dict(sorted(least.items()))  # of sets of one size the first is the best
+
+
 def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     _print_modes(f"{deck}: {len(told['modes'])} target modes", told["modes"])
     if ambient := told.get("virtual_ambient_test"):
@@ -315,7 +325,8 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     lines = [
         f"{len(stage.test.channels)} channels at {stage.test.points.size} points, of {stage.candidates} candidates: "
         f"{' '.join(map(str, told['points']))}",
-        f"strike at {' '.join(stage.references)}",
+        f"strike at {' '.join(stage.references)}; least reach of the best "
+        + ", ".join(f"{k}: {100 * r:.0f} %" for k, r in _best(stage).items()),
         f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {left_by_loss(stage)}",
         f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, {stage.averages} averages; "
         f"ambient record {stage.record_length / 60:.3g} min, {stage.segments} blocks",
@@ -323,9 +334,7 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     lines += setups(stage)
     if stage.suspension:
         lines.append(f"hang at {' '.join(map(str, stage.suspension))}")
-    if told["missed"]:
-        lines.append(f"the references miss mode {', '.join(told['missed'])}: strike at more points")
-    lines += stage.notes
+    lines += [*missed(stage), *stage.notes]
     for test in ("virtual_test", "virtual_ambient_test"):
         lines += told.get(test, {}).get("doubtful", [])
     lines.append("test sheet: " + " ".join(told["files"]))

@@ -76,6 +76,16 @@ def left_by_loss(plan: PlanStage) -> str:
     return f"without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left"
 
 
+def missed(plan: PlanStage) -> list[str]:
+    """Target modes that the references miss: those that more of them could reach, and those that none could."""
+    said = {
+        "the references miss mode {}: strike at more points": plan.missed & ~plan.hopeless,
+        "no point that can be struck moves enough in mode {}: name others": plan.missed & plan.hopeless,
+    }
+    names = {text: ", ".join(map(str, (plan.target_modes[np.flatnonzero(at)] + 1).tolist())) for text, at in said.items()}
+    return [text.format(which) for text, which in names.items() if which]
+
+
 def setups(plan: PlanStage) -> list[str]:
     """How the sensors at hand are moved, the modes that cannot be joined well, and those that their mass shifts."""
     if (found := plan.setups) is None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ringtrue.core.arrays import Int
 from ringtrue.plan.rehearsal import Rehearsal, missed_words
 from ringtrue.plots import correlation, identification
@@ -28,7 +26,7 @@ from ringtrue.report.parts import (
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import IdentifyStage, PlanStage
 from ringtrue.study.summary import precision
-from ringtrue.study.words import left_by_loss, setups
+from ringtrue.study.words import left_by_loss, missed, setups
 
 SURE = 0.9  # of the virtual tests
 
@@ -50,12 +48,10 @@ def section(data: Stages) -> Section | None:
         facts.insert(5, Fact("Averages", str(plan.averages)))
     blocks: list[Block] = [
         Facts(facts),
-        Text(f"{sentence(plan.rule)} {sentence(left_by_loss(plan))} Hammer references: {', '.join(plan.references)}."),
+        Text(f"{sentence(plan.rule)} {sentence(left_by_loss(plan))} {_references(plan)}"),
     ]
-    blocks += [Text(sentence(n)) for n in (*setups(plan), *plan.notes)]
+    blocks += [Text(sentence(n)) for n in (*setups(plan), *plan.notes, *missed(plan))]
     names = [str(i + 1) for i in plan.target_modes.tolist()]
-    if missed := [names[i] for i in np.flatnonzero(plan.missed).tolist()]:
-        blocks.append(Text(f"The references miss mode {', '.join(missed)}: strike at more points."))
     auto = correlation.matrix(plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False)
     left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]
     right = _precision(data, plan)
@@ -68,6 +64,8 @@ def section(data: Stages) -> Section | None:
         blocks += _foreseen(plan.expected_modes, r, "Virtual ambient test", "modes of the ambient plan")
     if plan.indicator.size:
         blocks.append(_appropriated(plan))
+    if plan.sets:
+        blocks.append(_ranked(plan))
     lists: list[Block] = [*([_targets(plan)] if plan.target_frequencies.size else []), _points(plan)]
     if plan.ambient_rehearsal is not None:
         lists.append(_ambient(plan, plan.ambient_rehearsal))
@@ -79,6 +77,11 @@ def section(data: Stages) -> Section | None:
         lists.append(_verified(plan, data.identify))
     blocks.append(Fold("Measuring points, target modes and the precision found", lists))
     return Section("plan", "Test plan", blocks)
+
+
+def _references(plan: PlanStage) -> str:
+    both = " All are channels, too: each pair of them checks reciprocity." if len(plan.references) > 1 else ""
+    return f"Hammer references: {', '.join(plan.references)}.{both}"
 
 
 def _precision(data: Stages, plan: PlanStage) -> list[Block]:
@@ -179,6 +182,17 @@ def _found(r: Rehearsal) -> list[list[str | Cell]]:
     rest = (100 * r.frequency_std, 100 * r.damping_std)
     spread: list[list[str | Cell]] = [[number(x, 2) for x in c.tolist()] for c in rest]
     return [found, *spread, [fixed(100 * x, 1) for x in r.mac.tolist()]]
+
+
+def _ranked(plan: PlanStage) -> Table:
+    """Sets of points to strike: the best of so many, and what they miss."""
+    names = (plan.target_modes + 1).tolist()
+    rows = [
+        (str(len(s)), ", ".join(s), fixed(100 * reach.min(), 0), ", ".join(f"{names[i]}" for i in missed) or "none")
+        for s, reach, missed in zip(plan.sets, plan.set_reach, plan.missed_by_sets, strict=True)
+    ]
+    caption = "Points to strike, ranked by the mode that they excite worst: what fewer and more of them reach."
+    return Table(("points", "|strike", "least reach, %", "|modes missed"), rows, caption)
 
 
 def _appropriated(plan: PlanStage) -> Table:

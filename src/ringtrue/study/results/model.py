@@ -81,6 +81,7 @@ class PlanStage:
     target_frequencies: Float = field(default_factory=lambda: np.zeros(0))  # (target,) Hz
     reasons: tuple[str, ...] = ()  # why each target mode is one
     reach: Float = field(default_factory=lambda: np.zeros(0))  # (target,) share of the best driving-point residue
+    reachable: Float = field(default_factory=lambda: np.zeros(0))  # (target,) as reach, of all that can be struck
     shown: Float = field(default_factory=lambda: np.zeros(0))  # (target,) MAC of the mode with its drawing
     left_by_loss: float = 1.0  # least share of information left when the worst points fail
     lost: int = 1  # so many points
@@ -95,12 +96,24 @@ class PlanStage:
     ambient_rehearsal: Rehearsal | None = None  # of the expected modes, by virtual ambient tests
     indicator: Float = field(default_factory=lambda: np.zeros(0))  # (target,) least mode indicator of all references
     forces: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (target, reference) real forces that reach it
+    sets: tuple[tuple[str, ...], ...] = ()  # references ranked by the mode that they excite worst, also fewer and more
+    set_reach: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (set, target) as reach, of each
     setups: Setups | None = None  # of the planned sensors, where fewer are at hand
 
     @property
     def missed(self) -> Bool:
         """Which target modes no reference excites well."""
         return np.asarray(self.reach < MISSED)
+
+    @property
+    def hopeless(self) -> Bool:
+        """Which target modes no point that can be struck excites well."""
+        return np.asarray(self.reachable < MISSED)
+
+    @property
+    def missed_by_sets(self) -> list[list[int]]:
+        """Positions of the target modes that each of `sets` misses."""
+        return [np.flatnonzero(r < MISSED).tolist() for r in self.set_reach]
 
     def roving(self, setup: int) -> list[int]:
         """Points that are measured in one setup alone; in all with -1."""

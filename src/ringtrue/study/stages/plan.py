@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +11,10 @@ from ringtrue.core.modes import elastic
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.correlate.observe import at_dofs
 from ringtrue.errors import ConfigError
-from ringtrue.fem.response import frf
 from ringtrue.model.frames import positions
-from ringtrue.plan.candidates import along, even_distance, select_candidates
-from ringtrue.plan.exciters import appropriate_exciters, qr_exciters, rank_sets
+from ringtrue.plan.candidates import even_distance, select_candidates
 from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
-from ringtrue.plan.layout import lower_auto_mac, reached, select_points, select_references
+from ringtrue.plan.layout import lower_auto_mac, reached, select_points
 from ringtrue.plan.resolution import resolution
 from ringtrue.plan.selection import auto_mac_points, kinetic_weighted, make_redundant, qr_points, worst_loss
 from ringtrue.plan.setups import Setups, roving_setups, roving_shift
@@ -28,6 +25,7 @@ from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.arrangement import AXES, Arrangement, arranged
 from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.parametric import build
+from ringtrue.study.planned_exciters import SAID, exciters, node_rows, ranked
 from ringtrue.study.planned_targets import planned_targets
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import ModelStage, PlanStage
@@ -37,17 +35,6 @@ from ringtrue.study.workbench import Workbench
 WORTH = 0.02  # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
 STILL = 1e-9  # of the largest motion: a node that is held is no candidate
 APART = 0.8  # m, most that measuring points must be apart where nothing is said
-RESIDUE: dict[str, Callable[[Float, int], Int]] = {
-    "greedy": select_references,
-    "worst": lambda rows, count: rank_sets(rows, min(count, len(rows)), most=1)[0].rows,
-}
-WORST = "by the driving-point residue of the mode that is excited worst"
-SAID = {
-    "greedy": f"hammer points greedily {WORST}",
-    "worst": f"the best set of hammer points {WORST}",
-    "qr": "exciters by QR with pivoting of M·Φ, the forces that part the modes",
-    "mif": "exciters that come closest together to a phase resonance of every mode (mode indicator)",
-}
 SENSORS = {"triaxial": "triaxial points", "uniaxial": "sensors along single axes", "normal": "sensors along normals"}
 METHODS = {
     "independence": "by effective independence (backward elimination)",
@@ -82,19 +69,10 @@ def _within(desk: Workbench, plan: PlanSection, nodes: Int, region: tuple[str, .
     return nodes[keep], tuple(r for r, yes in zip(region, keep.tolist(), strict=True) if yes)
 
 
-def _rows(desk: Workbench, nodes: Int) -> Int:
-    """Rows of the translations of the nodes among the DOFs of the deck, (n, 3)."""
-    labels = desk.initial.analysis.dofs
-    at = np.stack([labels.find(nodes, np.full(nodes.shape, i + 1)) for i in range(3)], axis=1)
-    if (at < 0).any():
-        raise ConfigError(f"[plan.candidates]: node {int(nodes[(at < 0).any(axis=1)][0])} is not in the deck")
-    return at
-
-
 def _shapes(desk: Workbench, nodes: Int, modes: Int) -> Float:
     """Mass-normalised translations at the candidates, (n, 3, m)."""
     found = desk.initial.modes(desk.first_fmax).modes
-    return np.asarray(found.shapes[_rows(desk, nodes)][:, :, modes])
+    return np.asarray(found.shapes[node_rows(desk, nodes)][:, :, modes])
 
 
 def _able(desk: Workbench, plan: PlanSection, model: ModelStage) -> tuple[Arrangement, Float]:
@@ -138,7 +116,7 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     if plan.strike_at and not spots.size:
         raise ConfigError(f"[plan] strike_at: none of {plan.strike_at[:8]} is a candidate")
     if spots.size:
-        hits, values, forces = _exciters(desk, plan, able, shapes, spots, targets)
+        hits, values, forces = exciters(desk, plan, able, shapes, spots, targets)
         struck, axis = spots[hits // able.each], hits % able.each
         fixed |= np.isin(np.arange(able.at.size), struck)
     chosen = _points(desk, plan, able, shapes, targets, fixed, apart)
@@ -148,7 +126,10 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     if spots.size:
         hits = np.searchsorted(chosen, struck) * able.each + axis
     else:
-        hits, values, forces = _exciters(desk, plan, able, shapes, chosen, targets)
+        hits, values, forces = exciters(desk, plan, able, shapes, chosen, targets)
+    where = spots if spots.size else chosen
+    able_rows, largest = shapes[where][:, :, targets].reshape(-1, targets.size), (rows**2).max(axis=0)
+    sets, set_reach = ranked(able_rows, able.labels(where), hits.size, largest)
     mac = auto_mac(rows)
     lost = min(max(1, plan.redundancy), chosen.size)
     need = resolution(f[timed], plan.damping, error=plan.error, coherence=plan.coherence)
@@ -173,6 +154,7 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         f"(least share reached {100 * float(reached(rows, hits).min()):.0f} %)",
         target_frequencies=f[targets],
         reach=reached(rows, hits),
+        reachable=(able_rows**2).max(axis=0) / largest,
         reasons=wanted.reasons,
         left_by_loss=worst_loss(shapes[chosen][:, :, targets], lost).left if lost < chosen.size else 0.0,
         lost=lost,
@@ -181,6 +163,8 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         notes=(*unseen, *_in_vain(desk, plan, able)),
         indicator=values,
         forces=forces,
+        sets=sets,
+        set_reach=set_reach,
     )
     progress(0.6, "what the plan shows and misses")
     return _judged(desk, plan, stage, able, motion, chosen, apart, progress)
@@ -231,28 +215,6 @@ def _points(
     return chosen
 
 
-def _exciters(
-    desk: Workbench, plan: PlanSection, able: Arrangement, shapes: Float, chosen: Int, targets: Int
-) -> tuple[Int, Float, Float]:
-    """Channels to excite by the method asked for; mode indicators (m,) and forces (m, k) where these were sought."""
-    rows = shapes[chosen].reshape(chosen.size * able.each, -1)
-    count = min(plan.references, len(rows))
-    none = np.zeros(0), np.zeros((0, 0))
-    if plan.strike == "qr":
-        analysis = desk.initial.analysis
-        pull = analysis.system.mass @ (analysis.system.local @ desk.initial.modes(desk.first_fmax).modes.shapes)
-        at = _rows(desk, able.node[chosen])
-        forces = (analysis.system.transform[at.ravel()] @ pull[:, targets]).reshape(chosen.size, 3, -1)
-        return (qr_exciters(along(forces, able.axes[chosen]).reshape(len(rows), -1), count), *none)
-    if plan.strike == "mif":
-        f = desk.get("model").modes.frequencies
-        zeta = np.full(f.size, plan.damping)
-        # as good as all channels: the indicator reads sums over them alone
-        outputs = np.asarray(np.linalg.qr(rows, mode="r"))
-        return appropriate_exciters(frf(f[targets], f, zeta, outputs, rows), count)
-    return (RESIDUE[plan.strike](rows[:, targets], plan.references), *none)
-
-
 def _mass(desk: Workbench, able: Arrangement) -> Float:
     """Mean translational mass on the diagonal of the mass matrix at the sensors, (s,); 0 where a node is held."""
     system, nodes = desk.initial.analysis.system, able.nodes
@@ -278,7 +240,7 @@ def _aims(desk: Workbench, plan: PlanSection, able: Arrangement, seen: Float, ph
         d_lambda, d_phi = desk.initial.analysis.derivatives(found, parameters)
         slope = parameters.slope(np.zeros(len(parameters)))
         relative = d_lambda * slope / (2 * np.pi * found.frequencies[:, None]) ** 2
-        d_nodes = d_phi[_rows(desk, able.nodes)] * slope
+        d_nodes = d_phi[node_rows(desk, able.nodes)] * slope
         d_seen = able.seen(d_nodes.reshape(*d_nodes.shape[:2], -1))
         aims.append(
             parameter_aim(
