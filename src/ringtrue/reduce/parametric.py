@@ -273,13 +273,13 @@ class ReducedModel:
 
 def _products(acting: dict[int, Float], weights: Float, y: Float, m: int) -> Float:
     """yᵀ (Σ w A) y (p, r, m) of matrices A (r, r) by their terms, weights w (p, t) of these, and modes y (r, r)."""
-    used = [t for t in acting if weights[:, t].any()]
-    own = weights[:, used]
-    some = own.any(axis=1)  # most parameters change one of the two matrices only
     out = np.zeros((len(weights), y.shape[1], m))
-    if used:
-        forces = np.array([acting[t] @ y[:, :m] for t in used])
-        out[some] = y.T @ np.tensordot(own[some], forces, axes=1)
+    for i, own in enumerate(weights):  # over parameters, of which there are fewer than terms that they have together
+        if used := [t for t in acting if own[t]]:
+            total = own[used[0]] * acting[used[0]]
+            for t in used[1:]:
+                total += own[t] * acting[t]
+            out[i] = y.T @ (total @ y[:, :m])
     return out
 
 
