@@ -103,11 +103,18 @@ class Search:
         return replace(at, target=aim.doubting(), problem=more, pool=self.pool, seen={}, done={})
 
     def point(self, x: Float) -> Residual:
-        """Residuals and sensitivities to all candidates at x, computed once."""
+        """Residuals and sensitivities to all candidates at x, shapes in few rows (`_compact`), computed once."""
         key = x.tobytes()
-        if key not in self.seen:
-            self.seen[key] = _residual(self.model, self.target, self.problem, x)
+        if key not in self.seen or not self.seen[key].slope.shape[1]:
+            self.seen[key] = _compact(_residual(self.model, self.target, self.problem, x))
         return self.seen[key]
+
+    def value(self, x: Float) -> Residual:
+        """Residuals at x, computed once, with sensitivities only where these are known."""
+        key = x.tobytes()
+        if key not in self.seen and self.problem is None:
+            self.seen[key] = _compact(residual(self.target, self.model.modes(x)))
+        return self.seen[key] if key in self.seen else self.point(x)
 
     def fit(self, members: Sequence[int], x: Float, turns: int = TURNS) -> Choice:
         """A short updating from x, or from the nominal model where x cannot be solved; done once."""
@@ -212,3 +219,20 @@ class Search:
 
 def _residual(model: Candidates, target: Target, problem: Problem | None, x: Float) -> Residual:
     return residual(target, model.linearise(x)) if problem is None else joint_residual(problem, x)
+
+
+def _compact(r: Residual) -> Residual:
+    """The same squares and products of a residual, its shapes in as many rows as the candidates span, (p + 1,).
+
+    A rotation of the rows, by QR, that leaves frequencies and other data as they are: hundreds of channels and modes
+    are 10⁵ rows, and a search keeps hundreds of points.
+    """
+    kinds = r.kinds if r.kinds.size else (np.arange(r.value.size) >= r.used.sum()).astype(np.int64)
+    of_shape = kinds == 1
+    if of_shape.sum() <= r.slope.shape[1] + 1:
+        return r
+    both = np.column_stack([r.slope[of_shape], r.value[of_shape]])
+    few = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64)
+    value = np.concatenate([r.value[~of_shape], few[:, -1]])
+    slope = np.concatenate([r.slope[~of_shape], few[:, :-1]])
+    return replace(r, value=value, slope=slope, kinds=np.append(kinds[~of_shape], np.ones(len(few), dtype=np.int64)))

@@ -249,7 +249,7 @@ def aicc(search: Search, path: Sequence[Choice]) -> Float:
     """AICc of each set, all over the test modes that at least one of them pairs."""
     return comparable_criteria(
         search.target,
-        [search.point(c.x) for c in path],
+        [search.value(c.x) for c in path],
         [c.x[c.members] for c in path],
         [search.prior[c.members] for c in path],
     )
