@@ -25,6 +25,7 @@ SMALL = 160  # vectors of the model that a proposal searches with
 DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
 MATE, MATES = 0.7, 2  # share of the best fall of J from which on a candidate may be meant in place of the best
 TOGETHER = 100  # matrices that those acting on one element may keep of all theirs: they take the memory
+EQUAL = 9  # decimals, in units of the largest, to which what candidates explain is compared
 NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
 
@@ -85,14 +86,14 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
     g, r = np.asarray(slopes, dtype=np.float64), np.asarray(misfit, dtype=np.float64)
     chosen, out, both, rest = list[int](), list[int](), g.T @ g, g.T @ r  # gᵀC⁻¹g and gᵀC⁻¹r
     for _ in range(g.shape[1]):
-        told = np.round(np.diag(both), 12)
+        told = np.asarray(np.round(np.diag(both), 12), dtype=np.float64)
         told[chosen] = 0.0
         fall = rest**2 * (told > 0) / (1 + told)
         some = fall.max(initial=0.0) > NOISE
-        best = int(np.argmax(np.round(fall if some else told, 12)))
+        best = int(falling(fall if some else told)[0])
         if len(out) >= most or told[best] <= 0:
             break
-        order = np.argsort(-fall, kind="stable")
+        order = falling(fall)
         mates = order[(fall[order] > MATE * fall[best]) & ~np.isin(order, [*out, best])][:MATES] if some else order[:0]
         out += [i for i in (best, *mates.tolist()) if i not in out]
         chosen.append(best)
@@ -100,6 +101,14 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
         rest = rest - mine * rest[best]
         both = both - np.outer(mine, both[best])
     return np.array(out[:most], dtype=np.int64)
+
+
+def falling(value: Float) -> Int:
+    """Positions of values (n,) that are not negative, the largest first; of those that are as large the first.
+
+    Candidates that do the same differ in rounding, which must not choose between them.
+    """
+    return np.argsort(-np.round(value / max(float(value.max(initial=0.0)), 1e-300), EQUAL), kind="stable")
 
 
 def tractable(model: Model, candidates: Sequence[Candidate], most: int) -> Int:

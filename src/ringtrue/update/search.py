@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -14,10 +14,12 @@ from ringtrue.update.choose import TURNS, Candidates, Choice, predicted, short_u
 from ringtrue.update.identifiable import clusters
 from ringtrue.update.joint import doubting, joint_residual, short_solve, weighed
 from ringtrue.update.objective import Residual, Target, Weights, objective, residual
+from ringtrue.update.pool import falling
 from ringtrue.update.several import Problem
 
 SENSITIVE = 0.05  # least effect of one prior standard deviation, in standard deviations of the residual
 POOL = 12  # candidates for an addition or exchange whose bounded prediction is computed
+DIGITS = 6  # of J by which sets are compared
 STEPS = (-3.0, -1.5, 1.5, 3.0)  # prior standard deviations: how far a candidate is moved by itself
 
 
@@ -58,13 +60,18 @@ class Search:
         passed_over: int = 0,
         assumed: Weights | None = None,
         barred: Sequence[int] = (),
+        led: Float | None = None,
     ) -> Search:
+        """With clusters of candidates that are alike at the deck and, if given, where a search has `led`, x (p,).
+
+        At one point two modes may be so close that every candidate turns them into each other, and all look alike.
+        """
         p = model.parameters
         low, high = p.bounds()
-        start = _residual(model, target, problem, np.zeros(len(p)))
-        sensitive = start.slope * p.std()
-        size = np.linalg.norm(sensitive, axis=0)
-        groups = clusters(sensitive, alike)
+        points = [np.zeros(len(p))] if led is None else [np.zeros(len(p)), led]
+        each = [_residual(model, target, problem, x).slope * p.std() for x in points]
+        size = np.linalg.norm(each[0], axis=0)
+        groups = clusters(np.concatenate([g / np.maximum(np.linalg.norm(g, axis=0), 1e-300) for g in each]), alike)
         none = np.zeros((len(p), len(p)), dtype=np.bool_)
         return cls(
             model,
@@ -94,11 +101,14 @@ class Search:
         """Number of data: a frequency and a shape, where it counts, each used mode, and what else was measured."""
         return (2 if self.target.weights.shape > 0 else 1) * self.modes + self.point(np.zeros(self.prior.size)).more
 
-    def sharper(self, found: Weights) -> Search:
-        """The same with the discrepancy that was found, capped (`Target.doubting`): more can be told apart by it."""
+    def sharper(self, found: Weights, led: Float) -> Search:
+        """The same with the discrepancy that was found, capped (`Target.doubting`): more can be told apart by it.
+
+        `led` is where it was found, x (p,).
+        """
         aim = replace(self.target, weights=found)
         more = None if self.problem is None else weighed(self.problem, found)
-        at = Search.of(self.model, aim, self.alike, self.apart, more, self.passed_over, self.assumed)
+        at = Search.of(self.model, aim, self.alike, self.apart, more, self.passed_over, self.assumed, led=led)
         more = None if more is None else doubting(more)
         return replace(at, target=aim.doubting(), problem=more, pool=self.pool, seen={}, done={})
 
@@ -147,7 +157,7 @@ class Search:
         for c, step in product(free.tolist(), STEPS):
             x = np.where(np.arange(now.x.size) == c, np.clip(step * self.prior, self.low, self.high), now.x)
             out.append((self.cost(x), [*now.members.tolist(), c], x))
-        return sorted(out, key=lambda o: o[0])
+        return sorted(out, key=lambda o: rounded(o[0]))
 
     def refitted(self, c: Choice) -> Choice:
         """A set of another search, updated in this one."""
@@ -163,7 +173,7 @@ class Search:
         """As many candidates as may stand side by side, the members and those of the largest effect first."""
         out = list(members)
         while (free := self.free(out)).size:
-            out.append(int(free[np.argmax(self.size[free])]))
+            out.append(int(free[falling(self.size[free])[0]]))
         return sorted(out)
 
     def ahead(self, r: Residual, x: Float, at: Sequence[int], base: Float) -> float:
@@ -182,7 +192,7 @@ class Search:
         """Sets `stay` + one of `free`, by predicted J; a cheap bound chooses the `POOL` that are looked at."""
         column, left = self._beside(r, x, stay, free, value)
         gain = (column.T @ left) ** 2 / (np.sum(column**2, axis=0) + 1)
-        few = [[c] for c in free[np.argsort(-gain, kind="stable")[:POOL]].tolist()]
+        few = [[c] for c in free[falling(gain)[:POOL]].tolist()]
         return self._ahead(r, x, stay, few, value)
 
     def best_pairs(
@@ -195,14 +205,14 @@ class Search:
         own, both = np.outer(b**2, d), np.outer(b, b) * t
         gain = np.triu((own + own.T - 2 * both) / (np.outer(d, d) - t**2), 1)
         gain[self.apart[np.ix_(free, free)] | (self.groups[free][:, None] == self.groups[free])] = 0.0
-        few = np.argsort(-gain, axis=None, kind="stable")[:POOL]
+        few = falling(gain.ravel())[:POOL]
         at = np.stack(np.unravel_index(few[gain.ravel()[few] > 0], gain.shape), axis=1)
         return self._ahead(r, x, stay, free[at].tolist(), value)
 
     def _ahead(
         self, r: Residual, x: Float, stay: Sequence[int], more: Sequence[list[int]], value: Float
     ) -> list[tuple[float, list[int]]]:
-        return sorted((self.ahead(r, x, [*stay, *c], value), [*stay, *c]) for c in more)
+        return ranked((self.ahead(r, x, [*stay, *c], value), [*stay, *c]) for c in more)
 
     def _beside(self, r: Residual, x: Float, stay: Sequence[int], free: Int, value: Float) -> tuple[Float, Float]:
         """Slopes (n, f) of `free`, in units of the prior, and the residual (n,), less what `stay` can take of them."""
@@ -215,6 +225,16 @@ class Search:
         column = column - q @ (q.T @ column)
         left = np.concatenate([rest, np.zeros(len(i))])
         return column, left - q @ (q.T @ left)
+
+
+def rounded(value: float) -> float:
+    """A value to compare by: candidates that do the same differ in rounding, which must not choose between them."""
+    return float(f"{value:.{DIGITS}g}")
+
+
+def ranked(options: Iterable[tuple[float, list[int]]]) -> list[tuple[float, list[int]]]:
+    """The lowest first; of those that are as low the first of the candidates."""
+    return sorted(options, key=lambda o: (rounded(o[0]), o[1]))
 
 
 def _residual(model: Candidates, target: Target, problem: Problem | None, x: Float) -> Residual:

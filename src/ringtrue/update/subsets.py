@@ -27,7 +27,7 @@ from ringtrue.update.choose import GAIN, Candidates, Choice
 from ringtrue.update.lumps import PLACES
 from ringtrue.update.objective import Residual, Target, Weights, comparable_criteria
 from ringtrue.update.pool import NOISE
-from ringtrue.update.search import Search
+from ringtrue.update.search import Search, ranked, rounded
 from ringtrue.update.several import Problem
 from ringtrue.update.weights import distance, left_over
 
@@ -108,20 +108,20 @@ def subsets(
     sets, first = [*path[1:], *known], _best(plain, path)
     told(0.4, "all candidates together")
     whole = plain.fit(plain.together(), none.x, AT_ONCE)
-    search = plain.sharper(_found(plain, whole))
+    search = plain.sharper(_found(plain, whole), whole.x)
     whole = search.fit(search.together(), whole.x, AT_ONCE)
     few = [c for c in _eliminated(search, whole, most, part(told, 0.4, 0.6)) if c.members.size <= most]
     best = _best(search, [search.refitted(c) for c in (first, *known)] + few)
-    found = _found(search, best)
+    found, led = _found(search, best), best.x
     sets, count = [*sets, *few], plain.point(best.x).used.sum()
     for _ in range(TWICE):
-        search = plain.sharper(found)
+        search = plain.sharper(found, led)
         path = _path(search, most, none, [search.refitted(c) for c in sets], part(told, 0.6, 1.0))
         best = _best(search, path)
         better = _found(search, best)
         if search.point(best.x).used.sum() < count or distance(better, found) < NEAR:
             break
-        found, sets = better, path[1:]
+        found, led, sets = better, best.x, path[1:]
     path.append(_pruned(search, _parted(search, best, most)))
     return Subsets(search, start, plain.point(path[-1].x), path, criteria(search, path), found)
 
@@ -161,7 +161,7 @@ def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: 
             tried += [search.fit(at, x) for value, at, x in search.far(now, free)[:TRIALS] if value < here]
         if not tried:
             break
-        path.append(_exchanged(search, min(tried, key=lambda c: c.value)))
+        path.append(_exchanged(search, min(tried, key=lambda c: rounded(c.value))))
         more = [c for c in few if k < c.members.size <= most]
         if k >= LATER and np.argmin(criteria(search, [*path, *more])) <= k - LATER:  # more parameters do not pay
             break
@@ -187,9 +187,9 @@ def _exchanged(search: Search, now: Choice) -> Choice:
             stay = [m for m in now.members.tolist() if m != out]
             free = np.setdiff1d(search.free(stay), [out])
             options += search.best(r, now.x, stay, free, r.value + r.slope[:, out] * now.x[out])[:TRIALS]
-        options = sorted(o for o in options if o[0] < (1 - GAIN) * now.value)[:TRIALS]
+        options = ranked(o for o in options if o[0] < (1 - GAIN) * now.value)[:TRIALS]
         tried = [search.fit(at, np.where(np.isin(np.arange(now.x.size), at), now.x, 0.0)) for _, at in options]
-        better = min(tried, key=lambda c: c.value, default=now)
+        better = min(tried, key=lambda c: rounded(c.value), default=now)
         if not better.value < (1 - GAIN) * now.value:
             return now
         now = better
@@ -237,7 +237,7 @@ def criteria(search: Search, path: Sequence[Choice]) -> Float:
     pool = np.unique(search.groups[search.pool[~lump[search.pool]]]).size + search.passed_over
     added = np.array([lump[c.members].sum() for c in path])
     sets = _log_sets(pool, np.array([c.members.size for c in path]) - added) + _log_sets(PLACES, added)
-    return np.asarray(2 * PRICE * sets + aicc(search, path))
+    return np.round(2 * PRICE * sets + aicc(search, path), 6)  # rounding does not choose between equal sets
 
 
 def _log_sets(pool: int, size: Int) -> Float:
