@@ -21,6 +21,7 @@ from ringtrue.reduce.condense import condensed
 from ringtrue.reduce.expand import expand_hybrid, expand_reduced
 from ringtrue.update.alike import errors_of_shapes
 from ringtrue.update.choose import Choice
+from ringtrue.update.claims import stated_errors
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.effects import SHARP, effects, force_residual, paired_residual
 from ringtrue.update.generate import generate
@@ -28,7 +29,7 @@ from ringtrue.update.identifiable import blind_cosines, identifiability
 from ringtrue.update.objective import Residual, Weights, residual
 from ringtrue.update.objective import Target as Aim
 from ringtrue.update.pool import conflicts, explaining, of_parameter
-from ringtrue.update.proposal import propose, stated_errors
+from ringtrue.update.proposal import propose
 from ringtrue.update.search import Search
 
 
@@ -204,8 +205,12 @@ def test_candidates_without_effect_propose_nothing() -> None:
     assert "explains the test as well as any change" in found.text()
 
 
-def test_the_error_of_a_member_covers_what_the_others_may_be_off_by() -> None:
-    """Of three candidates only the first is proposed; the truth of all is drawn from the prior, unit noise."""
+@pytest.mark.parametrize("groups", [[0, 1, 2], [0, 0, 1]])
+def test_the_error_of_a_member_covers_what_the_others_may_be_off_by(groups: list[int]) -> None:
+    """Of three candidates only the first is proposed; the truth of all is drawn from the prior, unit noise.
+
+    What is of the cluster of a member may be off as well.
+    """
     rng, count = np.random.default_rng(0), 500
     g = (
         6
@@ -215,7 +220,15 @@ def test_the_error_of_a_member_covers_what_the_others_may_be_off_by() -> None:
     none, every = np.zeros(0), np.arange(3)
     ends = (np.full(3, -9.0), np.full(3, 9.0))
     search = Search(
-        None, None, every, every, np.zeros((3, 3), dtype=bool), np.linalg.norm(g, axis=0), *ends, np.ones(3), 1.0
+        None,
+        None,
+        every,
+        np.array(groups),
+        np.zeros((3, 3), dtype=bool),
+        np.linalg.norm(g, axis=0),
+        *ends,
+        np.ones(3),
+        1.0,
     )
     held = 0
     for truth in rng.standard_normal((count, 3)):

@@ -28,7 +28,7 @@ from ringtrue.update.dense import DenseModel
 from ringtrue.update.effects import reduced_candidates
 from ringtrue.update.generate import generate
 from ringtrue.update.localise import variation
-from ringtrue.update.objective import Target, residual
+from ringtrue.update.objective import Target, Weights, residual
 from ringtrue.update.pool import conflicts
 from ringtrue.update.proposal import Proposal, propose
 
@@ -60,6 +60,28 @@ def test_twins_are_named_with_the_one_that_is_chosen() -> None:
     assert set(one.named) >= {"p0", "p1"}
     assert "the data cannot tell it from" in one.because
     assert "p6" in {m.name for m in found.members}
+
+
+def test_rounding_does_not_choose_and_a_mirror_image_is_named() -> None:
+    """A chain held at both ends, frequencies alone: springs i and n − i do the same, and a pair of errors is as good as
+    its image, but not one of them with the image of the other."""
+    n, found = 14, []
+    ends = np.eye(n + 1, n) - np.eye(n + 1, n, k=-1)
+    for seed in range(4):
+        rounding = 1 + 1e-13 * np.random.default_rng(seed).standard_normal((n + 1, 1, 1))
+        springs = 1e6 * np.einsum("si,sj->sij", ends, ends) * rounding
+        model = DenseModel.springs(springs.sum(axis=0), np.eye(n), springs, parameters(n + 1, std=0.3))
+        x = np.zeros(n + 1)
+        x[[4, 5]] = np.log(0.7)
+        aim = aim_at(model, x, 10)
+        noisy = aim.frequencies * (1 + 1e-3 * np.random.default_rng(1).standard_normal(10))
+        lent = model.modes(np.zeros(n + 1)).shapes[:, :10]
+        aim = replace(aim, frequencies=noisy, shapes=lent, weights=Weights(shape=0.0), lent=True)
+        found.append(propose(model, aim, most=4))
+    told = [{m.name: m.named for m in p.members} for p in found]
+    assert all(t == told[0] for t in told)
+    for i in (4, 5):
+        assert any({f"p{i}", f"p{n - i}"} <= set(named) for named in told[0].values())
 
 
 def test_two_errors_that_cancel_are_found_in_the_shapes() -> None:

@@ -5,7 +5,8 @@ that the deck lacks, `candidates` one of them, `effects` those no mode sees, `al
 
 Choice: `localise` indicators by element, `screening` and `pool` which are looked at closely, `choose`,
 `subsets`, `sparse` and `search` which are taken, `joint` what other data say, `identifiable` what cannot be
-told apart, `lacking` whether masses are left out, `proposal` all of it explained.
+told apart, `lacking` whether masses are left out, `claims` how far members may be off, `proposal` all of it
+explained.
 
 Objective: `objective` and `several` (configurations), of `residuals`, `residuals_frf` and `residuals_static`, close
 modes as `spans`, weighed by `weights` and `robust`.

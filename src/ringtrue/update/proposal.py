@@ -15,6 +15,7 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.progress import Progress, part
 from ringtrue.errors import InputError
 from ringtrue.update.choose import Candidates, Choice, largest, orthogonal
+from ringtrue.update.claims import RIVAL, mirrored, stated_errors
 from ringtrue.update.identifiable import ALIKE
 from ringtrue.update.lacking import with_lumps
 from ringtrue.update.localise import Variation, variation
@@ -24,7 +25,6 @@ from ringtrue.update.several import Problem
 from ringtrue.update.sparse import lasso_path
 from ringtrue.update.subsets import Subsets, aicc, subsets
 
-RIVAL = 2.0  # difference of AICc below which a model is as good (Burnham and Anderson 2002, section 2.6)
 WORTH_A_LOOK, LOOKS = 1.3, 6  # predicted J of a rival, in units of the proposal's; most that are fitted
 LITTLE = 0.02  # share of the errors below which a parameter explains nothing by itself
 GATHERED = 1.1  # times its share of strain energy, from which on errors gather at a candidate
@@ -227,7 +227,8 @@ def _explained(found: Subsets, faint: Sequence[int], errors: Mapping[str, Float]
     end = search.point(best.x)
     alone = variation(search.target, zero, search.prior, search.low, search.high)
     stds = dict(zip(best.members.tolist(), stated_errors(search, best, end).tolist(), strict=True))
-    tested = [_tested(search, best, end, i, std, alone, errors, words) for i, std in stds.items()]
+    image = mirrored(search, best, zero)
+    tested = [_tested(search, best, end, i, std, alone, errors, words, image.get(i)) for i, std in stds.items()]
     quiet = np.setdiff1d(np.arange(len(p)), [*search.pool.tolist(), *faint])
     return Proposal(
         tuple(sorted(tested, key=lambda m: -m.worth)),
@@ -250,20 +251,6 @@ def _mean(x: Float) -> float:
     return float(x.mean()) if x.size else float("nan")
 
 
-def stated_errors(search: Search, best: Choice, end: Residual) -> Float:
-    """Standard deviation (k,) of x of each member: what candidates beside them may be off by widens it.
-
-    Masses that the deck may lack elsewhere do not: that something was left out is rare.
-
-    Of A⁻¹ + ddᵀ over all that may stand side by side, d the step to their common minimum: `posterior.around`.
-    """
-    every = [i for i in search.together(best.members.tolist()) if i in best.members or i not in search.lumps]
-    g, x = end.slope[:, every] * search.prior[every], best.x[every] / search.prior[every]
-    inverse = np.linalg.inv(g.T @ g + np.eye(len(every)))
-    square = np.diag(inverse) + (inverse @ (g.T @ end.value - x)) ** 2
-    return np.asarray((np.sqrt(square) * search.prior[every])[[every.index(i) for i in best.members.tolist()]])
-
-
 def _tested(
     search: Search,
     best: Choice,
@@ -273,8 +260,9 @@ def _tested(
     alone: Variation,
     errors: Mapping[str, Float],
     words: Sequence[str],
+    image: int | None = None,
 ) -> Proposed:
-    """Leave one member out, then put others in its place."""
+    """Leave one member out, then put others in its place; it cannot be told from its mirror image."""
     names = search.model.parameters.names
     stay = [m for m in best.members.tolist() if m != index]
     without = search.fit(stay, np.where(np.arange(best.x.size) == index, 0.0, best.x)) if stay else None
@@ -296,7 +284,7 @@ def _tested(
     sets = [best, Choice(np.array(stay, dtype=np.int64), x, 0.0), *tried]
     rise = (c := aicc(search, sets)) - c[0]
     rivals = tuple(names[t.members[-1]] for t, d in zip(tried, rise[2:].tolist(), strict=True) if d < RIVAL)
-    twins = np.setdiff1d(twins, best.members)
+    twins = np.setdiff1d(twins if image is None else [*twins.tolist(), image], best.members)
     factor = float(search.model.parameters.take([index]).factors(best.x[[index]])[0])
     p = Proposed(
         names[index],
