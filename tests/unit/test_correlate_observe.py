@@ -11,7 +11,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.comac import comac, ecomac
 from ringtrue.correlate.faults import suspect_channels
 from ringtrue.correlate.frf import fdac, frac, magnitude_deviation
-from ringtrue.correlate.observe import at_dofs, observe
+from ringtrue.correlate.observe import at_dofs, default_tolerance, observe
 from ringtrue.correlate.pairing import pair_modes
 from ringtrue.errors import ConfigError, DataError, InputError
 
@@ -95,8 +95,23 @@ def test_far_sensors_and_missing_dofs_are_named() -> None:
         observe(test, node, xyz, dofs, tolerance=10.0, method="nearst")
 
 
+def test_how_far_a_sensor_may_be_goes_with_the_model() -> None:
+    """27 nodes 500 apart: a mesh width; a fine line of 1001 nodes 1 apart: 3 % of its length; in any unit."""
+    node, xyz, dofs = grid()
+    line = np.zeros((1001, 3))
+    line[:, 0] = np.arange(1001.0)
+    for scale in (1e-4, 1.0, 1e5):
+        np.testing.assert_allclose(default_tolerance(scale * xyz), 500 * scale)
+        np.testing.assert_allclose(default_tolerance(scale * line), 30 * scale)
+    assert default_tolerance(np.zeros((2, 3))) == np.inf
+    observe(sensors(np.array([[0.25, 0.25, 0.1]]), np.eye(3)[:1]), node, xyz, dofs, unit=1e-3)
+    with pytest.raises(DataError, match="farther than 500 "):
+        observe(sensors(np.array([[1.6, 0.0, 0.0]]), np.eye(3)[:1]), node, xyz, dofs, unit=1e-3)
+
+
 @pytest.mark.parametrize(
-    ("unit", "told"), [(1e-3, r"between nodes .* to 0\.22 m"), (1.0, "unit factor"), (1e-6, "unit factor")]
+    ("unit", "told"),
+    [(1e-3, r"between nodes .* to 0\.22 m"), (1.0, "times the model in size"), (1e-6, "unit of length")],
 )
 def test_sensors_between_nodes_are_told_from_a_wrong_unit(unit: float, told: str) -> None:
     node, xyz, dofs = grid()

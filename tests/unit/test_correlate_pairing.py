@@ -150,10 +150,8 @@ def test_modes_alike_and_like_no_other_are_pairs_beyond_the_gate() -> None:
     p = pair_modes(a, b)
     assert p.b.tolist() == [0, 1, 2, 3]
     assert p.beyond.tolist() == [True, True, False, False]
-    told = (
-        "test 1 is taken for FE 1, -50 %, beyond the frequency gate: they look alike (MAC 100 %) and like no other mode"
-    )
-    assert p.far()[0] == told
+    told = "paired beyond the frequency gate, as they look alike and like no other mode: "
+    assert p.far() == (told + "test 1 with FE 1 (-50 %), test 2 with FE 2 (-50 %)",)
     assert pair_modes(a, modes([1.9, 4.5, 20, 31], phi, Norm.MASS)).a.tolist() == [1, 2, 3]  # a third is out of reach
     assert 0 not in pair_modes(a, b, locks=Locks((), ((0, 0),))).a
 

@@ -18,7 +18,7 @@ from ringtrue.errors import DataError
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import alignment, mesh_points, shared_places
+from ringtrue.study.placing import alignment, between_nodes, mesh_points, shared_places
 from ringtrue.virtual.logbook import write_sheet
 
 # a bar on two bushes of no length; its middle node 2 and, beside it, node 30 that nothing holds or uses
@@ -55,6 +55,17 @@ def test_of_two_nodes_at_one_place_the_sensor_sits_on_the_moving_one(
     seen = opened.observation(test, 0.01)
     read = [opened.analysis.dofs.node[row.indices].tolist() for row in seen.matrix]
     assert read == [[hub[0]], [2], [hub[1]], [40]]  # 40 is held, too, but nothing else is there
+
+
+def test_sensors_that_stand_between_nodes_are_told(tmp_path: Path) -> None:
+    (tmp_path / "bar.bdf").write_text(DECK.format(hub=(1, 3), ground=(101, 103)))
+    opened = Opened(read_deck(tmp_path / "bar.bdf"), 1.0)
+    xyz = np.array([[0.01, 0, 0], [1.3, 0, 0]])
+    test = TestModel(np.arange(2), xyz, ("a", "b"), np.arange(2), np.tile([0.0, 0, 1], (2, 1)), np.zeros((0, 2), int))
+    (told,) = between_nodes(opened, opened.observation(test), "nearest")
+    assert told.startswith("1 of 2 channels are read at a node up to 0.3 m from their sensor")
+    assert not between_nodes(opened, opened.observation(test, method="rigid"), "rigid")
+    assert not between_nodes(opened, opened.observation(test.pick(["a"])), "nearest")
 
 
 @pytest.mark.parametrize("wanted", [2, 30])
@@ -144,7 +155,7 @@ def test_correlate_lays_a_sheet_onto_a_deck_and_judges_over_its_mass(
     assert run(words) == 2
     assert "farther than" in capsys.readouterr().err
     words += ["--align", "points", "--complete", "--json", "-"]
-    for options, pairs in (([], 0), (["--frequency-gate", "60"], 4)):  # the model is 43 % too high
+    for options, pairs in ((["--frequency-gate", "40"], 0), ([], 4)):  # the model is 43 % too high
         run([*words, *options])
         found = json.loads(capsys.readouterr().out)
         assert len(found["pairs"]) == pairs
@@ -192,3 +203,23 @@ def test_a_deck_is_held_against_one_of_another_mesh(tmp_path: Path, capsys: pyte
 def test_held_nodes_are_no_points_of_a_deck(tmp_path: Path) -> None:
     deck = _plate(tmp_path / "held.bdf", 3, 1, held="SPC1,1,123456,1,THRU,4")
     assert mesh_points(Opened(read_deck(deck), 1.0)).points.tolist() == list(range(5, 17))
+
+
+def test_correlate_takes_setups_of_other_sensors_at_the_channels_they_share(
+    frame: tuple[Path, Opened], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deck, opened = frame
+    test, modes = small_study.test_model(), opened.modes(20.0).modes
+    shapes = opened.observation(test)(modes.shapes)[:, :6]
+    shapes[:4, 3:5] = np.nan  # the upper modes were seen in one setup
+    shapes[1:, 5] = np.nan  # at one channel only
+    write_modes(tmp_path / "test.json", ModeSet(modes.frequencies[:6], np.full(6, 0.01), shapes, test.channels))
+    write_sheet(tmp_path / "sensors.csv", test, test.channels)
+    words = ["correlate", str(tmp_path / "test.json"), str(deck), "--sensors", str(tmp_path / "sensors.csv")]
+    for options in ([], ["--complete"]):
+        assert run([*words, *options, "--json", "-"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert [p["test_mode"] for p in found["pairs"]] == [1, 2, 3, 4, 5]
+    assert run(words) == 0
+    told = capsys.readouterr().out
+    assert f"Hz: not used, seen at 1 of {len(test.channels)} channels only" in " ".join(told.split())

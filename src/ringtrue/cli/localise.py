@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.show import Json, Units, out, progress, rows, tell, unit_length, write_json
+from ringtrue.cli.show import Json, Tolerance, Units, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.progress import part
 from ringtrue.correlate.assign import NO_LOCKS, PairingSettings
 from ringtrue.io.modes_json import read_modes
@@ -33,7 +33,7 @@ def localise(
         Path | None, typer.Option(help="Sensor sheet; without it, channels are DOFs of the deck such as 101+Z.")
     ] = None,
     units: Units = "SI",
-    tolerance: Annotated[float, typer.Option(metavar="M", help="Largest distance of a sensor from a node.")] = 0.05,
+    tolerance: Tolerance = None,
     most: Annotated[int, typer.Option(help="Most parameters that are proposed.", min=1)] = 8,
     pool: Annotated[
         int,

@@ -11,13 +11,24 @@ from typing import Annotated, Any, get_args
 import numpy as np
 import typer
 
-from ringtrue.cli.show import IN_SECONDS, Json, listed, one_of, out, progress, rows, tell, unit_length, write_json
+from ringtrue.cli.show import (
+    IN_SECONDS,
+    Json,
+    Tolerance,
+    listed,
+    one_of,
+    out,
+    progress,
+    rows,
+    tell,
+    unit_length,
+    write_json,
+)
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.progress import part
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
-from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.correlate.pairing import Locks, correlation_table, pair_modes
 from ringtrue.errors import ConfigError, DataError, about
@@ -27,14 +38,13 @@ from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.config import CorrelateSection, Tam
-from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass
+from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass, gate
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import alignment, mesh_points, near_mesh, placed, shared_places, words
-from ringtrue.study.reference import positions
+from ringtrue.study.placing import alignment, between_nodes, mesh_points, near_mesh, placed, shared_places, words
+from ringtrue.study.reference import at_common, highest, positions
 from ringtrue.study.summary import correlation_json
 
 LOWEST = 26  # modes of a deck in the place of a test
-ABOVE = 1.5  # modes of a deck up to here over the highest test mode
 OF_ORTHOGONALITY = "gate of the orthogonality; give --complete or --mass"
 BY_FREQUENCY = "no shapes: modes are paired by frequency alone; --lock and --forbid decide otherwise"
 
@@ -91,12 +101,11 @@ def _of_deck(
     test: ModeSet,
     sensors: Path | TestModel | None,
     units: str,
-    tolerance: float,
     asked: CorrelateSection,
 ) -> tuple[ModeSet, tuple[str, ...], Callable[[], ChannelMass]]:
     """The modes of a deck at the channels of a test, as far up as a partner may lie, notes, and the deck's mass."""
-    unit, top = unit_length(units), float(test.frequencies.max(initial=0.0))
-    reach = max(ABOVE, 1 + asked.gates().frequency_gate) * top
+    unit = unit_length(units)
+    reach = highest(test.frequencies, asked.gates())
     notes: list[str] = []
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
@@ -104,20 +113,21 @@ def _of_deck(
         here = read_sensor_sheet(sensors).model if isinstance(sensors, Path) else sensors
         channels = test.channels
         if isinstance(sensors, TestModel):
-            here, tolerance = near_mesh(sensors, opened, tolerance)
+            here, near = near_mesh(sensors, opened, asked.tolerance)
             channels = here.channels
             count = np.unique(here.at).size
-            notes.append(f"{count} of {sensors.points.size} nodes of A are within {tolerance:.3g} m of one of B")
+            notes.append(f"{count} of {sensors.points.size} nodes of A are within {near:.3g} m of one of B")
         with about(sensors) if isinstance(sensors, Path) else nullcontext():
             if here is not None and asked.align:
                 found = alignment(here, opened, asked.align)
                 here = found.move(here)
                 notes.append(words(found))
-            look = placed(opened, channels, here, tolerance=tolerance, method=asked.match)
+            look = placed(opened, channels, here, tolerance=asked.tolerance, method=asked.match)
         modes = opened.modes(reach, part(show, 0.3, 1.0)).modes
     there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
     if isinstance(sensors, Path) and here is not None:
-        notes += shared_places(opened, here.pick(channels), modes)
+        notes += shared_places(opened, here.pick(channels), modes) if asked.match == "nearest" else ()
+        notes += between_nodes(opened, look, asked.match)
     return there, tuple(notes), lambda: channel_mass(opened, look, channels, asked, reach)
 
 
@@ -196,10 +206,7 @@ def correlate(
         Path | None, typer.Option(help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z.")
     ] = None,
     units: Annotated[str | None, one_of("--units", IN_SECONDS, "Unit system of decks", "SI")] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Largest distance of a sensor from a node.", min=0, show_default="0.05"),
-    ] = None,
+    tolerance: Tolerance = None,
     match: Annotated[
         str | None, one_of("--match", get_args(Method), "What a sensor off the nodes reads", "nearest")
     ] = None,
@@ -207,11 +214,13 @@ def correlate(
         str | None,
         one_of("--align", ("points", "nearest"), "Lay the sheet onto the deck, by points numbered as nodes or nearest"),
     ] = None,
-    mac_gate: Annotated[float, typer.Option(metavar="%", help="Least MAC of a pair.")] = 60.0,
+    mac_gate: Annotated[
+        float | None, typer.Option(metavar="%", help="Least MAC of a pair.", min=0.1, max=99.9, show_default="60")
+    ] = None,
     frequency_gate: Annotated[
         float | None,
         typer.Option(
-            metavar="%", help="Largest deviation of a pair.", show_default="40; modes like no other go beyond"
+            metavar="%", help="Largest deviation of a pair.", min=1e-6, show_default="40; beyond it modes like no other"
         ),
     ] = None,
     lock: Annotated[
@@ -231,11 +240,25 @@ def correlate(
     ] = None,
     diagonal: Annotated[
         float | None,
-        typer.Option("--diagonal", metavar="%", help="Gate: least cross-orthogonality of a pair.", show_default="90"),
+        typer.Option(
+            "--diagonal",
+            metavar="%",
+            help="Gate: least cross-orthogonality of a pair.",
+            min=0,
+            max=100,
+            show_default="90",
+        ),
     ] = None,
     off_diagonal: Annotated[
         float | None,
-        typer.Option("--off-diagonal", metavar="%", help="Gate: largest between different modes.", show_default="10"),
+        typer.Option(
+            "--off-diagonal",
+            metavar="%",
+            help="Gate: largest between different modes.",
+            min=0,
+            max=100,
+            show_default="10",
+        ),
     ] = None,
     json: Json = None,
 ) -> int:
@@ -260,24 +283,23 @@ def correlate(
             "--off-diagonal": (off_diagonal, whole, OF_ORTHOGONALITY),
         }
     )
-    own, other = 90.0 if diagonal is None else diagonal, 10.0 if off_diagonal is None else off_diagonal
-    gate = Gate(own / 100, other / 100, f"{own:g} % / {other:g} %")
-    units, tolerance = units or "SI", 0.05 if tolerance is None else tolerance
-    match, tam = match or "nearest", tam or "irs"
-    asked = CorrelateSection.model_validate(
-        {
-            "match": "rigid" if both else match,
-            "align": align or "",
-            "tam": tam,
-            "mac_gate": mac_gate / 100,
-            "frequency_gate": None if frequency_gate is None else frequency_gate / 100,
-        }
-    )
+    given = {
+        "match": "rigid" if both else match,
+        "align": align,
+        "tam": tam,
+        "mac_gate": None if mac_gate is None else mac_gate / 100,
+        "frequency_gate": None if frequency_gate is None else frequency_gate / 100,
+        "tolerance": tolerance,
+        "accept_orthogonality": diagonal,
+        "accept_off_diagonal": off_diagonal,
+    }
+    asked = CorrelateSection.model_validate({k: v for k, v in given.items() if v is not None})
+    units = units or "SI"
     settings = asked.gates()
     test, points, first = _as_test(a, units) if both else (read_modes(a), sensors, "")
-    there, notes, held = (
-        _of_deck(b, test, points, units, tolerance, asked) if deck else (read_modes(b), (), ChannelMass)
-    )
+    test, gaps = at_common(test)
+    there, notes, held = _of_deck(b, test, points, units, asked) if deck else (*at_common(read_modes(b)), ChannelMass)
+    notes = (*(f"A: {g}" for g in gaps), *(notes if deck else (f"B: {g}" for g in notes)))
     one, two = _common(test, there, a, b)
     if not one.channels:
         if whole:
@@ -295,9 +317,9 @@ def correlate(
             two,
             table.pairing,
             mass=weight.matrix,
-            mass_name="given" if mass is not None else NAMES.get(tam, tam),
+            mass_name="given" if mass is not None else NAMES.get(asked.tam, asked.tam),
             lift=weight.lift,
-            gate=gate,
+            gate=gate(asked),
             std_a=0.0 if both else read_std(a)[0],
             std_b=0.0 if deck else read_std(b)[0],
             settings=settings,

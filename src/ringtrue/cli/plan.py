@@ -207,7 +207,7 @@ def _reach(run: StudyRun) -> Any:
     """Driving-point residue of each reference over the best of all channels, (r, target)."""
     stage: PlanStage = run.results["plan"]
     found = run.desk.initial.modes(run.desk.first_fmax).modes.take(stage.target_modes)
-    seen = run.desk.initial.seen(found, stage.test, tolerance=1e-3)
+    seen = run.desk.initial.seen(found, stage.test)
     at = [stage.test.channels.index(r) for r in stage.references]
     return reach_of(np.asarray(seen.shapes), at)
 

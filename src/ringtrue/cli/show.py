@@ -126,6 +126,15 @@ def one_of(option: str, allowed: Iterable[str], what: str, otherwise: str = "") 
 
 
 Units = Annotated[str, one_of("--units", IN_SECONDS, "Unit system of the deck")]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M",
+        help="Largest distance of a sensor from a node.",
+        min=1e-9,
+        show_default="3 % of the deck, or a mesh width",
+    ),
+]
 
 
 @contextmanager

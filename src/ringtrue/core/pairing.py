@@ -71,10 +71,11 @@ class Pairing:
         )
 
     def far(self, names: tuple[str, str] = ("test", "FE")) -> tuple[str, ...]:
-        """Each pair beyond the frequency gate, in words."""
+        """The pairs beyond the frequency gate, in words; nothing where there is none."""
         a, b = names
-        return tuple(
-            f"{a} {self.a[k] + 1} is taken for {b} {self.b[k] + 1}, {100 * self.frequency_error[k]:+.3g} %, beyond the "
-            f"frequency gate: they look alike (MAC {100 * self.mac[k]:.0f} %) and like no other mode"
+        pairs = [
+            f"{a} {self.a[k] + 1} with {b} {self.b[k] + 1} ({100 * self.frequency_error[k]:+.3g} %)"
             for k in np.flatnonzero(self.beyond).tolist()
-        )
+        ]
+        why = "paired beyond the frequency gate, as they look alike and like no other mode"
+        return (f"{why}: {', '.join(pairs)}",) if pairs else ()

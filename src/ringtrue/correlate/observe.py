@@ -13,10 +13,14 @@ from ringtrue.core.dofs import DofSet, parsed
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
+from ringtrue.model.frames import diagonal
 
 Method = Literal["nearest", "rigid"]
 SAME = 1e-6  # of the tolerance: nodes that are as near
+OF_SIZE = 0.03  # of the size of a model: as far a sensor may be from its node, if nothing is said
+SOME = 2000  # nodes that tell how far nodes are apart
 _OF_EXTENT = 0.25
+UNLIKE = 10.0  # times another in size: in another unit
 
 
 def observe(
@@ -25,7 +29,7 @@ def observe(
     xyz: Float,
     dofs: DofSet,
     *,
-    tolerance: float,
+    tolerance: float | None = None,
     unit: float = 1.0,
     method: Method = "nearest",
     neighbours: int = 4,
@@ -41,8 +45,8 @@ def observe(
     xyz : (n, 3) float64, model unit, basic frame
     dofs : DofSet
         Rows of the model's shapes, basic frame.
-    tolerance : float, model unit
-        A sensor farther than this from every node is an error.
+    tolerance : float, model unit, optional
+        A sensor farther than this from every node is an error; `default_tolerance` if not given.
     unit : float
         Model length unit in metres (mm-t-s: 1e-3).
     method : {"nearest", "rigid"}
@@ -67,12 +71,27 @@ def observe(
     k = min(neighbours, len(node_ids)) if method == "rigid" else 1
     found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
     distance, nearest = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
+    tolerance = default_tolerance(xyz) if tolerance is None else tolerance
     if k == 1:
         nearest = _by_number(test.at, at, np.asarray(node_ids), xyz, (distance, nearest), SAME * tolerance)
     _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids), xyz, nearest[:, 0], unit)
     weights = _rigid_weights(at, xyz[nearest], distance, test.directions()) if k > 1 else test.directions()[:, None, :]
     matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
     return Observation(matrix, test.channels, dofs, unit, distance[:, 0])
+
+
+def default_tolerance(xyz: Float) -> float:
+    """How far a sensor may be from its node where nothing is said: 3 % of the size of a model, or a mesh width.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64, model unit
+        All nodes that a sensor may sit on; the size is the diagonal of the box about them, the mesh width the median
+        distance of a node from its nearest neighbour. Nodes at one place tell no size: no sensor is too far from them.
+    """
+    some = np.unique(np.linspace(0, len(xyz) - 1, SOME).astype(np.int64))
+    width = _spacing(xyz, some)
+    return max(OF_SIZE * diagonal(xyz), float(np.median(np.where(np.isfinite(width), width, 0.0)))) or np.inf
 
 
 def _by_number(points: Int, at: Float, ids: Int, xyz: Float, found: tuple[Float, Int], same: float) -> Int:
@@ -92,6 +111,7 @@ def _refuse_far(
         return
     shown = "; ".join(f"{test.channels[i]} is {distance[i]:.4g} from node {ids[nearest[i]]}" for i in far[:8].tolist())
     extent = np.linalg.norm(np.ptp(test.channel_xyz(), axis=0)) / unit  # of another unit it is far less than a distance
+    times = float(extent / (diagonal(xyz) or np.inf))
     between = bool((distance[far] <= np.minimum(_spacing(xyz, nearest[far]), _OF_EXTENT * extent)).all())
     do = (
         "They stand between nodes of a coarse mesh: raise the tolerance (--tolerance, [correlate] tolerance) to "
@@ -99,6 +119,11 @@ def _refuse_far(
         if between
         else f"Check the unit factor ({unit:g} m) and the origin and axes of the test model, or raise the tolerance"
     )
+    if times > UNLIKE or 0 < times < 1 / UNLIKE**2:
+        do = (
+            f"The test is {times:.3g} times the model in size: places of a test are in m, the unit of length of "
+            f"the model is taken for {unit:g} m (--units, [model] units)"
+        )
     raise DataError(
         f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) from every node: {shown}. "
         f"{do}"

@@ -108,7 +108,7 @@ class CorrelateSection(_Section):
     lock: list[str] = []  # "3:7": test mode 3 belongs to mode 7 of the deck as delivered, and to what becomes of it
     forbid: list[str] = []  # that do not belong together
     rigid_below: float | None = None  # Hz: rigid-body modes lie below; None: the largest gap decides
-    tolerance: float = Field(default=0.3, gt=0)  # m, sensor to node
+    tolerance: float | None = Field(default=None, gt=0)  # m, sensor to node; None: 3 % of the deck, or a mesh width
     match: Literal["nearest", "rigid"] = "nearest"  # a sensor off the nodes: the nearest node, or the nodes around it
     align: Literal["", "points", "nearest"] = (
         ""  # lay the test onto the deck by points numbered as nodes, or by nearest

@@ -36,7 +36,7 @@ from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.placing import placed
-from ringtrue.study.reference import locks, measured_part, settings
+from ringtrue.study.reference import highest, locks, measured_part, settings
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.residuals import Weighted
 from ringtrue.update.settle import displaced, whole_cost
@@ -44,7 +44,6 @@ from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.trust import Solution
 from ringtrue.update.verified import Verified, solve_verified
 
-ABOVE = 1.5  # modes of the model up to here over the highest test mode
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
 
 
@@ -114,7 +113,7 @@ def _reduced(
     dofs, more = opened.analysis.dofs, named[len(modes.channels) :]
     observation = _observation(opened, config, modes.channels, base)
     observation = observation.and_also(at_dofs(more, dofs, opened.length)) if more else observation
-    top = ABOVE * float(target.frequencies.max())
+    top = highest(target.frequencies, target.pairing)
     count = len(opened.modes(top).modes)
     basis = reduced(model, parameters, observation, count)
     check_moving(found, at, basis.basis.observe)
@@ -143,7 +142,7 @@ def _by_runs(
     with engine.open(model) as analysis:
         observation = _observation(opened, config, modes.channels, base, analysis.dofs)
     full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)
-    top = ABOVE * float(target.frequencies.max())
+    top = highest(target.frequencies, target.pairing)
     full = full.reaching(top)
     terms = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
     rows, limits = constraints(config, parameters)

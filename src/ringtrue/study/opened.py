@@ -94,14 +94,14 @@ class Opened:
         return np.asarray((np.diff(system.transform.indptr)[: 6 * n].reshape(n, 6)[:, :3] > 0).any(axis=1))
 
     def observation(
-        self, test: TestModel, tolerance: float, method: Method = "nearest", *, dofs: DofSet | None = None
+        self, test: TestModel, tolerance: float | None = None, method: Method = "nearest", *, dofs: DofSet | None = None
     ) -> Observation:
         """The bridge to the channels of a test.
 
         Parameters
         ----------
         test : TestModel
-        tolerance : float, m
+        tolerance : float, m, optional
         method : str
             As in `correlate.observe`.
         dofs : DofSet, optional
@@ -112,11 +112,11 @@ class Opened:
             *self.seats,
             self.analysis.dofs if dofs is None else dofs,
             unit=self.length,
-            tolerance=tolerance / self.length,
+            tolerance=None if tolerance is None else tolerance / self.length,
             method=method,
         )
 
-    def seen(self, modes: ModeSet, test: TestModel, tolerance: float) -> ModeSet:
+    def seen(self, modes: ModeSet, test: TestModel, tolerance: float | None = None) -> ModeSet:
         """The modes at the channels."""
         shapes = self.observation(test, tolerance)(modes.shapes)
         return ModeSet(modes.frequencies, modes.damping, shapes, test.channels, modes.norm, modes.source)

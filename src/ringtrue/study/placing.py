@@ -14,7 +14,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.align import Alignment, best_fit, nearest_fit
-from ringtrue.correlate.observe import Method, at_dofs
+from ringtrue.correlate.observe import Method, at_dofs, default_tolerance
 from ringtrue.errors import DataError, InputError, did_you_mean
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.frames import diagonal, positions
@@ -25,6 +25,7 @@ ALIKE = 0.05  # of the largest motion: nodes at one place that differ by less te
 MANY = 12  # points that are named
 MESHED = 400  # points of a deck that is held against another
 BAD, BETTER = 0.01, 0.2  # of the size of the deck: a fit that is looked into; of its error: what explains it
+OFF = 0.01  # of the size of a deck: sensors farther from their node read another motion
 LARGER = 1.5  # times the deck: a test that cannot lie on it
 SHARED = 0.1  # of the nodes of a deck: with fewer near another it is not of the same structure
 MIRROR = np.array([1.0, 1.0, -1.0])
@@ -154,6 +155,20 @@ def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str,
     )
 
 
+def between_nodes(opened: Opened, seen: Observation, match: Method) -> tuple[str, ...]:
+    """A note on sensors that stand between the nodes, where the nearest one is read for each."""
+    if match != "nearest":
+        return ()
+    far = seen.distance > OFF * diagonal(opened.seats[1])
+    if not far.any():
+        return ()
+    return (
+        f"{far.sum()} of {far.size} channels are read at a node up to {opened.length * seen.distance.max():.2g} m from "
+        "their sensor, which lowers the MAC of shapes with short waves: with match = rigid ([correlate] match, "
+        "--match) they read the motion of the nodes around them",
+    )
+
+
 def _apart(dofs: DofSet, nodes: Sequence[int], shapes: Float) -> bool:
     """Whether in any mode (dof, mode) nodes at one place move apart by a share of its largest translation."""
     row = dofs.find(np.repeat(nodes, 3), np.tile([1, 2, 3], len(nodes)))
@@ -167,7 +182,7 @@ def placed(
     channels: Sequence[str],
     sheet: Path | TestModel | None,
     *,
-    tolerance: float,
+    tolerance: float | None = None,
     method: Method = "nearest",
     align: str = "",
     dofs: DofSet | None = None,
@@ -179,8 +194,8 @@ def placed(
     opened : Opened
     channels : sequence of str
     sheet : Path or TestModel, optional
-    tolerance : float
-        Largest distance of a sensor from its node, m.
+    tolerance : float, m, optional
+        Largest distance of a sensor from its node; `default_tolerance` if not given.
     method : str
         As in `correlate.observe`.
     align : {"", "points", "nearest"}
@@ -224,14 +239,14 @@ def mesh_points(opened: Opened) -> TestModel:
     return TestModel(node, scene.xyz[at], channels, np.repeat(node, 3), axes, np.zeros((0, 2), dtype=np.int64))
 
 
-def near_mesh(test: TestModel, opened: Opened, tolerance: float) -> tuple[TestModel, float]:
-    """The channels of a test that are near a node of a deck: within `tolerance` or the spacing of the nodes, m."""
+def near_mesh(test: TestModel, opened: Opened, tolerance: float | None) -> tuple[TestModel, float]:
+    """The channels of a test that are near a node of a deck, and what is near, m: `tolerance` or the default one."""
     xyz = opened.seats[1] * opened.length
     one, other = diagonal(test.xyz), diagonal(xyz)
     if min(one, other) > 0 and max(one, other) > UNLIKE * min(one, other):
         raise DataError(f"the one deck is {one:.3g} m in size, the other {other:.3g} m: check --units")
     tree = KDTree(xyz)
-    reach = max(tolerance, float(np.median(tree.query(xyz, k=[2])[0])))
+    reach = default_tolerance(xyz) if tolerance is None else tolerance
     near = np.asarray(tree.query(test.channel_xyz())[0] <= reach)
     if near.mean() < SHARED:
         raise DataError(

@@ -20,6 +20,7 @@ from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage
 
+ROOM = 1.5  # over the highest test mode: where its partner may be before the updating
 ABOVE = 1.2  # modes of the deck should be known up to here over the highest test mode
 
 
@@ -78,6 +79,19 @@ def measured_part(modes: ModeSet) -> tuple[Int, tuple[str, ...]]:
         at, size = trials[int(np.argmax(worth))], max(worth)
     full = known[:, at].all(axis=1)  # all of them where there is no mode
     return at, tuple(modes.channels[i] for i in np.flatnonzero(full).tolist())
+
+
+def at_common(modes: ModeSet) -> tuple[ModeSet, tuple[str, ...]]:
+    """The modes at the channels of `measured_part`, with zeros for those that it leaves out, and what is not used.
+
+    They keep their numbers; a mode of zeros looks like no other and finds no partner.
+    """
+    if np.isfinite(modes.shapes).all():
+        return modes, ()
+    at, channels = measured_part(modes)
+    seen = modes.rows(channels)
+    kept = np.isin(np.arange(len(modes)), at)
+    return replace(seen, shapes=np.where(kept, np.nan_to_num(seen.shapes), 0.0)), _gaps(modes)
 
 
 def _gaps(modes: ModeSet) -> tuple[str, ...]:
@@ -191,6 +205,11 @@ def used_mask(n: int, out: Int) -> Bool:
 def settings(config: StudyConfig) -> PairingSettings:
     """The gates of the study."""
     return config.correlate.gates(config.identify.confidence)
+
+
+def highest(frequencies: Float, gates: PairingSettings) -> float:
+    """Hz, up to where modes of a deck are computed for test modes at `frequencies`, Hz: as high as a partner may be."""
+    return max(ROOM, 1 + gates.frequency_gate) * float(frequencies.max(initial=0.0))
 
 
 def locks(config: StudyConfig) -> Locks:

@@ -33,7 +33,7 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels, build
 from ringtrue.study.placing import alignment
 from ringtrue.study.proposing import with_lumps
-from ringtrue.study.reference import reference_modes, settings
+from ringtrue.study.reference import highest, reference_modes, settings
 from ringtrue.study.results import ConfigurationsStage, CorrelateStage, LocaliseStage
 from ringtrue.study.store import Store
 from ringtrue.update.candidates import Candidate, CandidateSettings
@@ -41,7 +41,6 @@ from ringtrue.update.residuals_static import RigidMass
 
 OWN = ""  # the deck of the study among the configurations
 FMAX = 100.0  # Hz, where neither the study nor a test says
-ROOM = 1.5  # over the highest test mode: where its partner may be before the updating
 
 
 @dataclass(eq=False)
@@ -100,7 +99,7 @@ class Workbench:
 
     def up_to(self, frequencies: Float) -> float:
         """The same for the test of another configuration, with modes at `frequencies`, Hz."""
-        return self.deck.fmax or max(ROOM, 1 + settings(self.config).frequency_gate) * float(frequencies.max())
+        return self.deck.fmax or highest(frequencies, settings(self.config))
 
     @property
     def length(self) -> float:

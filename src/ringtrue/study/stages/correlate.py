@@ -20,7 +20,7 @@ from ringtrue.study.config import StudyConfig
 from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.expansion import expanded, on_scene
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import shared_places, words
+from ringtrue.study.placing import between_nodes, shared_places, words
 from ringtrue.study.reference import Reference, beyond, elastic_table, left_out, reference_modes, rigid_table
 from ringtrue.study.results import CorrelateStage, Evidence, Expansion, RemodelStep
 from ringtrue.study.workbench import Workbench
@@ -111,11 +111,12 @@ def _far(table: CorrelationTable) -> tuple[str, ...]:
 
 
 def _shared(desk: Workbench) -> tuple[str, ...]:
-    """What is to be said of sensors at places with several nodes."""
+    """What is to be said of sensors at places with several nodes, and of those between nodes."""
     config = desk.config.correlate
     test = desk.placed[1] if config.align else desk.get("identify").test
     modes = desk.initial.modes(desk.fmax).modes
-    return shared_places(desk.initial, test, modes) if config.match == "nearest" else ()
+    apart = shared_places(desk.initial, test, modes) if config.match == "nearest" else ()
+    return (*apart, *between_nodes(desk.initial, desk.bridge(desk.initial), config.match))
 
 
 def _expanded(desk: Workbench, reference: Reference, progress: Progress) -> Expansion | None:
