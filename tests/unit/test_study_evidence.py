@@ -14,17 +14,20 @@ import small_study
 
 from ringtrue.cli.main import run as command
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.pairing import Pairing
+from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
 from ringtrue.report.parts import Items, Table
 from ringtrue.report.sections import measured, survey
 from ringtrue.report.stages import Stages
 from ringtrue.shapes.mac import paired_mac
-from ringtrue.study.acceptance import Acceptance, limits, missed_words, verdict
+from ringtrue.study.acceptance import Acceptance, in_both, limits, missed_words, verdict
 from ringtrue.study.evidence import channel_mass, evidence, on_sheet, synthesised
 from ringtrue.study.reference import reference_modes
 from ringtrue.study.results import Evidence, RecordSummary
 from ringtrue.study.run import StudyRun, run_study
+from ringtrue.study.words import spared
 
 Capture = pytest.CaptureFixture[str]
 
@@ -157,6 +160,24 @@ def test_only_stated_limits_judge(done: StudyRun) -> None:
     names = [c.name for c in verdict(done.config, done.results)]
     assert names == ["updating", "used modes: mean |Δf| improved", "left-out modes: mean |Δf| improved"]
     assert all(c.held for c in verdict(done.config, done.results))
+
+
+def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> None:
+    """A mode beyond the gate before the updating counts in no mean over modes paired in both; it is named."""
+
+    def table(modes: list[int], percent: list[float]) -> CorrelationTable:
+        at, n = np.array(modes), len(modes)
+        hz = np.array([10.0, 20.0, 30.0, 40.0])
+        pairing = Pairing(at, at, np.ones(n), np.zeros(n), np.ones(n), np.zeros(n, dtype=bool), at[:0], (), at[:0], ())
+        fe = hz[at] * (1 + np.array(percent) / 100)
+        return CorrelationTable(pairing, hz[at], fe, np.full(n, np.nan), at != 1, np.eye(4), hz, hz)
+
+    first, last = table([0, 1], [20.0, 15.0]), table([0, 1], [1.0, -3.0])
+    assert spared(first, last) == "modes that the updating did not see: mean |Δf| 15.00 -> 3.00 %"
+    won = replace(table([0, 1, 3], [1.0, -3.0, 38.0]), used=np.array([True, False, False]))
+    words = spared(first, won)
+    assert words.endswith("of the 1 paired before and after 15.00 -> 3.00 %; paired after only: 4 (+38.0 %)")
+    assert [x.tolist() for x in in_both(first, won, used=False)] == [pytest.approx([15.0]), pytest.approx([-3.0])]
 
 
 def test_each_limit_is_held_and_missed(done: StudyRun) -> None:

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from ringtrue.core.arrays import Float
 from ringtrue.correlate.pairing import CorrelationRow, CorrelationTable
 from ringtrue.study.config import CorrelateSection, StudyConfig
 from ringtrue.study.results import (
@@ -165,18 +168,29 @@ def convergence(results: Mapping[str, Any]) -> tuple[Check, ...]:
 
 
 def improvement(results: Mapping[str, Any]) -> tuple[Check, ...]:
-    """Whether the final model is nearer to the test than the initial one, in modes used and left out."""
+    """Whether the final model is nearer to the test than the initial one, in modes used and left out.
+
+    Judged by the modes with a partner in both: one that the updating wins a partner for is no worse for it.
+    """
     final: FinalStage | None = results.get("final")
     before: CorrelateStage | None = results.get("correlate")
     if final is None or before is None:
         return ()
     out = []
-    for name, which in (("used", True), ("left-out", False)):
-        tables = before.initial, final.table
-        if all((t.used == which).any() for t in tables):
-            a, b = (t.mean_deviation(t.used == which) for t in tables)
+    for name, used in (("used", True), ("left-out", False)):
+        first, last = in_both(before.initial, final.table, used=used)
+        if first.size:
+            a, b = (float(np.abs(x).mean()) for x in (first, last))
             out.append(Check(f"{name} modes: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a)))
     return (*out, *_others_improved(results))
+
+
+def in_both(before: CorrelationTable, after: CorrelationTable, *, used: bool) -> tuple[Float, Float]:
+    """Deviations, (n,) %, of the test modes, used or left out, that have a partner in both tables."""
+    tables = [(t, t.used == used) for t in (before, after)]
+    a, b = (t.pairing.a[mine] for t, mine in tables)
+    first, last = (t.deviation_percent[mine] for t, mine in tables)
+    return first[np.isin(a, b)], last[np.isin(b, a)]
 
 
 def _others_improved(results: Mapping[str, Any]) -> list[Check]:

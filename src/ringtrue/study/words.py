@@ -9,6 +9,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.study.acceptance import in_both
 from ringtrue.study.results import (
     CompareStage,
     CorrelateStage,
@@ -52,8 +53,9 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         names = [n for n, open_ in zip(known.parameters.names, known.unproven, strict=True) if open_]
         why = "may take up an error of the model's form, or are known only together with others"
         out.append(f"not proven by the test, {why}: {', '.join(names)}")
-    if correlate is not None and final is not None and (line := worse(*_in_both(correlate.remodelled, final.table))):
-        out.append(line)
+    if correlate is not None and final is not None:
+        line = worse(*in_both(correlate.remodelled, final.table, used=True))
+        out += [line] if line else []
     update, localise = r.get("update"), r.get("localise")
     if update is not None and (line := weighed_by(update.sets[update.chosen].discrepancy.tolist())):
         out.append(line)
@@ -134,13 +136,6 @@ def worse(before: Float, after: Float) -> str:
     )
 
 
-def _in_both(before: CorrelationTable, after: CorrelationTable) -> tuple[Float, Float]:
-    """Deviations, %, of the used test modes that have a partner in both tables."""
-    a, b = (t.pairing.a[t.used] for t in (before, after))
-    first, last = (t.deviation_percent[t.used] for t in (before, after))
-    return first[np.isin(a, b)], last[np.isin(b, a)]
-
-
 def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str]:
     """Channels that contradict the model, and others that ambient and hammer test do not agree on."""
     found = evidence.measures.suspects if evidence is not None else ()
@@ -185,13 +180,25 @@ def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
         f"{_arrow([f'{t.mean_deviation():.2f}' for t in tables])} %{mac}"
     ]
     if final is not None and any((~t.used).any() for t in tables):
-        out.append(f"modes that the updating did not see: mean |Δf| {_arrow([_spared(t) for t in tables])} %")
+        out.append(spared(correlate.initial, final.table))
     return out
 
 
-def _spared(table: CorrelationTable) -> str:
-    value = table.mean_deviation(~table.used)
-    return f"{value:.2f}" if np.isfinite(value) else "none paired,"
+def spared(before: CorrelationTable, after: CorrelationTable) -> str:
+    """How well the modes are met that the updating did not see, and which of them have a partner in one table only."""
+    both = in_both(before, after, used=False)
+    out = "modes that the updating did not see: "
+    if both[0].size:
+        alone = both[0].size < max(int((~t.used).sum()) for t in (before, after))
+        means = _arrow([f"{np.abs(x).mean():.2f}" for x in both])
+        out += f"mean |Δf|{f' of the {both[0].size} paired before and after' if alone else ''} {means} %"
+    else:
+        out += "none paired before and after"
+    for when, t, other in (("before", before, after), ("after", after, before)):
+        only = ~t.used & ~np.isin(t.pairing.a, other.pairing.a)
+        each = [f"{k + 1} ({x:+.1f} %)" for k, x in zip(t.pairing.a[only], t.deviation_percent[only], strict=True)]
+        out += f"; paired {when} only: {', '.join(each)}" if each else ""
+    return out
 
 
 def _arrow(values: list[str]) -> str:
