@@ -223,3 +223,24 @@ def test_correlate_takes_setups_of_other_sensors_at_the_channels_they_share(
     assert run(words) == 0
     told = capsys.readouterr().out
     assert f"Hz: not used, seen at 1 of {len(test.channels)} channels only" in " ".join(told.split())
+
+
+def test_strain_is_not_compared_with_motions(
+    frame: tuple[Path, Opened], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deck, opened = frame
+    test, modes = small_study.test_model(), opened.modes(20.0).modes
+    shapes = opened.observation(test)(modes.shapes)[:, :5]
+    shapes[3] = np.random.default_rng(0).standard_normal(5)
+    write_modes(tmp_path / "test.json", ModeSet(modes.frequencies[:5], np.full(5, 0.01), shapes, test.channels))
+    sheet = tmp_path / "sensors.csv"
+    write_sheet(sheet, test, test.channels)
+    head, *rows = sheet.read_text().splitlines()
+    at = head.split(",").index("quantity"), head.split(",").index("unit")
+    row = rows[3].split(",")
+    row[at[0]], row[at[1]] = "strain", "ustrain"
+    sheet.write_text("\n".join([head, *rows[:3], ",".join(row), *rows[4:]]) + "\n")
+    assert run(["correlate", str(tmp_path / "test.json"), str(deck), "--sensors", str(sheet)]) == 0
+    assert f"not compared, of strain: {test.channels[3]}" in " ".join(capsys.readouterr().out.split())
+    assert run(["localise", str(deck), str(tmp_path / "test.json"), "--sensors", str(sheet)]) == 2
+    assert f"channel {test.channels[3]} measures strain" in " ".join(capsys.readouterr().err.split())

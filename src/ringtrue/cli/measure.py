@@ -110,8 +110,13 @@ def _of_deck(
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
         opened = Opened(read_deck(deck), unit)
-        here = read_sensor_sheet(sensors).model if isinstance(sensors, Path) else sensors
-        channels = test.channels
+        here, channels = sensors if isinstance(sensors, TestModel) else None, test.channels
+        if isinstance(sensors, Path):
+            sheet = read_sensor_sheet(sensors)
+            here, strain = sheet.model, set(sheet.strain)
+            if lost := [c for c in channels if c in strain]:
+                channels = tuple(c for c in channels if c not in strain)
+                notes.append(f"not compared, of strain: {' '.join(lost[:8])}{' ...' * (len(lost) > 8)}")
         if isinstance(sensors, TestModel):
             here, near = near_mesh(sensors, opened, asked.tolerance)
             channels = here.channels
@@ -165,7 +170,7 @@ def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
             p["fe_mode"],
             f"{p['frequency_test_hz']:.4g}",
             f"{p['frequency_fe_hz']:.4g}",
-            f"{p['deviation_percent']:+.2f}",
+            f"{round(p['deviation_percent'], 2) + 0.0:+.2f}",
             "-" if p["mac_percent"] is None else f"{p['mac_percent']:.1f}",
         )
         for p in pairs

@@ -60,6 +60,11 @@ class SensorSheet:
     channels: tuple[RecordChannel, ...]
     notes: tuple[str, ...]
 
+    @property
+    def strain(self) -> tuple[str, ...]:
+        """Channels that measure strain: what a model moves there says nothing of them."""
+        return tuple(c.id for c in self.channels if c.quantity == "strain")
+
     def scaled(self, history: TimeHistory) -> tuple[TimeHistory, tuple[str, ...]]:
         """A record with what it does not tell itself taken from the sheet, and what is to be said of it.
 

@@ -215,7 +215,7 @@ def placed(
             raise DataError(
                 f"{e}; where points have numbers of their own give --sensors, or [test] sheet of a study"
             ) from e
-    test = sheet if isinstance(sheet, TestModel) else read_sensor_sheet(sheet).model
+    test = sheet if isinstance(sheet, TestModel) else _motions(sheet, channels)
     known = set(test.channels)
     if lost := [c for c in channels if c not in known]:
         near = did_you_mean(lost[0], test.channels)
@@ -227,6 +227,16 @@ def placed(
     if align:
         test = alignment(test, opened, align).move(test)
     return opened.observation(test.pick(tuple(channels)), tolerance, method, dofs=dofs)
+
+
+def _motions(sheet: Path, channels: Sequence[str]) -> TestModel:
+    """The test model of a sheet, none of whose `channels` measures strain."""
+    found = read_sensor_sheet(sheet)
+    if strain := sorted(set(found.strain) & set(channels)):
+        raise DataError(
+            f"{sheet}: channel {' '.join(strain[:8])} measures strain: take it out of the modes of the test"
+        )
+    return found.model
 
 
 def mesh_points(opened: Opened) -> TestModel:
