@@ -10,11 +10,11 @@ import typer
 
 from ringtrue.cli.show import Json, Tolerance, Units, out, progress, rows, tell, unit_length, write_json
 from ringtrue.core.progress import part
-from ringtrue.correlate.assign import NO_LOCKS, PairingSettings
+from ringtrue.correlate.assign import NO_LOCKS
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.shapes.scale import realise_modes
-from ringtrue.study.config import LocaliseSection, target_words
+from ringtrue.study.config import CorrelateSection, LocaliseSection, target_words
 from ringtrue.study.lent import lent
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
@@ -49,17 +49,15 @@ def localise(
     with progress("localise") as show:
         show(0.0, f"reading {deck}")
         opened, seen = Opened(read_deck(deck), metres), read_modes(test)
-        alone, notes = not seen.channels, tuple[str, ...]()
-        if alone:
-            given = lent(seen, opened, PairingSettings(), NO_LOCKS)
+        notes = tuple[str, ...]()
+        if not seen.channels:
+            given = lent(seen, opened, CorrelateSection().gates(), NO_LOCKS)
             bridge, notes = opened.observation(given.points, np.inf), given.notes
             seen = given.modes.take(measured_part(given.modes)[0])
         else:
             bridge = placed(opened, seen.channels, sensors, tolerance=tolerance)
         settings = CandidateSettings(units=units)
-        found = directly_proposed(
-            opened, realise_modes(seen), bridge, settings, pool, most, part(show, 0.1, 1.0), lent=alone
-        )
+        found = directly_proposed(opened, realise_modes(seen), bridge, settings, pool, most, part(show, 0.1, 1.0))
     if json:
         write_json(_table(found) | {"notes": notes}, json)
     if json != "-":

@@ -31,6 +31,7 @@ class Norm(StrEnum):
     MASS = "mass"  # unit modal mass
     UNSCALED = "unscaled"  # output-only: no scale
     MODAL_A = "unit modal A"  # complex: φᵀ(2sM + D)φ = 1
+    LENT = "lent"  # those of a model's modes that frequencies alone were taken for: not measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +89,11 @@ class ModeSet:
     def channels(self) -> tuple[str, ...]:
         """The row labels as text."""
         return self.labels.labels() if isinstance(self.labels, DofSet) else self.labels
+
+    @property
+    def lent(self) -> bool:
+        """Whether frequencies alone were measured, and the shapes are those of a model."""
+        return self.norm is Norm.LENT
 
     def take(self, modes: Sequence[int] | Int | slice) -> ModeSet:
         """The chosen modes, in the given order."""

@@ -96,7 +96,8 @@ class Stages:
     def test(self) -> TestModel | None:
         """The test model as measured, else as planned; none of frequencies alone."""
         if self.identify is not None:
-            return None if self.identify.lent else self.identify.test
+            hammer = self.identify.hammer
+            return None if hammer is not None and hammer.lent else self.identify.test
         return self.plan.test if self.plan is not None else None
 
     @property

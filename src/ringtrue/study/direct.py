@@ -67,7 +67,7 @@ def read_target(
         If no mode was measured at a common set of channels.
     """
     whole, (spread, _), notes = read_modes(test), read_std(test), tuple[str, ...]()
-    if alone := bool(len(whole)) and not whole.channels:
+    if len(whole) and not whole.channels:
         found = lent(whole, opened, settings(config), locks(config))
         whole, notes = found.modes, found.notes
         config = config.model_copy(update={"test": None, "update": config.update.alone()})
@@ -82,7 +82,7 @@ def read_target(
     weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
     shapes = np.asarray(modes.shapes.real, dtype=np.float64)
     used = np.ones(len(modes), dtype=bool)
-    target = Target(modes.frequencies, shapes, relative, used, weights, settings(config), lent=alone)
+    target = Target(modes.frequencies, shapes, relative, used, weights, settings(config), lent=modes.lent)
     return config, target, modes, notes
 
 

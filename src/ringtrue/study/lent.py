@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.assign import Locks
 from ringtrue.correlate.pairing import PairingSettings, pair_modes
@@ -65,7 +65,7 @@ def lent(test: ModeSet, opened: Opened, gates: PairingSettings, locks: Locks) ->
     doubts = pairing.doubts()
     decide = ("`lock` and `forbid` under [correlate] decide which mode a frequency is",) if doubts else ()
     return Lent(
-        replace(test, shapes=shapes, labels=points.channels),
+        replace(test, shapes=shapes, labels=points.channels, norm=Norm.LENT),
         points,
         tuple(said[i] for i in range(len(test))),
         (f"no shapes: mode {listed} of the deck, by frequency", *doubts, *decide, *lone),

@@ -66,8 +66,6 @@ def directly_proposed(
     pool: int,
     most: int,
     progress: Progress = quiet,
-    *,
-    lent: bool = False,
 ) -> Proposed:
     """Which of the candidates made from a deck the modes of a test ask for.
 
@@ -75,21 +73,20 @@ def directly_proposed(
     ----------
     opened : Opened
     test : ModeSet
-        Real shapes at the channels of `bridge`; those at 0 Hz or below are left out.
+        Real shapes at the channels of `bridge`; those at 0 Hz or below are left out. Of lent shapes (`study.lent`)
+        frequencies alone are compared.
     bridge : Observation
     settings : CandidateSettings
     pool, most : int
         Candidates that are looked at closely, and parameters that are proposed, at most.
-    lent : bool
-        The shapes are the deck's own (`study.lent`): frequencies alone are compared.
     """
     model, analysis, every = opened.model, opened.analysis, generate(opened.model, settings)
     if "lump" in settings.kinds:
         model, more = with_lumps(opened, lump_places(opened, bridge), settings)
         every += more
     test = test.take(np.flatnonzero(test.frequencies > 0))
-    weights, used = Weights(shape=0.0) if lent else Weights(), np.ones(len(test), dtype=bool)
-    aim = Target(test.frequencies, test.shapes, np.zeros(len(test)), used, weights, lent=lent)
+    weights, used = Weights(shape=0.0) if test.lent else Weights(), np.ones(len(test), dtype=bool)
+    aim = Target(test.frequencies, test.shapes, np.zeros(len(test)), used, weights, lent=test.lent)
     count = int(EXTRA * len(test)) + 4
     modes = analysis.eigen(ModesRequest(modes_of(count)), part(progress, 0.0, 0.1))
     progress(0.1, f"energies of {len(every)} candidates")

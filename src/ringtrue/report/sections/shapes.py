@@ -90,7 +90,7 @@ def _model_only(data: Stages) -> list[Shown]:
 
 
 def _test_only(data: Stages) -> list[Shown]:
-    if data.identify is None or data.identify.lent:
+    if data.identify is None or data.test is None:
         return []
     out = []
     word = data.identify.source

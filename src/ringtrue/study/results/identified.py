@@ -65,4 +65,3 @@ class IdentifyStage:
     frf_notes: tuple[str, ...] = ()  # of FRFs that were given as such; those of hammer records are with the records
     merge_notes: tuple[str, ...] = ()  # what was undone in an ambient record before merging
     source: str = "hammer test"  # where the modes in `hammer` come from: also FRFs, or a file of modes
-    lent: bool = False  # frequencies alone were measured, the shapes are those of the deck

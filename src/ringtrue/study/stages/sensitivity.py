@@ -54,7 +54,7 @@ def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest, u: UpdateSe
         weights,
         settings(desk.config),
         followed=known,
-        lent=desk.config.alone,
+        lent=found.reference.lent,
     )
 
 

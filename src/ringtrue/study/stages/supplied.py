@@ -77,7 +77,7 @@ def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> Ide
     if modes.channels:
         raise DataError(f"{path}: has shapes; give the `sheet` of [test] that says where its channels are")
     found = lent(modes, opened, settings(config), locks(config))
-    return replace(_stage(path, found.points, found.modes, found.taken, std), frf_notes=found.notes, lent=True)
+    return replace(_stage(path, found.points, found.modes, found.taken, std), frf_notes=found.notes)
 
 
 def _stage(
