@@ -17,7 +17,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.complete import complete
 from ringtrue.correlate.faults import Suspect
 from ringtrue.correlate.frf import compare_frfs, fdac
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.correlate.track import track
 from ringtrue.identify.poles import PoleSet, StableDiagram
 from ringtrue.study import results as r

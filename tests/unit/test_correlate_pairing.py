@@ -9,7 +9,8 @@ import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlate.assign import Followed, Locks
-from ringtrue.correlate.pairing import PairingSettings, correlation_table, pair_modes
+from ringtrue.correlate.pairing import PairingSettings, pair_modes
+from ringtrue.correlate.table import correlation_table
 from ringtrue.correlate.turning import paired_shapes, turning
 from ringtrue.errors import ConfigError, InputError
 

@@ -17,7 +17,8 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.complete import complete
-from ringtrue.correlate.pairing import correlation_table, pair_modes
+from ringtrue.correlate.pairing import pair_modes
+from ringtrue.correlate.table import correlation_table
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identify.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import write_frfs

@@ -30,7 +30,8 @@ from ringtrue.core.progress import part
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
 from ringtrue.correlate.observe import Method, at_dofs
-from ringtrue.correlate.pairing import Locks, correlation_table, pair_modes
+from ringtrue.correlate.pairing import Locks, pair_modes
+from ringtrue.correlate.table import correlation_table
 from ringtrue.errors import ConfigError, DataError, about
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import READ, read_modes, read_std

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtr
 
 from ringtrue.core.arrays import Bool, Float, freeze_fields
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.errors import ConfigError, InputError
 
 

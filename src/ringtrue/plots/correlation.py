@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from ringtrue.core.arrays import Float
 from ringtrue.correlate.complete import Check, CompleteCorrelation
 from ringtrue.correlate.frf import FrfComparison
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.correlate.track import Tracks
 from ringtrue.plots.style import (
     DIVERGING,

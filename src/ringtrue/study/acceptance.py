@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.correlate.pairing import CorrelationRow, CorrelationTable
+from ringtrue.correlate.table import CorrelationRow, CorrelationTable
 from ringtrue.study.config import CorrelateSection, StudyConfig
 from ringtrue.study.results import (
     ConfigurationsStage,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ringtrue.correlate.complete import complete_json
-from ringtrue.correlate.pairing import CorrelationTable
 from ringtrue.correlate.significance import table_significance
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.study.acceptance import Check as Check
 from ringtrue.study.acceptance import improvement, limits, missed_words

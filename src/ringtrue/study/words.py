@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.study.acceptance import in_both
 from ringtrue.study.results import (
     CompareStage,
@@ -84,7 +84,9 @@ def missed(plan: PlanStage) -> list[str]:
         "the references miss mode {}: strike at more points": plan.missed & ~plan.hopeless,
         "no point that can be struck moves enough in mode {}: name others": plan.missed & plan.hopeless,
     }
-    names = {text: ", ".join(map(str, (plan.target_modes[np.flatnonzero(at)] + 1).tolist())) for text, at in said.items()}
+    names = {
+        text: ", ".join(map(str, (plan.target_modes[np.flatnonzero(at)] + 1).tolist())) for text, at in said.items()
+    }
     return [text.format(which) for text, which in names.items() if which]
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.correlate.pairing import CorrelationRow, CorrelationTable
 from ringtrue.correlate.significance import Significance, table_significance
+from ringtrue.correlate.table import CorrelationRow, CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import Block, Cell, Diff, Heading, Items, Plot, Section, Table, Text, fixed, sentence, signs
 from ringtrue.report.sections import evidence

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ringtrue.correlate.complete import Check, CompleteCorrelation, Subspace
 from ringtrue.correlate.faults import Suspect
 from ringtrue.correlate.gates import Failure
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import Block, Cell, Columns, Fold, Heading, Plot, Table, Text, fixed, sentence
 from ringtrue.study.results import Evidence

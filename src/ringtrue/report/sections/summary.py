@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ringtrue.correlate.complete import Check, CompleteCorrelation
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
     MISSING,

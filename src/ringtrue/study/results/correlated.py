@@ -10,7 +10,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.complete import CompleteCorrelation
 from ringtrue.correlate.frf import FrfComparison
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.correlate.track import Tracks
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.study.results.correlated import Evidence
 from ringtrue.update.kfold import Held
 from ringtrue.update.localise import SCARCE

@@ -9,7 +9,8 @@ import numpy as np
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress
 from ringtrue.correlate.complete import complete
-from ringtrue.correlate.pairing import correlation_table, pair_modes
+from ringtrue.correlate.pairing import pair_modes
+from ringtrue.correlate.table import correlation_table
 from ringtrue.shapes.mac import auto_mac
 from ringtrue.study.reference import elastic_edge, measured_part, settings
 from ringtrue.study.results import CompareStage, Evidence, IdentifyStage

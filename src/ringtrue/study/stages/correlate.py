@@ -13,7 +13,8 @@ from ringtrue.checks.mesh import mesh_errors
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.correlate.pairing import BEYOND_THE_GATE, CorrelationTable
+from ringtrue.correlate.pairing import BEYOND_THE_GATE
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.errors import RingtrueError
 from ringtrue.io.nastran.edit import unified_diff
 from ringtrue.study.config import StudyConfig

@@ -16,7 +16,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.progress import Progress
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.fem.response import coupled
 from ringtrue.io.nastran.edit import edit_fields

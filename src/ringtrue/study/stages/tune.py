@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part
-from ringtrue.correlate.pairing import CorrelationTable
+from ringtrue.correlate.table import CorrelationTable
 from ringtrue.errors import DataError
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import Reference, reference_modes, rigid_settings, rigid_table

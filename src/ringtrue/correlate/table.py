@@ -1,0 +1,169 @@
+"""The table of a correlation: paired modes side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.pairing import Pairing
+from ringtrue.shapes.mac import mac
+
+__all__ = ["CorrelationRow", "CorrelationTable", "correlation_table"]
+
+
+@dataclass(frozen=True, slots=True)
+class CorrelationRow:
+    """One pair; mode numbers count from 1."""
+
+    test: int
+    fe: int
+    test_hz: float
+    fe_hz: float
+    deviation_percent: float
+    deviation_hz: float
+    mac_percent: float
+    used: bool
+    subspace: bool
+    beyond: bool
+    significance: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrelationTable:
+    """Paired modes side by side.
+
+    Attributes
+    ----------
+    pairing : Pairing
+    test_hz, fe_hz : (k,) float64, Hz, of the pairs
+    std_hz : (k,) float64, Hz
+        Standard deviation of the test frequency; NaN where unknown.
+    used : (k,) bool
+        The pair takes part in updating (others are left out to check it).
+    mac : (test, fe) float64, 0..1
+        All combinations of single shapes.
+    all_test_hz, all_fe_hz : (test,), (fe,) float64, Hz
+    names : tuple of str
+        What the two sets are called.
+    """
+
+    pairing: Pairing
+    test_hz: Float
+    fe_hz: Float
+    std_hz: Float
+    used: Bool
+    mac: Float
+    all_test_hz: Float
+    all_fe_hz: Float
+    names: tuple[str, str] = ("test", "FE")
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, test_hz=f, fe_hz=f, std_hz=f, used=np.bool_, mac=f, all_test_hz=f, all_fe_hz=f)
+
+    def __len__(self) -> int:
+        return int(self.test_hz.size)
+
+    @property
+    def alone(self) -> bool:
+        """Whether frequencies alone were measured."""
+        return not self.mac.size and bool(self.all_test_hz.size)
+
+    @property
+    def deviation_hz(self) -> Float:
+        """f_FE − f_test, (k,) Hz."""
+        return self.fe_hz - self.test_hz
+
+    @property
+    def deviation_percent(self) -> Float:
+        """(f_FE − f_test)/f_test, (k,) %."""
+        return 100 * self.deviation_hz / self.test_hz
+
+    @property
+    def mac_percent(self) -> Float:
+        """MAC of the pairs (of the subspace where rotated), (k,) %."""
+        return 100 * self.pairing.mac
+
+    @property
+    def significance(self) -> Float:
+        """|Δf| in standard deviations of the test frequency, (k,); NaN where that is unknown."""
+        return np.asarray(np.abs(self.deviation_hz) / self.std_hz)
+
+    def mean_deviation(self, which: Bool | None = None) -> float:
+        """Mean |Δf|, %, of the pairs `which` (all); NaN without a pair."""
+        return _over(np.mean, np.abs(self.deviation_percent), which)
+
+    def max_deviation(self, which: Bool | None = None) -> float:
+        """Largest |Δf|, %."""
+        return _over(np.max, np.abs(self.deviation_percent), which)
+
+    def mean_mac(self, which: Bool | None = None) -> float:
+        """Mean MAC, %."""
+        return _over(np.mean, self.mac_percent, which)
+
+    def min_mac(self, which: Bool | None = None) -> float:
+        """Smallest MAC, %."""
+        return _over(np.min, self.mac_percent, which)
+
+    def rows(self) -> tuple[CorrelationRow, ...]:
+        """The pairs in ascending test mode."""
+        columns = (
+            self.pairing.a + 1,
+            self.pairing.b + 1,
+            self.test_hz,
+            self.fe_hz,
+            self.deviation_percent,
+            self.deviation_hz,
+            self.mac_percent,
+            self.used,
+            self.pairing.subspace,
+            self.pairing.beyond,
+            self.significance,
+        )
+        return tuple(CorrelationRow(*row) for row in zip(*(c.tolist() for c in columns), strict=True))
+
+
+def _over(reduce: object, values: Float, which: Bool | None) -> float:
+    chosen = values if which is None else values[which]
+    return float(reduce(chosen)) if chosen.size and callable(reduce) else float("nan")
+
+
+def correlation_table(
+    a: ModeSet,
+    b: ModeSet,
+    pairing: Pairing,
+    *,
+    std_hz: Float | None = None,
+    left_out: Sequence[int] | Int = (),
+    names: tuple[str, str] = ("test", "FE"),
+) -> CorrelationTable:
+    """The table of a pairing.
+
+    Parameters
+    ----------
+    a, b : ModeSet
+        As they were paired.
+    pairing : Pairing
+    std_hz : (ma,) float64, Hz, optional
+        Standard deviations of the frequencies of A.
+    left_out : sequence of int
+        Positions in A that take no part in updating.
+    """
+    b = b if b.channels == a.channels else b.rows(a.channels)
+    std = np.full(len(a), np.nan) if std_hz is None else np.asarray(std_hz, dtype=np.float64)
+    everything = mac(a.shapes, b.shapes) if a.channels else np.full((len(a), len(b)), np.nan)
+    return CorrelationTable(
+        pairing,
+        a.frequencies[pairing.a],
+        b.frequencies[pairing.b],
+        std[pairing.a],
+        ~np.isin(pairing.a, np.asarray(left_out, dtype=np.int64)),
+        everything,
+        a.frequencies,
+        b.frequencies,
+        names,
+    )
