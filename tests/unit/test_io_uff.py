@@ -141,11 +141,12 @@ def test_frfs_and_records_go_round(tmp_path: Path, binary: bool) -> None:
     np.testing.assert_allclose(got.data, h, rtol=1e-12)
     np.testing.assert_allclose(got.coherence, np.abs(h) / 9, rtol=1e-12)
     assert got.kind == "mobility"
-    record = TimeHistory(rng.standard_normal((3, 50)), 128.0, (Channel("F:2-X", "force", "N"), *out))
+    skewed = Channel("2+Ys", "velocity", "m/s")
+    record = TimeHistory(rng.standard_normal((4, 50)), 128.0, (Channel("F:2-X", "force", "N"), *out, skewed))
     write_time(tmp_path / "t.uff", record, binary=binary)
     again = read_record(tmp_path / "t.uff")
     np.testing.assert_allclose(again.data, record.data, rtol=1e-12)
-    assert [c.id for c in again.channels] == ["F:2-X", "1+Z", "2-X"]
+    assert [c.id for c in again.channels] == ["F:2-X", "1+Z", "2-X", "2+Ys"]
 
 
 def test_units_of_the_file_become_si(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +37,7 @@ _REST = 0.6  # of the functions, that must be left where some pairs are absent
 _DIGITS = 5  # after the first, of a step
 _GENERAL = 0
 _UNNAMED = ("", "NONE")
+_SKEWED = re.compile(r"\d+[+-][XYZ]s\d*")
 _NO_REFERENCE = "in1"
 
 
@@ -139,13 +141,18 @@ def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ..
     """Point and direction of each; a force beside a response of the same point is `F:101+Z`."""
     if titles := _titles(functions):
         return tuple(titles)
-    names = [label(*f.response) for f in functions]
+    names = [_name(f) for f in functions]
     if len(set(names)) == len(names):
         return tuple(names)
     named = [f"F:{n}" if k in FORCES else n for n, k in zip(names, kinds, strict=True)]
     if len(set(named)) == len(named):
         return tuple(named)
     return tuple(f"{n}#{i + 1}" for i, n in enumerate(names))
+
+
+def _name(function: Function) -> str:
+    """Of a skewed sensor, for which there is no code, the name that `write_time` keeps as first line of text."""
+    return function.ids[0] if _SKEWED.fullmatch(function.ids[0]) else label(*function.response)
 
 
 def _titles(functions: Sequence[Function]) -> list[str]:
