@@ -19,16 +19,9 @@ from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.fem.response import frf
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.io.uff.testmodel import write_test_model
-from ringtrue.plan.rehearsal import (
-    Conditions,
-    Planned,
-    fitting_hammer,
-    measured,
-    missed_words,
-    modal_model,
-    rehearse,
-)
+from ringtrue.plan.rehearsal import Conditions, Planned, missed_words, modal_model
 from ringtrue.plan.rehearsal_ambient import Ambience, rehearse_ambient
+from ringtrue.plan.rehearsal_hammer import background_density, fitting_hammer, measured, rehearse
 from ringtrue.plan.resolution import ambient_std
 from ringtrue.plan.sheet import reach_of, write_test_sheet
 from ringtrue.report.deliver import report_from_store
@@ -121,6 +114,20 @@ def test_noise_makes_what_is_found_worse() -> None:
     quiet = rehearse(plan, Conditions(trials=4), np.random.default_rng(seed))
     loud = rehearse(plan, Conditions(trials=4, background=2.0), np.random.default_rng(seed))
     assert (loud.frequency_std > 2 * quiet.frequency_std).all()
+
+
+@pytest.mark.parametrize("coherence", [0.98, 0.85])
+def test_forces_in_the_background_leave_the_expected_coherence(coherence: float) -> None:
+    """Noise over signal of the typical line as wanted; a coherence of 20 blows has an error √2(1 − γ²)/(γ√n)."""
+    plan = planned((3, 6))
+    model = modal_model(plan, F, np.full(MODES, 0.01))
+    hammer = fitting_hammer(model, plan.fmax, ICP, hits=20)
+    rng, wanted = np.random.default_rng(3), Conditions(coherence=coherence)
+    noise = replace(wanted, background=background_density(model, hammer, wanted, (plan.fmin, plan.fmax), rng))
+    frfs = measured(model, hammer, noise, 3.2 * plan.fmax, rng)
+    there = (frfs.freqs > plan.fmin) & (frfs.freqs < plan.fmax)
+    ratio = 1 / np.median(frfs.coherence[there][:, [3, 6], [0, 1]]) - 1
+    assert 0.7 < ratio / (1 / coherence - 1) < 1.4
 
 
 def test_an_ambient_test_scatters_as_theory_foretells() -> None:

@@ -71,7 +71,10 @@ def plan(
         float, typer.Option(help="Wanted error of the lowest damping, of an ambient record.", min=1e-3, max=1)
     ] = 0.1,
     trials: Annotated[int, typer.Option(help="Virtual tests of the plan.", min=0)] = 0,
-    background: Annotated[float, typer.Option(metavar="N/√HZ", help="Noise force at each reference.", min=0)] = 0.0,
+    background: Annotated[
+        float | None,
+        typer.Option(metavar="N/√HZ", help="Noise force at each reference; else what leaves the coherence.", min=0),
+    ] = None,
     ambient_force: Annotated[
         float,
         typer.Option(metavar="N/√HZ", help="Virtual ambient tests, too, under such a force at each channel.", min=0),
@@ -111,9 +114,9 @@ def plan(
         "precision": precision,
         "lines": "mesh",
         "trials": trials,
-        "background": background,
         "ambient_force": ambient_force,
     }
+    section |= {} if background is None else {"background": background}
     with progress("test plan") as show:
         show(0.0, f"reading {deck}")
         section |= _from_deck(deck, band, section["modes"])
@@ -250,6 +253,7 @@ def _told(run: StudyRun) -> dict[str, Any]:
         told["virtual_test"] = {
             "trials": stage.rehearsal.trials,
             "force_n": stage.rehearsal.force,
+            "background_n_per_sqrt_hz": stage.rehearsal.background,
             "invented_per_trial": stage.rehearsal.invented,
             "doubtful": list(missed_words(stage.rehearsal, names)),
         }

@@ -9,27 +9,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-from scipy import fft
 from scipy.special import betaincinv
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.pairing import Pairing
 from ringtrue.core.progress import Progress
-from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.core.signals import Channel
 from ringtrue.correlate.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError, InputError
-from ringtrue.identify.hammer import HammerModes, identify_hammer
-from ringtrue.signal.frf import estimate_frf
-from ringtrue.signal.hits import HammerSettings
-from ringtrue.virtual.events import Pulses, pulse_spectrum
-from ringtrue.virtual.hammer import HammerPlan, hammer_record, strike
-from ringtrue.virtual.noise import coloured
-from ringtrue.virtual.response import decay_time, lines, response_spectrum
-from ringtrue.virtual.sensors import FORCE_CELL, ICP, Chain, Sensor
+from ringtrue.virtual.hammer import HammerPlan
+from ringtrue.virtual.sensors import ICP, Sensor
 
-SMALLEST = 200.0  # N, range of the smallest impact hammers
 RATE = 3.2  # over fmax: the recorder's filter is flat up to 0.4 of the rate
 
 
@@ -91,6 +83,9 @@ class Conditions:
         Relative error of the model's frequencies, drawn likewise.
     background : float, N/√Hz
         White force at each reference all the time.
+    coherence : float, optional, 0..1
+        In place of `background`: so strong that the FRFs of driving points have this coherence; each reference is a
+        channel then.
     sensor : Sensor
         Of the responses; an accelerometer.
     hits : int
@@ -106,6 +101,7 @@ class Conditions:
     damping_scatter: float = 0.2
     frequency_scatter: float = 0.01
     background: float = 0.0
+    coherence: float | None = None
     sensor: Sensor = ICP
     hits: int = 5
     hammer: HammerPlan | None = None
@@ -121,6 +117,8 @@ class Conditions:
                 f"virtual test: trials {self.trials} and hits {self.hits} (1 or more), damping {self.damping} (0..1), "
                 f"scatter and background {self.damping_scatter}, {self.background} (0 or more)"
             )
+        if self.coherence is not None and not 0 < self.coherence <= 1:
+            raise InputError(f"virtual test: coherence {self.coherence} must be above 0, 1 at most")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,6 +144,8 @@ class Rehearsal:
     trials : int
     force : float
         Largest planned peak of a blow, N; of an ambient test the density of the forces, N/√Hz.
+    background : float, N/√Hz
+        White force at each reference beside the blows.
     """
 
     frequencies: Float
@@ -159,6 +159,7 @@ class Rehearsal:
     invented: float
     trials: int
     force: float
+    background: float = 0.0
 
     def __post_init__(self) -> None:
         names = ("frequencies", "found", "at_least", "frequency_bias", "frequency_std", "damping_bias", "damping_std")
@@ -192,66 +193,6 @@ def modal_model(plan: Planned, frequencies: Float, damping: Float) -> ModalModel
         tuple(Channel(c, "force", "N") for c in plan.references),
         norm=Norm.MASS,
     )
-
-
-def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int = 5) -> HammerPlan:
-    """A hammer whose blows fill half the sensors' range at most and reach to `fmax`.
-
-    The tip gives contact times of 0.4 to 0.7 over fmax (first zero of a half-sine at 1.5 over the time), the block
-    lasts until the slowest mode has decayed to 1 %.
-
-    Parameters
-    ----------
-    model : ModalModel
-    fmax : float, Hz
-    sensor : Sensor
-        Of the responses.
-    """
-    rate = RATE * fmax
-    contact = (0.4 / fmax, 0.7 / fmax)
-    block = float(np.clip(decay_time(model, np.log(100)), 40 / fmax, 200.0))
-    peak = sensor.range / sensor.sensitivity / max(_peak_response(model, contact[0], block, rate), 1e-300)
-    top = float(min(0.5 * peak, FORCE_CELL.range / FORCE_CELL.sensitivity))
-    return HammerPlan(hits, block, max(0.01 * block, 24 / rate), 0.3 * block, peak=(0.5 * top, top), contact=contact)
-
-
-def _peak_response(model: ModalModel, contact: float, block: float, rate: float) -> float:
-    """Largest acceleration of any output by a blow of 1 N at any input."""
-    n = 2 * int(np.ceil(0.5 * min(block, 2000 / rate) * rate))
-    top = 0.0
-    for i in range(len(model.inputs)):  # a handful of references
-        blow = Pulses(np.array([4 / rate]), np.array([contact]), np.array([2 / np.pi * contact]), np.array([i]))
-        force = pulse_spectrum(blow, len(model.inputs), n, rate)
-        top = max(top, float(np.abs(fft.irfft(response_spectrum(model, force, lines(n, rate)), n)).max()))
-    return top
-
-
-def rehearse(
-    plan: Planned,
-    conditions: Conditions,
-    rng: np.random.Generator,
-    *,
-    progress: Progress | None = None,
-) -> Rehearsal:
-    """Test the plan on signals: strike, record, estimate FRFs, identify and correlate, trial by trial.
-
-    Each trial draws other dampings, frequencies, calibration errors, blows and noise.
-
-    Parameters
-    ----------
-    plan : Planned
-    conditions : Conditions
-    rng : Generator
-    progress : callable, optional
-    """
-    nominal = modal_model(plan, plan.frequencies, np.full(plan.frequencies.size, conditions.damping))
-    hammer = conditions.hammer or fitting_hammer(nominal, plan.fmax, conditions.sensor, hits=conditions.hits)
-    settings = HammerModes(0.97 * plan.fmin or None, 1.03 * plan.fmax)
-
-    def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
-        return identify_hammer(measured(model, hammer, conditions, RATE * plan.fmax, stream), settings).modes
-
-    return trials(plan, conditions, find, rng, force=hammer.peak[1], progress=progress)
 
 
 def trials(
@@ -328,59 +269,6 @@ def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> R
         trials,
         force,
     )
-
-
-def measured(
-    model: ModalModel, hammer: HammerPlan, conditions: Conditions, rate: float, rng: np.random.Generator
-) -> FrfSet:
-    """FRFs as the crew would have them: blows at each input, recorded by the sensors with their noise.
-
-    Parameters
-    ----------
-    model : ModalModel
-    hammer : HammerPlan
-    conditions : Conditions
-    rate : float, Hz
-    """
-    sensors = (_cell(hammer.peak[1] / 0.85), *(conditions.sensor,) * len(model.outputs))
-    chain = Chain.draw(sensors, rng)
-    records = [_record(model, i, hammer, chain, conditions, rate, rng) for i in range(len(model.inputs))]
-    full = {c.id: s.range / s.sensitivity for r in records for c, s in zip(r.channels, sensors, strict=True)}
-    block = round(hammer.block * rate) / rate
-    settings = HammerSettings(block=block - hammer.pretrigger, pretrigger=hammer.pretrigger)
-    return estimate_frf(records, settings, full_scale=full)[0]
-
-
-def _cell(limit: float) -> Sensor:
-    """A force cell of so many N: the noise of a smaller hammer is smaller, too."""
-    size = max(limit, SMALLEST) * FORCE_CELL.sensitivity / FORCE_CELL.range
-    floor = replace(FORCE_CELL.floor, density=FORCE_CELL.floor.density * size)
-    return replace(FORCE_CELL, sensitivity=FORCE_CELL.range / limit, floor=floor)
-
-
-def _record(
-    model: ModalModel,
-    at: int,
-    hammer: HammerPlan,
-    chain: Chain,
-    conditions: Conditions,
-    rate: float,
-    rng: np.random.Generator,
-) -> TimeHistory:
-    limit = chain.sensors[0].range / chain.sensors[0].sensitivity
-    blows = strike(hammer, at, limit, rate, rng)
-    samples = 2 * int(np.ceil(0.5 * (float(blows.times[-1]) + hammer.block + hammer.rest) * rate))
-    background = _background(len(model.inputs), conditions.background, samples, rate, rng)
-    volts, _, _ = hammer_record(model, blows, hammer, chain, background, samples, rate, rng)
-    data = volts / np.array([s.sensitivity for s in chain.sensors])[:, None]
-    force = replace(model.inputs[at], id=f"F:{model.inputs[at].id}")
-    return TimeHistory(data, rate, (force, *model.outputs), f"virtual test, {model.inputs[at].id}")
-
-
-def _background(inputs: int, density: float, samples: int, rate: float, rng: np.random.Generator) -> Complex:
-    psd = np.full((inputs, samples // 2 + 1), density**2)
-    psd[:, 0] = 0.0
-    return coloured(psd, samples, rate, rng)
 
 
 def missed_words(result: Rehearsal, names: Sequence[str], least: float = 0.9) -> tuple[str, ...]:

@@ -11,6 +11,6 @@ What several stages need of the test: `blows` and `forced` FRFs of records, `pla
 geometry, `reference` the modes judged by, `lent` shapes where it tells frequencies alone, `measured` data
 beside modes, `beside` what candidates do to these, `evidence` what a correlation rests on, `expansion` its shapes.
 
-Of the model: `opened`, `parametric`, `loads`, `scene`. Of the plan: `planned_targets`, `virtual_test`. Of the
-updating: `objective`, `course`; `direct` and `proposing` do without stages.
+Of the model: `opened`, `parametric`, `loads`, `scene`. Of the plan: `planned_targets`, `planned_exciters`,
+`virtual_test`. Of the updating: `objective`, `course`; `direct` and `proposing` do without stages.
 """

@@ -64,7 +64,8 @@ class PlanSection(_Section):
     sensor_mass: float = Field(default=0.0, ge=0)  # kg a point, for the shift of the frequencies
     lines: Literal["mesh", "nearest"] = "mesh"  # the drawing of the points follows the mesh, or joins neighbours
     trials: int = Field(default=0, ge=0)  # virtual tests of the plan
-    background: float = Field(default=0.0, ge=0)  # N/√Hz at each reference in the virtual tests
+    # N/√Hz at each reference in the virtual tests; not given: what leaves the expected coherence
+    background: Annotated[float, Field(ge=0)] | None = None
     ambient_force: float = Field(default=0.0, ge=0)  # N/√Hz along each channel: virtual ambient tests, too, if > 0
 
     @model_validator(mode="after")

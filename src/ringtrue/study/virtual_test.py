@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
-from ringtrue.plan.rehearsal import Conditions, Planned, Rehearsal, rehearse
+from ringtrue.plan.rehearsal import Conditions, Planned, Rehearsal
 from ringtrue.plan.rehearsal_ambient import Ambience, longest, rehearse_ambient
+from ringtrue.plan.rehearsal_hammer import rehearse
 from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.results import PlanStage
 from ringtrue.study.workbench import Workbench
@@ -25,9 +28,11 @@ def virtual_test(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Flo
     band = _band(stage.target_frequencies, plan.damping)
     planned = Planned(f, rows, rows[at], stage.test.channels, stage.references, *band)
     rng = np.random.default_rng(desk.config.study.seed + SEED)
-    conditions = Conditions(
-        trials=plan.trials, damping=plan.damping, background=plan.background, hits=min(stage.averages, BLOWS)
-    )
+    conditions = Conditions(trials=plan.trials, damping=plan.damping, hits=min(stage.averages, BLOWS))
+    if plan.background is None:
+        conditions = replace(conditions, coherence=plan.coherence)
+    else:
+        conditions = replace(conditions, background=plan.background)
     result = rehearse(planned, conditions, rng, progress=progress)
     return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
 

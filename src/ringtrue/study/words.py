@@ -84,10 +84,8 @@ def missed(plan: PlanStage) -> list[str]:
         "the references miss mode {}: strike at more points": plan.missed & ~plan.hopeless,
         "no point that can be struck moves enough in mode {}: name others": plan.missed & plan.hopeless,
     }
-    names = {
-        text: ", ".join(map(str, (plan.target_modes[np.flatnonzero(at)] + 1).tolist())) for text, at in said.items()
-    }
-    return [text.format(which) for text, which in names.items() if which]
+    numbers = {text: (plan.target_modes[np.flatnonzero(at)] + 1).tolist() for text, at in said.items()}
+    return [text.format(", ".join(map(str, modes))) for text, modes in numbers.items() if modes]
 
 
 def setups(plan: PlanStage) -> list[str]:

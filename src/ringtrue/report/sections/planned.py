@@ -151,7 +151,8 @@ def _targets(plan: PlanStage) -> Table:
         columns += _found(plan.rehearsal)
         caption += (
             f" Found and the standard deviations: {plan.rehearsal.trials} virtual tests with blows up to "
-            f"{number(plan.rehearsal.force, 2)} N, {number(plan.rehearsal.invented, 2)} modes a test invented."
+            f"{number(plan.rehearsal.force, 2)} N under {number(plan.rehearsal.background, 2)} N/√Hz of noise at each "
+            f"reference, {number(plan.rehearsal.invented, 2)} modes a test invented."
         )
     return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
 
