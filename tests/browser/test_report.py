@@ -15,12 +15,12 @@ import plotly.graph_objects as go
 import pytest
 from fake_study import study
 
+from ringtrue.demos.lsf.checks import checks
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.style import joined
 from ringtrue.report.build import Acceptance, Photo, build
 from ringtrue.report.pack import figure_json
 from ringtrue.report.parts import fixed, number
-from ringtrue.study.summary import checks
 
 PIXEL = (
     b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x06\x00\x00\x00\x1f\x15\xc4\x89\x00\x00\x00\r"

@@ -14,7 +14,8 @@ from ringtrue.correlate.assign import NO_LOCKS
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.shapes.scale import realise_modes
-from ringtrue.study.config import CorrelateSection, LocaliseSection, target_words
+from ringtrue.study.config import LocaliseSection, target_words
+from ringtrue.study.config_correlate import CorrelateSection
 from ringtrue.study.lent import lent
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed

@@ -38,7 +38,7 @@ from ringtrue.io.modes_json import READ, read_modes, read_std
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
-from ringtrue.study.config import CorrelateSection, Tam
+from ringtrue.study.config_correlate import CorrelateSection, Tam
 from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass, gate
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import alignment, between_nodes, mesh_points, near_mesh, placed, shared_places, words
@@ -195,7 +195,8 @@ def _show_complete(c: CompleteCorrelation) -> None:
         modes = (" ".join(str(i + 1) for i in side) for side in (group.a, group.b))
         angles = " ".join(f"{degrees(x):.1f}" for x in group.angles)
         out.print("close modes A {} and B {}: principal angles {}°".format(*modes, angles))
-    out.print(f"lowest phase collinearity of A: {100 * c.mpc.min(initial=1.0):.1f} %")
+    seen = c.mpc[c.mpc > 0]  # a mode that was not seen at these channels has none
+    out.print(f"lowest phase collinearity of A: {100 * seen.min(initial=1.0):.1f} %")
     for s in c.suspects:
         out.print(f"channel {s.channel} looks {s.fault}: {s.message}")
     total, count, p = c.significance.chi_square

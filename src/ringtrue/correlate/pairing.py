@@ -99,7 +99,8 @@ def pair_modes(
         subspace=s.merged[rows, cols] > s.mac[rows, cols],
         lone_a=lone_a,
         why_a=tuple(
-            why.of_a(i) if sure[i] else f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}"
+            _unseen(a, i)
+            or (why.of_a(i) if sure[i] else f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}")
             for i in lone_a.tolist()
         ),
         lone_b=lone_b,
@@ -112,6 +113,10 @@ def pair_modes(
 def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
     cross = (b.shapes[:, cols].conj() * a.shapes[:, rows]).sum(axis=0)
     return np.where(cross.real < 0, -1.0, 1.0)
+
+
+def _unseen(a: ModeSet, i: int) -> str:
+    return "its shape is zero at all channels" if a.channels and not a.shapes[:, i].any() else ""
 
 
 def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> list[str]:

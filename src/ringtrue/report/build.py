@@ -37,7 +37,7 @@ from ringtrue.report.sections import (
     updated,
 )
 from ringtrue.report.stages import Stages
-from ringtrue.study.summary import Check
+from ringtrue.study.acceptance import Check
 
 __all__ = ["Acceptance", "Photo", "build"]
 

@@ -15,6 +15,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.plots.thin import thinned
 from ringtrue.report.parts import Acceptance
+from ringtrue.study.acceptance import Check
 from ringtrue.study.results import (
     CompareStage,
     ConfigurationsStage,
@@ -33,7 +34,6 @@ from ringtrue.study.results import (
     UncertaintyStage,
     UpdateStage,
 )
-from ringtrue.study.summary import Check
 
 DRAWN = 1_000_000  # nodes of all shapes together, eight bytes each in the page
 FEWEST, MOST = 3000, 12_000  # nodes that are drawn of a model

@@ -1,7 +1,7 @@
 """study.toml to study.h5: the settings, the stages, and what is stored of each.
 
-Settings: `config`, `config_plan`, `config_update`; `log` of a crew; `config_errors` what is wrong with them,
-in words.
+Settings: `config`, `config_correlate`, `config_plan`, `config_update`; `log` of a crew; `config_errors` what
+is wrong with them, in words.
 
 Running: `run` is the driver, `workbench` what its stages share, `store` the file, `iterates` what an
 interrupted updating goes on from, `words` and `summary` what it tells, `acceptance` the user's limits. A

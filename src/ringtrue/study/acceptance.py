@@ -10,7 +10,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.correlate.table import CorrelationRow, CorrelationTable
-from ringtrue.study.config import CorrelateSection, StudyConfig
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.config_correlate import CorrelateSection
 from ringtrue.study.results import (
     ConfigurationsStage,
     ConfiguredStage,

@@ -21,7 +21,8 @@ from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.response import frf
 from ringtrue.reduce.tam import craig_bampton_coordinates, craig_bampton_of, tam
 from ringtrue.shapes.mac import auto_mac
-from ringtrue.study.config import CorrelateSection, StudyConfig
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.config_correlate import CorrelateSection
 from ringtrue.study.opened import Opened
 from ringtrue.study.reference import Reference, settings
 from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage

@@ -15,14 +15,15 @@ from ringtrue.correlate.table import CorrelationTable
 from ringtrue.demos.lsf import deck, facility
 from ringtrue.demos.lsf.best import best_possible
 from ringtrue.demos.lsf.campaign import CampaignPlan, CampaignSummary, run_campaign
+from ringtrue.demos.lsf.checks import checks
 from ringtrue.demos.lsf.spec import Spec
 from ringtrue.demos.lsf.study import write_study
 from ringtrue.demos.lsf.truth import twin_hash
 from ringtrue.demos.lsf.twin import Twin, make_twin
 from ringtrue.report.deliver import deliver
+from ringtrue.study.acceptance import Check
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.summary import Check, checks
 from ringtrue.virtual.hammer import HammerPlan
 
 SEED = 0

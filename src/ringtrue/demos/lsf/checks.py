@@ -1,0 +1,67 @@
+"""What must hold of the worked example: pairs, deviations and MAC of the model that it delivers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ringtrue.study.acceptance import Check, improvement
+from ringtrue.study.results import CompareStage, FinalStage
+
+
+def checks(r: Mapping[str, Any]) -> tuple[Check, ...]:
+    """What must hold of a study of the facility with a test and an updated model."""
+    out: list[Check] = []
+    compare: CompareStage | None = r.get("compare")
+    if compare is not None:
+        t = compare.table
+        good = (np.abs(t.deviation_percent) <= 0.6) & (t.mac_percent >= 80)
+        out.append(
+            Check(
+                "ambient vs hammer: modes with |Δf| ≤ 0.6 % and MAC ≥ 80 %",
+                "≥ 7",
+                str(int(good.sum())),
+                bool(good.sum() >= 7),
+            )
+        )
+    final: FinalStage | None = r.get("final")
+    if final is None:
+        return tuple(out)
+    t = final.table
+    n, spared = len(t), int((~t.used).sum())
+    out += [
+        Check("final: pairs", "≥ 18", str(n), n >= 18),
+        Check("final: pairs left out of the updating", "≥ 4", str(spared), spared >= 4),
+        _limit("final: mean |Δf|", t.mean_deviation(), 2.0, "%"),
+        _limit("final: largest |Δf|", t.max_deviation(), 6.0, "%"),
+        _floor("final: mean MAC", t.mean_mac(), 93.0, "%"),
+        _unpaired_below(final),
+        *improvement(r),
+    ]
+    rigid = final.rigid
+    out.append(Check("rigid-body modes paired one to one", "6", str(len(rigid)), len(rigid) == 6))
+    out.append(_limit("rigid-body modes: largest |Δf| after tuning", rigid.max_deviation(), 3.0, "%"))
+    return tuple(out)
+
+
+def _limit(name: str, got: float, most: float, unit: str) -> Check:
+    return Check(name, f"≤ {most:g} {unit}", f"{got:.2f} {unit}", bool(got <= most))
+
+
+def _floor(name: str, got: float, least: float, unit: str) -> Check:
+    return Check(name, f"≥ {least:g} {unit}", f"{got:.2f} {unit}", bool(got >= least))
+
+
+def _unpaired_below(final: FinalStage) -> Check:
+    t = final.table
+    top = float(t.test_hz.max(initial=0.0))
+    sure = [
+        i
+        for i, why in zip(t.pairing.lone_a.tolist(), t.pairing.why_a, strict=True)
+        if t.all_test_hz[i] < top and not why.startswith("confidence")
+    ]
+    return Check(
+        "final: confident test modes below the last pair without a partner", "≤ 4", str(len(sure)), len(sure) <= 4
+    )
