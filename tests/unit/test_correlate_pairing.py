@@ -134,6 +134,13 @@ def test_each_unpaired_mode_has_its_reason() -> None:
     assert all(p.why_b)
 
 
+def test_a_mac_just_below_the_gate_is_told_as_below_it() -> None:
+    phi = sines(2)
+    root = np.sqrt([0.5996, 0.4004])
+    (why,) = pair_modes(modes([10], phi @ root[:, None]), modes([10], phi[:, :1], Norm.MASS)).why_a
+    assert why.endswith("best FE 1 with 59.96 %")
+
+
 def test_a_mode_that_looks_alike_beyond_the_gate_is_told() -> None:
     phi = sines(4)
     a, b = modes([6, 20, 30, 40], phi), modes([9, 20, 30, 90], phi, Norm.MASS)

@@ -201,7 +201,7 @@ class _Reasons:
         if macs[best] < least:
             return (
                 f"no {theirs} mode within {100 * gate:.3g} % has MAC >= {100 * least:.3g} %: "
-                f"best {theirs} {best + 1 + their_first} with {100 * macs[best]:.0f} %"
+                f"best {theirs} {best + 1 + their_first} with {_below(macs[best], least)} %"
             )
         told = f" (MAC {100 * macs[best]:.0f} %)" if self.seen else ""
         if best in barred:
@@ -211,3 +211,9 @@ class _Reasons:
             number = int(by[owner[0]]) + 1 + my_first
             return f"{theirs} {best + 1 + their_first}{told} is already taken by {mine} {number}"
         return f"{theirs} {best + 1 + their_first}{told} was set aside for another reason"
+
+
+def _below(mac: float, least: float) -> str:
+    """A MAC in percent, with the digits that show it to be below the gate."""
+    texts = (f"{100 * mac:.{digits}f}" for digits in range(12))
+    return next((t for t in texts if float(t) < 100 * least), f"{100 * mac:.12f}")
