@@ -1,7 +1,7 @@
 """Whether masses that the deck lacks are among what is proposed: only where nothing that the deck has does as well.
 
 They stand at many places and fit much that is another error. So the deck's own candidates are tried without them first,
-and sets with them are sought only where one mass makes one of these sets better than the best of them.
+and sets with them are sought only where one grown from a mass, as far as the linearised J shows, is better than these.
 """
 
 from __future__ import annotations
@@ -10,12 +10,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ringtrue.core.arrays import Int
 from ringtrue.core.progress import Progress
 from ringtrue.update.choose import Choice
 from ringtrue.update.search import SENSITIVE, Search
-from ringtrue.update.subsets import TRIALS, Subsets, criteria
+from ringtrue.update.subsets import Subsets, criteria, foreseen
 
 LEAST = 0.01  # of the mass of the structure that is worth telling as lacking at one place
+LOOKS, MOST = 4, 6  # sets that are fitted at a point, and their largest size
 SUPPORT = 10.0  # difference of AICc beyond which a model has none (Burnham and Anderson 2002, section 2.6)
 
 
@@ -51,19 +53,36 @@ def with_lumps(
 
 
 def _better(own: Subsets, lumps: list[int]) -> list[Choice]:
-    """Sets with a lump beside those of the path, or in place of a member of the best, that are better than the best."""
-    search, best = own.search, own.path[-1]
+    """Sets with lumps that are better than the best without: grown by the linearised J at points of the path."""
+    search, best, tried = own.search, own.path[-1], list[Choice]()
     able = np.array([i for i in lumps if search.size[i] >= SENSITIVE], dtype=np.int64)
-    tried = list[Choice]()
-    for c, out in [*((c, -1) for c in own.path), *((best, i) for i in best.members.tolist())]:
-        r, stay = search.point(c.x), [i for i in c.members.tolist() if i != out]
-        base = r.value + r.slope[:, out] * c.x[out] if out >= 0 else r.value
-        x = np.where(np.arange(c.x.size) == out, 0.0, c.x)
-        if able.size and r.used.any():
-            tried += [search.fit(at, x) for _, at in search.best(r, c.x, stay, able, base)[:TRIALS]]
+    for c in {c.x.tobytes(): c for c in (own.path[0], *own.path[-2:])}.values():
+        r = search.point(c.x)
+        if not r.used.any():
+            continue
+        grown = [o for i in able.tolist() for o in _grown(search, c, [i], np.append(search.pool, able))]
+        for _, at in sorted(grown)[:LOOKS]:
+            tried.append(search.fit(at, np.where(np.isin(np.arange(c.x.size), at), c.x, 0.0)))
     tried = [c for c in tried if not _by_size(search, c)[1]]
+    tried = [*{tuple(sorted(c.members)): c for c in sorted(tried, key=lambda c: -c.value)}.values()]  # one a set
     least, *every = criteria(search, [best, *tried]).tolist()
     return [c for c, value in zip(tried, every, strict=True) if value < least]
+
+
+def _grown(search: Search, at: Choice, members: list[int], free: Int) -> list[tuple[float, list[int]]]:
+    """Sets by the linearised J at a point, one member more each time: the criterion foreseen, and members."""
+    r, nominal, out = search.point(at.x), np.zeros(at.x.size), list[tuple[float, list[int]]]()
+    base = r.value + r.slope @ at.x
+    value = search.ahead(r, nominal, members, base)
+    while True:
+        out.append((foreseen(search, r, members, value), members))
+        if len(members) >= MOST:
+            return out
+        barred = np.isin(search.groups[free], search.groups[members]) | search.apart[free][:, members].any(axis=1)
+        more = free[~barred]
+        if not more.size:
+            return out
+        value, members = search.best(r, nominal, members, more, base)[0]
 
 
 def _by_size(search: Search, c: Choice) -> tuple[list[int], list[int]]:

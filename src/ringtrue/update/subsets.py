@@ -26,6 +26,7 @@ from ringtrue.update.alike import errors_of_shapes
 from ringtrue.update.choose import GAIN, Candidates, Choice
 from ringtrue.update.lumps import PLACES
 from ringtrue.update.objective import Residual, Target, Weights, comparable_criteria
+from ringtrue.update.objective import aicc as criterion
 from ringtrue.update.pool import NOISE
 from ringtrue.update.search import Search, ranked, rounded
 from ringtrue.update.several import Problem
@@ -233,11 +234,22 @@ def criteria(search: Search, path: Sequence[Choice]) -> Float:
     The best of many sets fits the noise, too: 2 γ ln of the number of sets with as many factors and as many lumps.
     Chen and Chen (2008), eq. 2.2.
     """
+    every = price(search, [c.members for c in path]) + aicc(search, path)
+    return np.round(every, 6)  # rounding does not choose between equal sets
+
+
+def foreseen(search: Search, r: Residual, members: Sequence[int], value: float) -> float:
+    """The criterion of a set whose J is not computed but foreseen, all modes that are paired at a point counted."""
+    n = search.target.weights.data * int(r.used.sum()) + r.more
+    return float(price(search, [np.array(members)])[0]) + criterion(value, n, len(members))
+
+
+def price(search: Search, sets: Sequence[Int]) -> Float:
+    """Of the search for each set."""
     lump = np.isin(np.arange(search.prior.size), list(search.lumps))
     pool = np.unique(search.groups[search.pool[~lump[search.pool]]]).size + search.passed_over
-    added = np.array([lump[c.members].sum() for c in path])
-    sets = _log_sets(pool, np.array([c.members.size for c in path]) - added) + _log_sets(PLACES, added)
-    return np.round(2 * PRICE * sets + aicc(search, path), 6)  # rounding does not choose between equal sets
+    added = np.array([lump[s].sum() for s in sets])
+    return 2 * PRICE * (_log_sets(pool, np.array([s.size for s in sets]) - added) + _log_sets(PLACES, added))
 
 
 def _log_sets(pool: int, size: Int) -> Float:
