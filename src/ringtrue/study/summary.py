@@ -306,6 +306,8 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
         out |= _measured(update)
     if tune is not None:
         out["suspension"] = [{"name": n, "factor": a, "std": tune.std[n] * a} for n, a in tune.factors.items()]
+        if told := [*tune.ambiguity, *tune.flags, *tune.disagreeing]:
+            out["suspension_notes"] = told
         if tune.others:
             out["suspension_configurations"] = [
                 {"name": o.name, "before": pairs(o.before), "after": pairs(o.after)} for o in tune.others

@@ -182,7 +182,8 @@ def _candidates(s: LocaliseStage) -> Block:
         "point, the others known or all free; 1 means that the data say nothing."
     )
     blocks: list[Block] = [Table(heads, rows, text, scroll=len(rows) > FEW)]
-    if s.screened:
-        more = f" and {len(s.screened) - SHOWN} more" if len(s.screened) > SHOWN else ""
-        blocks.append(Text(f"Not looked at closely: {', '.join(s.screened[:SHOWN])}{more}.", "note"))
+    for names, what in ((s.screened, "Not looked at closely"), (s.held, "Tuned as the suspension, not proposed")):
+        if names:
+            more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+            blocks.append(Text(f"{what}: {', '.join(names[:SHOWN])}{more}.", "note"))
     return Fold(f"All {len(rows)} candidates", blocks)

@@ -133,5 +133,5 @@ def suspension(data: Stages) -> Section | None:
     rows = [(k, fixed(v, 3), number(100 * t.std[k] if k in t.std else None, 2)) for k, v in t.factors.items()]
     blocks.append(Table(("|Suspension parameter", "Factor", "σ, %"), rows, "Tuned stiffnesses of the suspension."))
     blocks += [Text(f"The pairing is not certain. {v}.") for v in t.ambiguity]
-    blocks += [Text(sentence(v)) for v in t.flags]
+    blocks += [Text(sentence(v)) for v in (*t.flags, *t.disagreeing)]
     return Section("suspension", "Rigid-body tuning", blocks)

@@ -45,6 +45,7 @@ class LocaliseStage:
     misfit: Float = field(default_factory=lambda: np.zeros(0))  # (m,) readings that it does not reproduce, relative
     beside: str = ""  # what the proposal rests on beside the modes of the study's own test
     places: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (k,) nodes where a mass may be lacking
+    held: tuple[str, ...] = ()  # candidates that scale a field of the suspension, which its tuning finds
 
     @property
     def concentration(self) -> Float:
@@ -144,6 +145,7 @@ class TuneStage:
     ambiguity: tuple[str, ...] = ()  # pairings that the test leaves open, with their weight, in words
     flags: tuple[str, ...] = ()  # factors that are not plausible
     others: tuple[TunedConfiguration, ...] = ()  # configurations that were tuned to as well
+    disagreeing: tuple[str, ...] = ()  # elastic test modes that strain it and that its tuning puts off, in words
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -57,6 +57,7 @@ class _Pool:
     dropped: tuple[str, ...] = ()
     screened: tuple[str, ...] = ()
     passed_over: int = 0  # of these, those whose number counts
+    held: tuple[str, ...] = ()
 
 
 def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
@@ -114,9 +115,8 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
     springs = tuple(of_parameter(model, p) for p in desk.config.suspensions().parameters)
     taken = conflicts(model, (*every, *springs))[: len(every), len(every) :]
     never = unwritable(model, [t for c in every for t in c.parameter.targets])
-    every = tuple(
-        c for c, held in zip(every, taken, strict=True) if not (held.any() or never.keys() & c.parameter.targets)
-    )
+    held = [every[i].name for i in np.flatnonzero(taken.any(axis=1)).tolist()]
+    every = tuple(c for c in every if c.name not in held and not never.keys() & c.parameter.targets)
     every += more
     system, modes = desk.remodelled.analysis.system, desk.remodelled.modes(desk.fmax).modes
     lam, vectors = (2 * np.pi * modes.frequencies) ** 2, np.asarray(system.local @ modes.shapes)
@@ -145,7 +145,7 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
         beside=beside,
     )
     far = tuple(c.name for c in some if c not in near)
-    return _Pool(near, len(every), tuple(d.name for d in lost), far, passed_over(some, near))
+    return _Pool(near, len(every), tuple(d.name for d in lost), far, passed_over(some, near), tuple(held))
 
 
 def _lumps(desk: Workbench) -> tuple[Candidate, ...]:
@@ -279,6 +279,7 @@ def _result(
         misfit,
         _beside(desk) if problem is not None else "",
         desk.places,
+        pool.held,
     )
 
 

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.progress import Progress, part
+from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.correlate.table import CorrelationTable
 from ringtrue.errors import DataError
+from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import Reference, reference_modes, rigid_settings, rigid_table
 from ringtrue.study.results import ConfigurationsStage, ConfiguredTest, CorrelateStage, TunedConfiguration, TuneStage
+from ringtrue.study.stages.sensitivity import target as elastic_target
 from ringtrue.study.stages.update import chosen_factors
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import Target, Weights
+from ringtrue.update.objective import Target, Weights, match
 from ringtrue.update.plausible import plausibility
 from ringtrue.update.settle import Course, settled
 from ringtrue.update.several import Configuration, Problem
@@ -27,6 +29,8 @@ from ringtrue.update.trust import Solution, solve
 
 # a rigid-body mode on springs leaves no room for model discrepancy but the mass distribution
 WEIGHTS = Weights(frequency=0.005, mac=0.1, shape=0.1)
+STRAINED = 0.1  # share of an elastic mode's strain energy in the suspension from which on its tuning is told to move it
+ALLOWED = 2.0  # standard deviations that it may be off
 
 
 def target(desk: Workbench) -> Target:
@@ -118,6 +122,50 @@ def _jointly(first: Configuration, start: Float, others: Sequence[_Other], itera
     return settled(Problem(every), Course(iterations=iterations), start=far.y).solution
 
 
+def disagreeing(model: ObservedModel, aim: Target, x: Float, std: Float) -> tuple[str, ...]:
+    """Elastic test modes that strain the suspension and that its tuning puts off, in words.
+
+    Springs of rubber, say, are stiffer at their frequencies; or the tuning stands for another error.
+
+    Parameters
+    ----------
+    model : ObservedModel
+        Over the suspension.
+    x, std : (p,) float64
+        As tuned.
+    """
+    then, now, out = model.linearise(0 * x), model.linearise(x), list[str]()
+    before, after = (dict(match(aim, at)[0].tolist()) for at in (then, now))
+    for t in sorted(before | after):  # over modes: text for people
+        at, fe = (now, after[t]) if t in after else (then, before[t])
+        rate = at.d_lambda[fe] / (2 * (2 * np.pi * at.frequencies[fe]) ** 2)  # ∂ ln f/∂x
+        share = float(np.maximum(2 * rate * model.parameters.factors(at.x) / model.parameters.slope(at.x), 0.0).sum())
+        known = float(np.sqrt(aim.weights.frequency**2 + aim.std[t] ** 2 + ((rate * std) ** 2).sum()))
+        was, off = (_off(aim, p, k, t) for p, k in ((then, before), (now, after)))
+        if share <= STRAINED or (off is not None and abs(off) <= max(ALLOWED * known, abs(was or 0.0))):
+            continue
+        told = [f"{100 * d:+.1f} % off" if d is not None else "without partner" for d in (was, off)]
+        out.append(
+            f"elastic test mode {t + 1} ({aim.frequencies[t]:.4g} Hz) has {100 * share:.0f} % of its strain energy in "
+            f"the suspension and is {told[0]} before and {told[1]} after the tuning, where {100 * ALLOWED * known:.1f} "
+            "% was to be expected: its springs may be others at that frequency, or stand for another error"
+        )
+    return tuple(out)
+
+
+def _off(aim: Target, at: Linearisation, partner: Mapping[int, int], t: int) -> float | None:
+    """Relative deviation of the partner of a test mode; None without one."""
+    return float(at.frequencies[partner[t]] / aim.frequencies[t] - 1) if t in partner else None
+
+
+def _elastic(desk: Workbench, x: Float, std: Float) -> tuple[str, ...]:
+    """`disagreeing` of the study's own test."""
+    first = len(desk.parameters)
+    base = np.concatenate([desk.parameters.vector(chosen_factors(desk)), np.zeros(x.size)])
+    every = desk.suspended(desk.reference(OWN).channels, quiet)
+    return disagreeing(every.with_parameters(range(first, first + x.size), base), elastic_target(desk), x, std)
+
+
 def run(desk: Workbench, progress: Progress) -> TuneStage:
     """Tune the suspension with the elastic parameters held at their updated values.
 
@@ -151,6 +199,7 @@ def run(desk: Workbench, progress: Progress) -> TuneStage:
             TunedConfiguration(o.test.name, o.table(0 * v, desk), o.table(v, desk))
             for o, v in zip(others, of, strict=True)
         ),
+        _elastic(desk, x, std),
     )
 
 
