@@ -68,6 +68,9 @@ def test_starts_find_both_mirror_images_and_shapes_leave_one() -> None:
 def test_global_search_ends_at_the_truth() -> None:
     done = global_search(problem(1.0), np.random.default_rng(1), generations=15)
     np.testing.assert_allclose(done.x, TRUTH, atol=1e-4)
+    tied = Problem(problem(1.0).configurations, rows=np.array([[1.0, 0, 1], [-1, 0, -1]]), limits=np.array([0.1, -0.1]))
+    kept = global_search(tied, np.random.default_rng(1), generations=15)  # left + right = 0.1, as of the truth
+    np.testing.assert_allclose(kept.x, TRUTH, atol=1e-4)
     linked = Problem(problem(1.0).configurations, link=link_equal(between_walls().parameters, [("left", "right")]))
     with pytest.raises(ConfigError, match="leave the links out"):
         global_search(linked, np.random.default_rng(1))

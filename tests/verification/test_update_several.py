@@ -126,6 +126,27 @@ def test_bounds_and_linear_constraints_hold_and_the_rest_is_stationary() -> None
     assert slope[3] < 0
 
 
+def test_a_start_outside_of_the_constraints_is_taken_inside() -> None:
+    """The first two tied to each other, a band with no inside; the start is far outside of it and of the bounds."""
+    model = row(lower=0.5, upper=2.0)
+    aim = aim_at(model, np.array([0.3, -0.1, 0.05, -0.1]), 8)
+    tie = np.array([[1.0, -1.0, 0.0, 0.0], [-1.0, 1.0, 0.0, 0.0]])
+    problem = one(model, aim, rows=tie, limits=np.zeros(2))
+    low, high = model.parameters.bounds()
+    ends = [solve(problem, start=y) for y in (np.zeros(4), np.array([3.0, -0.4, 0.3, -5.0]))]
+    for done in ends:
+        assert done.outcome is Outcome.CONVERGED
+        assert done.x[0] == pytest.approx(done.x[1], abs=1e-7)
+        assert (done.x >= low - 1e-9).all()
+        assert (done.x <= high + 1e-9).all()
+    np.testing.assert_allclose(ends[1].x, ends[0].x, atol=1e-4)
+    inside = np.array([0.2, 0.2, 0.0, 0.0])
+    np.testing.assert_array_equal(problem.nearest(inside), inside)
+    np.testing.assert_allclose(problem.nearest(np.array([0.4, 0.0, 0.1, 0.0])), [0.2, 0.2, 0.1, 0.0], atol=1e-12)
+    with pytest.raises(ConfigError, match="no point fulfils"):
+        solve(one(model, aim, rows=tie, limits=np.array([-0.1, -0.1])))
+
+
 def test_least_distance_meets_the_conditions_of_karush_kuhn_and_tucker() -> None:
     rng = np.random.default_rng(5)
     for _ in range(20):

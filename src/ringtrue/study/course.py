@@ -71,8 +71,6 @@ def begun(
         return global_search(problem, np.random.default_rng([seed, 9]), method, progress=progress)
     if u.starts > 1:
         more = latin_hypercube(problem.parameters, u.starts - 1, np.random.default_rng([seed, 9]))
-        rows, limits = problem.inequalities()
-        more = more[(more @ rows.T <= limits).all(axis=1)]
         starts = np.vstack([np.zeros(problem.size), more])
         return multi_start(problem, starts, method, iterations=limit, finish=BEST, progress=progress).best
     start = _grown(problem, u, method, progress)

@@ -147,7 +147,8 @@ def global_search(
 ) -> Solution:
     """Differential evolution on J inside the bounds (Storn and Price 1997), finished by the method.
 
-    J needs modes only; a point that cannot be solved or breaks a constraint is the worst there is.
+    J needs modes only; a point that breaks a constraint stands for the nearest that keeps all, one that cannot be
+    solved is the worst there is.
 
     Parameters
     ----------
@@ -159,18 +160,16 @@ def global_search(
     Raises
     ------
     ConfigError
-        If parameters are linked.
+        If parameters are linked, or no point keeps all constraints.
     """
     if problem.link.shape[0] != problem.link.shape[1] or not np.array_equal(problem.link, np.eye(problem.size)):
         raise ConfigError("a global search needs bounds of the unknowns: leave the links out, or use multi_start")
     low, high = problem.parameters.bounds()
-    rows, limits = problem.inequalities()
 
     def cost(y: Float) -> float:
-        if (rows @ y > limits + 1e-12).any():
-            return np.inf
+        inside = problem.nearest(y)
         try:
-            return problem.cost(y)
+            return problem.cost(inside)
         except RingtrueError:
             return np.inf
 

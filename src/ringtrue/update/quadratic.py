@@ -10,7 +10,7 @@ from ringtrue.core.arrays import Float
 
 
 def least_distance(hessian: Float, gradient: Float, rows: Float, limits: Float) -> Float:
-    """d (q,) of least ½dᵀHd + gᵀd with rows d <= limits, which d = 0 fulfils.
+    """d (q,) of least ½dᵀHd + gᵀd with rows d <= limits; 0 where no d fulfils them.
 
     H = RᵀR; with e = Rd + R⁻ᵀg the problem is least ‖e‖ inside inequalities, whose dual is a non-negative least-squares
     problem (Lawson and Hanson 1974, eq. 23.27).

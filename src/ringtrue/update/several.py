@@ -13,12 +13,14 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.errors import InputError, did_you_mean
+from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.update.objective import Target
+from ringtrue.update.quadratic import least_distance
 from ringtrue.update.residuals import NO_MODE, Block, Point, Term, Whole, default_terms, point, reweighed
 from ringtrue.update.robust import Loss, Squares, squares
 
+OUTSIDE = 1e-9  # of a limit, that is none
 APART = 1_000_000  # test modes of configuration i are numbered from i times this
 
 
@@ -159,6 +161,22 @@ class Problem:
         low, high = self.parameters.bounds()
         rows = np.concatenate([self.link, -self.link, self.rows @ self.link])
         return rows, np.concatenate([high, -low, self.limits])
+
+    def nearest(self, y: Float) -> Float:
+        """The point inside all limits that is nearest to y (q,).
+
+        Raises
+        ------
+        ConfigError
+            If there is none.
+        """
+        rows, limits = self.inequalities()
+        if (rows @ y <= limits + OUTSIDE).all():
+            return y
+        out = y + least_distance(np.eye(y.size), np.zeros(y.size), rows, limits - rows @ y)
+        if (rows @ out > limits + OUTSIDE).any():
+            raise ConfigError("no point fulfils the bounds of the parameters and all constraints: widen one of them")
+        return np.asarray(out)
 
     def evaluate(self, y: Float, before: Evaluated | None = None) -> Evaluated:
         """J and its parts at y (q,), with sensitivities; pairs of `before` are held on to."""

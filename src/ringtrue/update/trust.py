@@ -293,7 +293,7 @@ def solve(
     method : Method, optional
         Trust region by default.
     start : (q,) float64, optional
-        Unknowns at the start, 0 by default.
+        Unknowns at the start, 0 by default; taken to the nearest point inside all limits.
     iterations : int
         Limit; rejected steps count.
     checkpoint : Path, optional
@@ -301,6 +301,8 @@ def solve(
 
     Raises
     ------
+    ConfigError
+        If no point is inside all limits.
     NumericalError, SolverError
         If the start itself cannot be solved; a trial point that cannot is a rejected step.
     DataError
@@ -308,7 +310,7 @@ def solve(
     """
     method = method or Method()
     begin = np.zeros(problem.size) if start is None else np.array(start, dtype=np.float64)
-    descent = Descent(problem, method, begin)
+    descent = Descent(problem, method, problem.nearest(begin))
     if checkpoint is not None:
         descent = replace(_resumed(descent, checkpoint), keep=lambda s: write_checkpoint(checkpoint, problem, s))
     run = iterate(descent, limit=iterations, progress=progress)
