@@ -84,6 +84,22 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         read_config(tmp_path / "latin.toml")
 
 
+def test_stages_and_constraints_name_candidates_also_those_that_are_made_from_the_deck() -> None:
+    made = ("MAT1 1 E", "PSHELL 3 T")
+    stages = '[update]\npropose = true\nstages = [["MAT1 1 E"]]\n'
+    parse_config(MODEL + stages, HERE).check_names(made)
+    for text, where in (
+        (stages.replace("MAT1 1 E", "MAT1 1"), "update.stages: no candidate 'MAT1 1'"),
+        ('[[constraint]]\nterms = { "PSHELL 3" = 1.0 }\n', "[[constraint]]: no candidate 'PSHELL 3'"),
+    ):
+        config = parse_config(MODEL + text, HERE)
+        with pytest.raises(ConfigError, match="did you mean") as e:
+            config.check_names(made)
+        assert where in str(e.value)
+        with pytest.raises(ConfigError, match="no candidate"):
+            parse_config(MODEL + text + '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\n', HERE)
+
+
 def test_a_set_begins_where_it_says_not_where_the_study_does() -> None:
     text = (
         MODEL + '[update]\nsearch = "global"\nshape_weight = 0.5\n[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\n'

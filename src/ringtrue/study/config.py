@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -265,13 +266,12 @@ class StudyConfig(_Section):
             raise ValueError(f"candidates and suspensions need names of their own; twice: {', '.join(twice)}")
         if len({c.name for c in self.configuration}) != len(self.configuration):
             raise ValueError("configurations need names of their own")
-        self._known([n for c in self.constraint for n in c.terms], "[[constraint]]")
-        self._known([n for s in self.set for n in s.candidates], "[[set]]")
         if self.set and not self.candidate:
             raise ValueError("[[set]] needs [[candidate]]s that it names")
         if len({s.name for s in self.set} - AUTOMATIC) != len(self.set):
             raise ValueError(f"[[set]]: names of their own, none of {', '.join(sorted(AUTOMATIC))}")
-        self._known([n for stage in self.update.stages for n in stage], "update.stages")
+        if self.candidate:
+            self.check_names([c.name for c in self.candidate])
         there = {c.name for c in self.configuration}
         if lost := sorted({r.configuration for r in self.residual if r.configuration} - there):
             raise ValueError(f"[[residual]]: no configuration {lost[0]!r}")
@@ -313,10 +313,16 @@ class StudyConfig(_Section):
         if split := next((t.card for t in targets if t.card in NODES), None):
             raise ValueError(f"[model] refine splits every {split}: a candidate may target its property instead")
 
-    def _known(self, names: list[str], where: str) -> None:
-        given = [c.name for c in self.candidate]
-        if wrong := [n for n in names if given and n not in given]:
-            raise ValueError(f"{where}: no candidate {wrong[0]!r}{did_you_mean(wrong[0], given)}")
+    def check_names(self, candidates: Sequence[str]) -> None:
+        """Refuse sets, stages and constraints that name none of the candidates, by a ConfigError."""
+        named = {
+            "update.stages": [n for stage in self.update.stages for n in stage],
+            "[[constraint]]": [n for c in self.constraint for n in c.terms],
+            "[[set]]": [n for s in self.set for n in s.candidates],
+        }
+        for where, names in named.items():
+            if wrong := [n for n in names if n not in candidates]:
+                raise ConfigError(f"{where}: no candidate {wrong[0]!r}{did_you_mean(wrong[0], candidates)}")
 
     @property
     def alone(self) -> bool:

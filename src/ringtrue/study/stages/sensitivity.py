@@ -108,7 +108,14 @@ def proposed(desk: Workbench) -> tuple[str, ...]:
 
 
 def run(desk: Workbench, progress: Progress) -> SensitivityStage:
-    """Linearise at the remodelled deck and choose sets by three rules."""
+    """Linearise at the remodelled deck and choose sets by three rules.
+
+    Raises
+    ------
+    ConfigError
+        If [update] stages or a [[constraint]] names what is no candidate that was made from the deck.
+    """
+    desk.config.check_names(desk.parameters.names)
     aim = target(desk)
     model = desk.candidates(part(progress, 0.0, 0.6))
     names = model.parameters.names
