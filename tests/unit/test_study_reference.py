@@ -12,7 +12,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.io.modes_json import write_modes
 from ringtrue.study.config import parse_config
-from ringtrue.study.reference import beyond, measured_part, reference_modes
+from ringtrue.study.reference import beyond, fewer, left_out, measured_part, reference_modes
 from ringtrue.study.stages.supplied import supplied_modes
 
 
@@ -74,3 +74,12 @@ def test_rigid_body_modes_of_a_file_are_those_below_the_edge(tmp_path: Path) -> 
     np.testing.assert_allclose(found.rigid.frequencies, [1, 2, 3])
     np.testing.assert_allclose(found.rigid_std.frequency, [0.01, 0.02, 0.03])
     np.testing.assert_allclose(found.elastic.frequencies, np.arange(4, 10))
+
+
+def test_fewer_modes_left_out_than_asked_for_are_told() -> None:
+    modes = ModeSet(np.arange(1.0, 7.0), np.full(6, 0.01), np.eye(6), tuple("abcdef"), confidence=np.ones(6))
+    for count, kept, told in ((None, 4, False), (2, 4, False), (4, 2, False), (9, 2, True)):
+        out = left_out(modes, count, 0.5)
+        assert len(modes) - out.size == kept
+        assert bool(fewer(count, out)) == told
+    assert fewer(9, out)[0].startswith("update.left_out = 9: 4 modes are left out")

@@ -198,6 +198,13 @@ def left_out(modes: ModeSet, count: int | None, least: float) -> Int:
     return sure[np.unique(at)]
 
 
+def fewer(count: int | None, out: Int) -> tuple[str, ...]:
+    """That not as many modes are left out as asked for, in words."""
+    if count is None or out.size >= count:
+        return ()
+    return (f"update.left_out = {count}: {out.size} modes are left out, so that the updating keeps two confident ones",)
+
+
 def used_mask(n: int, out: Int) -> Bool:
     """True for the modes that the updating may see, (n,)."""
     return ~np.isin(np.arange(n), out)

@@ -22,7 +22,7 @@ from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.expansion import expanded, on_scene
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import between_nodes, shared_places, words
-from ringtrue.study.reference import Reference, beyond, elastic_table, left_out, reference_modes, rigid_table
+from ringtrue.study.reference import Reference, beyond, elastic_table, fewer, left_out, reference_modes, rigid_table
 from ringtrue.study.results import CorrelateStage, Evidence, Expansion, RemodelStep
 from ringtrue.study.workbench import Workbench
 
@@ -82,6 +82,7 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
         _expanded(desk, reference, progress),
         (
             *reference.gaps,
+            *fewer(config.update.left_out, out),
             *beyond(reference.elastic, desk.fmax),
             *_shared(desk),
             *_mesh(desk, tables[1]),
