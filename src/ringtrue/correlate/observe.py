@@ -121,7 +121,7 @@ def _refuse_far(
     )
     if times > UNLIKE or 0 < times < 1 / UNLIKE**2:
         do = (
-            f"The test is {times:.3g} times the model in size: places of a test are in m, the unit of length of "
+            f"The test is {times:.4g} times the model in size: places of a test are in m, the unit of length of "
             f"the model is taken for {unit:g} m (--units, [model] units)"
         )
     raise DataError(

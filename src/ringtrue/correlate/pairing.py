@@ -116,7 +116,7 @@ def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
 
 
 def _unseen(a: ModeSet, i: int) -> str:
-    return "its shape is zero at all channels" if a.channels and not a.shapes[:, i].any() else ""
+    return "nothing was read of it at the channels that are compared" if a.channels and not a.shapes[:, i].any() else ""
 
 
 def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> list[str]:

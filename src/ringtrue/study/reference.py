@@ -100,7 +100,10 @@ def _gaps(modes: ModeSet) -> tuple[str, ...]:
     at, channels = measured_part(modes)
     lost = np.setdiff1d(np.arange(len(modes)), at)
     seen, n = np.isfinite(modes.shapes).sum(axis=0), len(modes.channels)
-    out = [f"{modes.frequencies[k]:.4g} Hz: not used, seen at {seen[k]} of {n} channels only" for k in lost.tolist()]
+    out = []
+    for k in np.unique(seen[lost]).tolist():
+        which = ", ".join(f"{f:.4g}" for f in modes.frequencies[lost[seen[lost] == k]].tolist())
+        out.append(f"{which} Hz: not used, seen at {k} of {n} channels only")
     if len(channels) < n:
         names = [c for c in modes.channels if c not in set(channels)]
         more = f" and {len(names) - 8} more" if len(names) > 8 else ""
