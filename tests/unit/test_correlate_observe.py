@@ -107,6 +107,8 @@ def test_how_far_a_sensor_may_be_goes_with_the_model() -> None:
     observe(sensors(np.array([[0.25, 0.25, 0.1]]), np.eye(3)[:1]), node, xyz, dofs, unit=1e-3)
     with pytest.raises(DataError, match="farther than 500 "):
         observe(sensors(np.array([[1.6, 0.0, 0.0]]), np.eye(3)[:1]), node, xyz, dofs, unit=1e-3)
+    with pytest.raises(DataError, match=r"The test is 0\.00[01].* times the model in size"):  # the deck is in mm
+        observe(sensors(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 0.5]]), np.eye(3)[:2]), node, xyz, dofs, unit=1.0)
 
 
 @pytest.mark.parametrize(

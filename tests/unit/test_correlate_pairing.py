@@ -196,6 +196,7 @@ def test_faint_mode_is_not_observable() -> None:
     p = pair_modes(modes([10, 20, 30], phi), b)
     assert p.lone_b.tolist() == [1]
     assert "not observable" in p.why_b[0]
+    assert p.why_a[0].startswith("FE 2 (MAC 100 %) is left out: not observable")
 
 
 def test_no_modes_at_all() -> None:

@@ -19,7 +19,7 @@ Method = Literal["nearest", "rigid"]
 SAME = 1e-6  # of the tolerance: nodes that are as near
 OF_SIZE = 0.03  # of the size of a model: as far a sensor may be from its node, if nothing is said
 SOME = 2000  # nodes that tell how far nodes are apart
-_OF_EXTENT = 0.25
+_OF_EXTENT = 0.25  # of the size of a test
 UNLIKE = 10.0  # times another in size: in another unit
 
 
@@ -46,7 +46,8 @@ def observe(
     dofs : DofSet
         Rows of the model's shapes, basic frame.
     tolerance : float, model unit, optional
-        A sensor farther than this from every node is an error; `default_tolerance` if not given.
+        A sensor farther than this from every node is an error. If not given `default_tolerance`, and no more than a
+        quarter of the size of the test.
     unit : float
         Model length unit in metres (mm-t-s: 1e-3).
     method : {"nearest", "rigid"}
@@ -71,7 +72,8 @@ def observe(
     k = min(neighbours, len(node_ids)) if method == "rigid" else 1
     found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
     distance, nearest = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
-    tolerance = default_tolerance(xyz) if tolerance is None else tolerance
+    if tolerance is None:  # a test in another unit must not lie on one node
+        tolerance = min(default_tolerance(xyz), _OF_EXTENT * diagonal(at) or np.inf)
     if k == 1:
         nearest = _by_number(test.at, at, np.asarray(node_ids), xyz, (distance, nearest), SAME * tolerance)
     _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids), xyz, nearest[:, 0], unit)

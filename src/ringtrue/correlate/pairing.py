@@ -89,7 +89,7 @@ def pair_modes(
         rows, cols, rival, beyond = found.rows, found.columns, found.rival, np.zeros(0, dtype=np.bool_)
     lone_a = np.setdiff1d(np.arange(len(a)), rows)
     lone_b = np.setdiff1d(np.arange(len(b)), cols)
-    why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure)
+    why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure, tuple(hidden))
     return Pairing(
         a=rows,
         b=cols,
@@ -142,6 +142,7 @@ class _Reasons:
     first_b: int
     locks: Locks
     sure: Bool
+    hidden: tuple[str, ...]
 
     @property
     def seen(self) -> bool:
@@ -210,7 +211,9 @@ class _Reasons:
         if owner.size:
             number = int(by[owner[0]]) + 1 + my_first
             return f"{theirs} {best + 1 + their_first}{told} is already taken by {mine} {number}"
-        return f"{theirs} {best + 1 + their_first}{told} was set aside for another reason"
+        hidden = self.hidden[best] if theirs == self.names[1] else ""
+        why = f"is left out: {hidden}" if hidden else "was set aside for another reason"
+        return f"{theirs} {best + 1 + their_first}{told} {why}"
 
 
 def _below(mac: float, least: float) -> str:
