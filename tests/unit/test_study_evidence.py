@@ -27,7 +27,7 @@ from ringtrue.study.evidence import channel_mass, evidence, on_sheet, synthesise
 from ringtrue.study.reference import reference_modes
 from ringtrue.study.results import Evidence, RecordSummary
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.words import spared
+from ringtrue.study.words import spared, told
 
 Capture = pytest.CaptureFixture[str]
 
@@ -178,6 +178,22 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
     words = spared(first, won)
     assert words.endswith("of the 1 paired before and after 15.00 -> 3.00 %; paired after only: 4 (+38.0 %)")
     assert [x.tolist() for x in in_both(first, won, used=False)] == [pytest.approx([15.0]), pytest.approx([-3.0])]
+
+
+def test_what_is_not_plausible_is_told_beside_what_is_not_proven(done: StudyRun) -> None:
+    known = done.results["uncertainty"]
+    first, second, *_ = known.parameters.names
+    far, open_ = (
+        f"{first}: factor 0.08 is 2.5 prior standard deviations from the nominal value",
+        f"{second}: factor 1.2, but",
+    )
+    assert not known.unproven.any()
+    wide = np.where(np.array(known.parameters.names)[:, None] == second, [0.5, 2.0], known.interval)
+    odd = replace(known, flags=(far, open_), interval=wide)
+    lines = told({"uncertainty": odd})
+    assert far in lines
+    assert open_ not in lines
+    assert sum(line.startswith("not proven by the test") and line.endswith(second) for line in lines) == 1
 
 
 def test_each_limit_is_held_and_missed(done: StudyRun) -> None:

@@ -239,6 +239,7 @@ def _known(r: Mapping[str, Any]) -> dict[str, Any]:
             "discrepancy_percent": (100 * found.discrepancy).tolist(),
             "intervals": dict(zip(found.parameters.names, found.interval.tolist(), strict=True)),
             "unproven": [n for n, open_ in zip(found.parameters.names, found.unproven, strict=True) if open_],
+            "flags": list(found.flags),
             "left_out_inside": [int((found.inside & out).sum()), int(out.sum())],
             "folds_inside": [int((found.held.inside(found.level) & held).sum()), int(held.sum())],
         }

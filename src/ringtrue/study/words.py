@@ -49,10 +49,8 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     for name, a, std in _factors(r):
         out.append(_lump(name, lacking[name], a, std) if name in lacking else _factor(name, a, std))
     known: UncertaintyStage | None = r.get("uncertainty")
-    if known is not None and known.unproven.any():
-        names = [n for n, open_ in zip(known.parameters.names, known.unproven, strict=True) if open_]
-        why = "may take up an error of the model's form, or are known only together with others"
-        out.append(f"not proven by the test, {why}: {', '.join(names)}")
+    if known is not None:
+        out += _doubts(known)
     if correlate is not None and final is not None:
         line = worse(*in_both(correlate.remodelled, final.table, used=True))
         out += [line] if line else []
@@ -64,6 +62,14 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         out.append(NO_CHANGE)
     evidence = final.evidence if final is not None else correlate.evidence if correlate is not None else None
     return (*out, *_suspects(evidence, r.get("compare")))
+
+
+def _doubts(known: UncertaintyStage) -> list[str]:
+    """Parameters that the test does not prove, and what is not plausible of the others."""
+    names = [n for n, open_ in zip(known.parameters.names, known.unproven, strict=True) if open_]
+    why = "may take up an error of the model's form, or are known only together with others"
+    out = [f"not proven by the test, {why}: {', '.join(names)}"] if names else []
+    return [*out, *(f for f in known.flags if not f.startswith(tuple(f"{n}: " for n in names)))]
 
 
 def weighed_by(discrepancy: Sequence[float]) -> str:

@@ -51,5 +51,8 @@ def _modes(frequencies: Float, residuals: Float) -> Table:
     told = [*(number(r, 2) for r in residuals.tolist()), *["–"] * (frequencies.size - residuals.size)]
     rows = [(str(i + 1), number(f, 4), told[i]) for i, f in enumerate(frequencies.tolist())]
     return Table(
-        ("#", "Frequency, Hz", "Residual"), rows, "Modes of the delivered model, relative residual norm.", scroll=True
+        ("#", "Frequency, Hz", "Residual"),
+        rows,
+        "Modes of the deck as it was given, relative residual norm.",
+        scroll=True,
     )
