@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.core.parameters import Target as Place
 from ringtrue.errors import InputError
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.kfold import discrepancy, folds_of, k_fold, variance_parts, with_discrepancy
@@ -252,6 +253,16 @@ def test_changes_that_the_test_does_not_prove() -> None:
     assert "holds 1; the test tells it and d together, not each by itself" in others[0].text
     assert others[1].text == flags[1].text  # its interval does not hold 1: it is known by itself
     assert np.isnan(kept(x, np.zeros((0, 4)))).all()
+
+
+def test_a_mass_that_may_be_none_is_not_proven_however_light() -> None:
+    """Its factor is of 4000 kg, so that 60 kg are 1.015: a slight change for a modulus, none for a mass."""
+    places = (Place("CONM2", n, "M", step=4000.0) for n in (7, 8))
+    masses = ParameterSet((*(Parameter(f"mass {t.id}", (t,), 0.9999999, 1.4) for t in places), Parameter("E")))
+    factor = np.array([1.015, 1.015, 1.015])
+    interval = np.array([[0.9999999, 1.03], [1.01, 1.02], [0.99, 1.04]])
+    (flag,) = form_flags(masses, factor, interval, np.ones(3), np.eye(3))
+    assert flag.text.startswith("mass 7: mass 60, but its interval, 0 to 120, holds none;")
 
 
 def test_input_is_checked() -> None:

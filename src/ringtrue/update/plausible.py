@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError
 
 EDGE = 0.01  # of the range between the bounds
@@ -63,13 +63,13 @@ def plausibility(parameters: ParameterSet, x: Float, ratio: Float | None = None)
     for i, p in enumerate(parameters.parameters):  # over parameters: text for people
         if x[i] <= low[i] + margin[i] or x[i] >= high[i] - margin[i]:
             side, end = ("lower", p.lower) if x[i] <= low[i] + margin[i] else ("upper", p.upper)
-            text = f"{p.name}: factor {a[i]:.3g} is at its {side} bound {end:.3g}; the error may lie elsewhere"
+            text = f"{_said(p, a[i])} is at its {side} bound {_found(p, end)}; the error may lie elsewhere"
             flags.append(Flag(p.name, "bound", float(a[i]), text))
         if abs(away[i]) > BEYOND:
-            text = f"{p.name}: factor {a[i]:.3g} is {abs(away[i]):.1f} prior standard deviations from the nominal value"
+            text = f"{_said(p, a[i])} is {abs(away[i]):.1f} prior standard deviations from the nominal value"
             flags.append(Flag(p.name, "prior", float(a[i]), text))
         if told[i] > SILENT and abs(away[i]) > 0.25:
-            text = f"{p.name}: factor {a[i]:.3g}, but the data do not determine it (posterior/prior {told[i]:.2f})"
+            text = f"{_said(p, a[i])}, but the data do not determine it (posterior/prior {told[i]:.2f})"
             flags.append(Flag(p.name, "silent", float(a[i]), text))
     return tuple(flags)
 
@@ -88,8 +88,10 @@ def kept(x: Float, ends: Float) -> Float:
     return np.asarray((ends / np.where(x == 0.0, 1.0, x)).min(axis=0))
 
 
-def unproven(factor: Float, interval: Float, share: Float) -> Bool:
+def unproven(parameters: ParameterSet, factor: Float, interval: Float, share: Float) -> Bool:
     """Changes (p,) that the test does not prove: the interval of the factor holds 1, or few modes carry the change.
+
+    Slight changes of what the deck has need no proof; masses that it lacks do, however light.
 
     Such a parameter may take up an error of form, or of a region that is no candidate.
 
@@ -102,7 +104,17 @@ def unproven(factor: Float, interval: Float, share: Float) -> Bool:
         Of `kept`.
     """
     open_ = (interval[:, 0] <= 1) & (interval[:, 1] >= 1)
-    return np.asarray((np.abs(factor - 1) > SLIGHT) & (open_ | (share < KEPT)))
+    slight = np.array([0.0 if p.lump else SLIGHT for p in parameters.parameters])
+    return np.asarray((np.abs(factor - 1) > slight) & (open_ | (share < KEPT)))
+
+
+def _found(p: Parameter, *factors: float) -> str:
+    """Factors in words, `0.8 to 1.2`; of a mass that the deck lacks what is added."""
+    return " to ".join(f"{p.lump * max(a - 1, 0.0) if p.lump else a:.3g}" for a in factors)
+
+
+def _said(p: Parameter, factor: float) -> str:
+    return f"{p.name}: {'mass' if p.lump else 'factor'} {_found(p, factor)}"
 
 
 def form_flags(
@@ -118,10 +130,11 @@ def form_flags(
         Of x, posterior.
     """
     flags: list[Flag] = []
-    for i in np.flatnonzero(unproven(factor, interval, share)).tolist():  # over parameters: text for people
+    for i in np.flatnonzero(unproven(parameters, factor, interval, share)).tolist():  # over parameters: text for people
         low, high = interval[i].tolist()
         open_ = low <= 1 <= high
-        why = [f"its interval, {low:.3g} to {high:.3g}, holds 1"] if open_ else []
+        p = parameters.parameters[i]
+        why = [f"its interval, {_found(p, low, high)}, holds {'none' if p.lump else 1}"] if open_ else []
         if share[i] < KEPT:
             turned = "turns round" if share[i] < 0 else f"shrinks to {100 * share[i]:.0f} %"
             why.append(f"its change {turned} when some of the modes are left out")
@@ -129,7 +142,6 @@ def form_flags(
         whence = "it may take up an error of the model's form"
         if open_ and tied:
             whence = f"the test tells it and {', '.join(tied)} together, not each by itself"
-        name = parameters.names[i]
-        text = f"{name}: factor {factor[i]:.3g}, but {' and '.join(why)}; {whence}"
-        flags.append(Flag(name, "form", float(factor[i]), text))
+        text = f"{_said(p, factor[i])}, but {' and '.join(why)}; {whence}"
+        flags.append(Flag(p.name, "form", float(factor[i]), text))
     return tuple(flags)

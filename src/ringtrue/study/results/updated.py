@@ -277,7 +277,7 @@ class UncertaintyStage:
     @property
     def unproven(self) -> Bool:
         """Parameters that may take up an error of form, (p,)."""
-        return unproven(self.factor, self.interval, self.kept)
+        return unproven(self.parameters, self.factor, self.interval, self.kept)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
