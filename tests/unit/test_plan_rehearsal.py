@@ -267,6 +267,9 @@ def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (["--band", "9", "1"], "F0 < F1"),
         (["--units", "inch"], "mm-t-s"),
         (["--ambient-force", "1"], "give trials"),
+        (["--region", "floor"], "must be NAME="),
+        (["--region", "floor=104", "--kinetic", "floor=much"], "not a number"),
+        (["--kinetic", "floor=0.3"], "no region 'floor'"),
     ],
 )
 def test_bad_options_are_refused(deck: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str) -> None:
@@ -308,6 +311,24 @@ def test_sets_of_references_are_ranked_and_what_none_reaches_is_said(
     page = deck.with_name("frame-test").joinpath("report.html").read_text()
     assert "no point that can be struck" in page.lower()
     assert "ranked by the mode that they excite worst" in page
+
+
+def test_targets_and_points_by_regions(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Points are among the nodes of the regions, which may share some; modes that hardly move one are no targets."""
+    words = ["plan", str(deck), "--band", "0.5", "18", "--points", "5", "--method", "qr", "--distance", "0", "--weigh"]
+    words += ["--region", "top=301-309", "--region", "upper=201-209,301-309", "--json", "-"]
+    assert run(words) in (0, 1)
+    told = json.loads(capsys.readouterr().out)
+    assert told["candidates"] == 18
+    run([*words, "--cost", "top=50"])
+    dear, top = json.loads(capsys.readouterr().out), set(range(301, 310))
+    assert len(top & set(dear["points"])) < len(top & set(told["points"]))
+    run([*words, "--kinetic", "top=0.6"])
+    few = [m["mode"] for m in json.loads(capsys.readouterr().out)["modes"]]
+    assert 0 < len(few) < len(told["modes"])
+    run([*words, "--effective-mass", "0.5"])
+    heavy = [m["mode"] for m in json.loads(capsys.readouterr().out)["modes"]]
+    assert 0 < len(heavy) <= 3  # two sways and a torsion
 
 
 def test_a_folder_with_a_study_is_left_alone(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:

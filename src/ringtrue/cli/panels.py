@@ -29,9 +29,10 @@ BY_HAND: dict[str, tuple[str, ...]] = {"Modes by hand": ("choice", "choice_to", 
 
 OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parameters of its function
     "plan": {
+        "Target modes": ("band", "modes", "effective_mass", "kinetic"),
         "Where to measure": (
-            *("points", "directions", "at_hand", "method", "box", "keep_out", "exclude", "fixed"),
-            *("distance", "redundancy", "sensor_mass"),
+            *("points", "directions", "at_hand", "method", "region", "cost", "weigh", "box", "keep_out", "exclude"),
+            *("fixed", "distance", "redundancy", "sensor_mass"),
         ),
         "Where to strike and to hang": ("references", "strike_at", "strike", "hang"),
         "Expected and wanted": ("damping", "error", "coherence", "precision"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as text_json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -39,6 +39,13 @@ def plan(
     folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where the test sheet goes.")] = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Target modes from F0 to F1, Hz.")] = None,
     modes: Annotated[str, typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15.")] = "",
+    effective_mass: Annotated[
+        float, typer.Option(metavar="SHARE", help="Of the band, modes with such a share of the mass.", min=0, max=0.99)
+    ] = 0.0,
+    kinetic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=SHARE", help="Or with such a share of kinetic energy in a --region; repeat it."),
+    ] = None,
     points: Annotated[int, typer.Option(help="Measuring points; sensors, unless triaxial.", min=1)] = 20,
     at_hand: Annotated[
         int, typer.Option(metavar="N", help="Sensors recorded at once: more points are measured in setups.", min=0)
@@ -50,6 +57,14 @@ def plan(
     ] = "",
     strike: Annotated[str, one_of("--strike", STRIKES, "How points to strike are chosen")] = STRIKES[0],
     method: Annotated[str, one_of("--method", METHODS, "How measuring points are chosen")] = METHODS[0],
+    region: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=LIST", help="Points are among these nodes; repeat it.")
+    ] = None,
+    cost: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=COST", help="Of a point of a --region, else 1; with qr and information; repeat it."),
+    ] = None,
+    weigh: Annotated[bool, typer.Option("--weigh", help="Points that carry kinetic energy come first.")] = False,
     box: Annotated[
         list[str] | None, typer.Option("--box", metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Points lie in it, m; repeat it.")
     ] = None,
@@ -101,6 +116,11 @@ def plan(
         "references": references,
         "method": method,
         "modes": numbers(modes, "--modes"),
+        "effective_mass": effective_mass,
+        "kinetic": {name: _share("--kinetic", name, text) for name, text in _named("--kinetic", kinetic)},
+        "candidates": {name: numbers(text, "--region") for name, text in _named("--region", region)},
+        "cost": {name: _share("--cost", name, text) for name, text in _named("--cost", cost)},
+        "weigh": weigh,
         "boxes": [_box("--box", b) for b in box or []],
         "keep_out": [_box("--keep-out", b) for b in keep_out or []],
         "exclude": numbers(exclude, "--exclude"),
@@ -159,6 +179,22 @@ def numbers(text: str, where: str) -> list[int]:
     return found
 
 
+def _named(option: str, texts: Sequence[str] | None) -> list[tuple[str, str]]:
+    """NAME=VALUE, parted."""
+    parted = [text.partition("=") for text in texts or ()]
+    for name, sign, value in parted:
+        if not (name.strip() and sign and value.strip()):
+            raise ConfigError(f"{option} {name + sign + value!r}: must be NAME=...")
+    return [(name.strip(), value.strip()) for name, _, value in parted]
+
+
+def _share(option: str, name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigError(f"{option} {name}={text}: {text!r} is not a number") from None
+
+
 def _box(option: str, text: str) -> list[float]:
     try:
         values = [float(v) for v in text.replace(",", " ").split()]
@@ -203,6 +239,8 @@ def _write_study(folder: Path, deck: Path, units: str, section: dict[str, Any], 
 
 def _toml(value: Any) -> str:
     """JSON's texts, numbers and lists are TOML's too."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_toml(k)} = {_toml(v)}" for k, v in value.items()) + "}"
     return text_json.dumps(value, ensure_ascii=False)
 
 

@@ -45,12 +45,13 @@ METHODS = {
 
 
 def _candidates(plan: PlanSection, model: ModelStage) -> tuple[Int, tuple[str, ...]]:
-    """Candidate nodes and the region of each."""
-    nodes, region = model.scene.node, ("",) * model.scene.node.size
-    if plan.candidates:
-        nodes = np.array([n for group in plan.candidates.values() for n in group])
-        region = tuple(name for name, group in plan.candidates.items() for _ in group)
-    return nodes, region
+    """Candidate nodes and the region of each: the first that names it."""
+    if not plan.candidates:
+        return model.scene.node, ("",) * model.scene.node.size
+    first: dict[int, str] = {}
+    for name, group in plan.candidates.items():
+        first = dict.fromkeys(group, name) | first
+    return np.array(list(first)), tuple(first.values())
 
 
 def _within(desk: Workbench, plan: PlanSection, nodes: Int, region: tuple[str, ...]) -> tuple[Int, tuple[str, ...]]:
