@@ -218,16 +218,19 @@ def _appropriated(plan: PlanStage) -> Table:
 def _points(plan: PlanStage) -> Table:
     """Measuring points, and what is struck there; the struck ones first."""
     struck = {p: [r for r in plan.references if r.startswith((f"{p}+", f"{p}-"))] for p in plan.test.points.tolist()}
-    channels: dict[int, int] = {}
-    for p in plan.test.at.tolist():
-        channels[p] = channels.get(p, 0) + 1
+    read: dict[int, list[str]] = {}
+    for p, name in zip(plan.test.at.tolist(), plan.test.channels, strict=True):
+        read.setdefault(p, []).append(name.removeprefix(str(p)))
     there = {p: str(k + 1) for k in range(plan.setups.count) for p in plan.roving(k)} if plan.setups else {}
+    parts = any(plan.test.groups)
     rows: list[tuple[str, ...]] = []
     for p, xyz, group in zip(plan.test.points.tolist(), plan.test.xyz.tolist(), plan.test.groups, strict=True):
-        setup = (there.get(p, "all"),) if plan.setups else ()
-        rows.append((str(p), group, *(fixed(v, 3) for v in xyz), str(channels.get(p, 0)), *setup, " ".join(struck[p])))
+        setup, part = (there.get(p, "all"),) if plan.setups else (), (group,) if parts else ()
+        place = (fixed(v, 3) for v in xyz)
+        rows.append((str(p), *part, *place, " ".join(read.get(p, [])), *setup, " ".join(struck[p])))
     rows.sort(key=lambda row: not row[-1])
-    heads = ("point", "|part", "x, m", "y, m", "z, m", "channels", *(("setup",) if plan.setups else ()), "|strike")
+    part, setup = ("|part",) if parts else (), ("setup",) if plan.setups else ()
+    heads = ("point", *part, "x, m", "y, m", "z, m", "|channels", *setup, "|strike")
     return Table(heads, rows, "Measuring points, on nodes of the model.", scroll=True)
 
 

@@ -161,7 +161,7 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         lost=lost,
         averages=need.averages,
         segments=int(every.record // need.block),
-        notes=(*unseen, *_in_vain(desk, plan, able)),
+        notes=(*unseen, *_in_vain(desk, plan, able), *_alike(mac, targets, plan.max_auto_mac)),
         indicator=values,
         forces=forces,
         sets=sets,
@@ -179,6 +179,19 @@ def _in_vain(desk: Workbench, plan: PlanSection, able: Arrangement) -> tuple[str
     }
     return tuple(
         f"{t}: {' '.join(str(int(n)) for n in x[:8])}{' ...' * (x.size > 8)}" for t, x in lost.items() if x.size
+    )
+
+
+def _alike(mac: Float, targets: Int, wanted: float) -> tuple[str, ...]:
+    """Target modes that the points do not tell apart as well as wanted, in words; the worst pair and how many."""
+    above = np.triu(mac, 1)
+    a, b = np.unravel_index(int(np.argmax(above)), above.shape)
+    if above[a, b] <= wanted:
+        return ()
+    pairs, of = np.count_nonzero(above > wanted), targets.size * (targets.size - 1) // 2
+    return (
+        f"modes {targets[a] + 1} and {targets[b] + 1} look alike at the points, auto-MAC {100 * above[a, b]:.0f} %; "
+        f"{pairs} of {of} pairs above {100 * wanted:g} %: more points, or closer ones, may tell them apart",
     )
 
 

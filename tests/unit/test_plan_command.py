@@ -1,0 +1,73 @@
+"""`ringtrue plan` on a small frame: ranked references, modes that look alike, regions."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import small_study
+
+from ringtrue.cli.main import run
+
+
+@pytest.fixture
+def deck(tmp_path: Path) -> Path:
+    path = tmp_path / "frame.bdf"
+    path.write_text(small_study.deck())
+    return path
+
+
+def test_sets_of_references_are_ranked_and_what_none_reaches_is_said(
+    deck: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["plan", str(deck), "--modes", "1-5", "--points", "6", "--references", "3", "--json", "-"]
+    run(words)
+    told = json.loads(capsys.readouterr().out)
+    sets = told["reference_sets"]
+    assert [len(s["references"]) for s in sets] == [1, 2, 3, 3, 3, 4, 5]
+    best = sets[2]
+    assert sorted(best["references"]) == sorted(told["references"])
+    assert best["worst_reach"] == pytest.approx(min(m["reach"] for m in told["modes"]))
+    assert best["worst_reach"] >= sets[3]["worst_reach"] >= sets[4]["worst_reach"]
+    assert sets[0]["worst_reach"] <= sets[1]["worst_reach"] <= best["worst_reach"] <= sets[5]["worst_reach"]
+    # half a storey up a column no floor mode can be struck
+    run([*words, "--strike-at", "151"])
+    poor = json.loads(capsys.readouterr().out)
+    assert poor["missed"]
+    run([*words[:-2], "--strike-at", "151"])
+    assert "no point that can be struck moves enough in mode" in capsys.readouterr().out
+    page = deck.with_name("frame-test").joinpath("report.html").read_text()
+    assert "no point that can be struck" in page.lower()
+    assert "ranked by the mode that they excite worst" in page
+
+
+def test_modes_that_the_points_do_not_part_are_named(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At one node of the roof, the sways along x of all storeys look alike."""
+    words = ["plan", str(deck), "--modes", "1-6", "--points", "2", "--region", "roof=305,304", "--json", "-"]
+    run(words)
+    told = json.loads(capsys.readouterr().out)
+    assert told["worst_auto_mac"] > 0.25
+    assert any("look alike at the points" in n for n in told["notes"])
+    run(["plan", str(deck), "--modes", "1-3", "--points", "9", "--json", "-"])
+    told = json.loads(capsys.readouterr().out)
+    assert told["worst_auto_mac"] < 0.25
+    assert told["notes"] == []
+
+
+def test_targets_and_points_by_regions(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Points are among the nodes of the regions, which may share some; modes that hardly move one are no targets."""
+    words = ["plan", str(deck), "--band", "0.5", "18", "--points", "5", "--method", "qr", "--distance", "0", "--weigh"]
+    words += ["--region", "top=301-309", "--region", "upper=201-209,301-309", "--json", "-"]
+    assert run(words) in (0, 1)
+    told = json.loads(capsys.readouterr().out)
+    assert told["candidates"] == 18
+    run([*words, "--cost", "top=50"])
+    dear, top = json.loads(capsys.readouterr().out), set(range(301, 310))
+    assert len(top & set(dear["points"])) < len(top & set(told["points"]))
+    run([*words, "--kinetic", "top=0.6"])
+    few = [m["mode"] for m in json.loads(capsys.readouterr().out)["modes"]]
+    assert 0 < len(few) < len(told["modes"])
+    run([*words, "--effective-mass", "0.5"])
+    heavy = [m["mode"] for m in json.loads(capsys.readouterr().out)["modes"]]
+    assert 0 < len(heavy) <= 3  # two sways and a torsion
