@@ -123,6 +123,22 @@ def test_modes_of_a_file_and_a_sensor_the_wrong_way_round(tmp_path: Path) -> Non
     assert "looks" not in "\n".join(told(again))
 
 
+def test_a_strain_gauge_of_the_sheet_is_not_used(tmp_path: Path) -> None:
+    modes = true_modes(tmp_path)
+    shapes = np.array(modes.shapes)
+    shapes[3] = np.random.default_rng(0).standard_normal(len(modes))
+    write_modes(tmp_path / "test.json", replace(modes, shapes=shapes))
+    toml = study(tmp_path, 'modes = "test.json"')
+    rows = list(csv.DictReader((tmp_path / "sensors.csv").read_text().splitlines()))
+    rows[3] |= {"quantity": "strain", "unit": "ustrain"}
+    with (tmp_path / "sensors.csv").open("w", newline="") as file:
+        (writer := csv.DictWriter(file, list(rows[3]))).writeheader()
+        writer.writerows(rows)
+    found = run_study(toml, until="correlate").results
+    assert found["correlate"].reference.channels == tuple(c for c in modes.channels if c != modes.channels[3])
+    assert f"channel {modes.channels[3]}: measures strain, not used" in "\n".join(told(found))
+
+
 def test_damping_of_a_file_of_modes_reaches_the_regions(tmp_path: Path) -> None:
     """Without standard deviations in the file, too: a ratio of 1 % is a loss factor of 2 %."""
     write_modes(tmp_path / "test.json", true_modes(tmp_path))

@@ -122,9 +122,9 @@ def _proposal(s: LocaliseStage) -> list[Block]:
 
 def _made(s: LocaliseStage) -> str:
     text = (
-        f"{s.made} candidates are made from the deck; {len(s.what)} that can move the measured frequencies most, each "
+        f"{s.made} candidates are made from the deck; {len(s.what)} that explain most of the deviations, each in a way "
     )
-    text += "in a way of its own, are looked at closely."
+    text += "of its own, are looked at closely."
     lost = f" {_count(len(s.dropped)).capitalize()} change{'s' if len(s.dropped) == 1 else ''} no mode."
     return text + (lost if s.dropped else "")
 

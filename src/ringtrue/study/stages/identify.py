@@ -151,24 +151,30 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     model = sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
     if unknown := [c for c in test.leave_out if c not in set(model.channels)]:
         raise ConfigError(f"[test] leave_out {unknown[0]!r}{did_you_mean(unknown[0], model.channels)}")
+    found = _identified(desk, replace(sheet, model=model), (*test.leave_out, *sheet.strain), progress)
+    strain = tuple(f"channel {c}: measures strain, not used" for c in sheet.strain)
+    return replace(found, frf_notes=(*strain, *found.frf_notes))
+
+
+def _identified(desk: Workbench, sheet: SensorSheet, lost: Sequence[str], progress: Progress) -> IdentifyStage:
+    """Of all channels of the sheet but those in `lost`."""
+    test, model = section(desk), sheet.model
     if test.modes:
-        return supplied_modes(desk.base / test.modes, model, test.leave_out)
+        return supplied_modes(desk.base / test.modes, model, lost)
     records, sensors = read_log(desk.base / test.log) if test.log else ([], {})
     quiet = [r for r in records if r.kind == "ambient"]
     hits = [r for r in records if r.kind != "ambient"]
     if hits and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     choice = _by_hand(desk, records)
-    found, shown = ambient(
-        quiet, sensors, sheet, desk.config.identify, test.leave_out, choice, part(progress, 0.0, 0.5)
-    )
+    found, shown = ambient(quiet, sensors, sheet, desk.config.identify, lost, choice, part(progress, 0.0, 0.5))
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
-    frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, test.leave_out), tuple[str, ...]()
+    frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, lost), tuple[str, ...]()
     batches: tuple[FrfSet, ...] = ()
     fmax = desk.config.identify.hammer_fmax
     if hits:
-        frfs, more, rejected, batches = struck(hits, sheet, test.leave_out, fmax, part(progress, 0.5, 0.7))
+        frfs, more, rejected, batches = struck(hits, sheet, lost, fmax, part(progress, 0.5, 0.7))
         frfs = exchanged(frfs)[0]
         shown += more
     result = _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
