@@ -51,6 +51,24 @@ def test_pairs_do_not_depend_on_order_sign_scale_or_channel_order() -> None:
     assert ((signed * a.shapes).sum(axis=0) > 0).all()
 
 
+@pytest.mark.parametrize("channels", [10, 0], ids=["shapes", "frequencies alone"])
+def test_rigid_body_modes_at_exactly_0_hz_pair_with_each_other(channels: int) -> None:
+    phi = sines(4)[:channels]
+    a, b = modes([0, 0, 20, 30.0], phi), modes([0, 0, 21, 31.0], phi)
+    p = pair_modes(a, b)
+    assert sorted(p.b[:2].tolist()) == [0, 1]
+    assert p.b[2:].tolist() == [2, 3]
+    np.testing.assert_allclose(correlation_table(a, b, p).deviation_percent, [0, 0, 5, 10 / 3], rtol=1e-12)
+    assert len(pair_modes(a, modes([1e-4, -1e-4, 21, 31.0], phi))) == 2
+
+
+def test_gaps_in_shapes_are_refused_with_their_channels() -> None:
+    phi = sines(3)
+    phi[2, 1] = np.nan
+    with pytest.raises(InputError, match="shapes of FE have gaps"):
+        pair_modes(modes([10, 20, 30], sines(3)), modes([10, 20, 30], phi))
+
+
 def test_two_poor_pairs_never_outvote_a_good_one() -> None:
     """A sum of MACs would pair across: 0.66 + 0.66 > 0.93."""
     e = np.eye(4)

@@ -56,7 +56,7 @@ def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) 
         Pairs that are looked at for doubts: gates do not make a pair certain.
     """
     tiny = np.finfo(np.float64).tiny
-    error = np.log(np.maximum(fb, tiny)[None, :] / np.maximum(fa, tiny)[:, None])
+    error = np.log(np.maximum(fb, tiny))[None, :] - np.log(np.maximum(fa, tiny))[:, None]
     offsets = _offsets(error[allowed & ~forced])
     scatter = SCATTER
     for _ in range(2):

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import ConfigError
 from ringtrue.shapes.mac import mac, paired_mac
-from ringtrue.shapes.subspace import FADE, close_groups, fade, rotation, subspace_mac
+from ringtrue.shapes.subspace import FADE, NIL, close_groups, fade, gaps, rotation, subspace_mac
 
 TIE = 1e-3
 LOCKED = 1e6  # worth of a forced pair, above that of all others together
@@ -178,8 +178,7 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *,
     mixed : bool
         Also make one group of the modes of B that close modes of A mix.
     """
-    scale = np.maximum(np.abs(fa), np.finfo(float).tiny)[:, None]
-    error = (fb[None, :] - fa[:, None]) / scale
+    error = (fb[None, :] - fa[:, None]) / np.maximum(np.abs(fa), NIL)[:, None]
     if not len(a):
         return Scores(np.full(error.shape, np.nan), np.full(error.shape, np.nan), error, ())
     single = mac(a, b)
@@ -190,7 +189,7 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *,
         share = np.where((np.abs(error[ga]) <= settings.frequency_gate).any(axis=0), subspace_mac(b, a[:, ga]), 0.0)
         if share.any():
             here = fb[share.argmax()]
-            near = fade(np.abs(fb - here) / max(APART * settings.close * here, np.finfo(float).tiny))[0]
+            near = fade(np.abs(fb - here) / max(APART * settings.close * here, NIL))[0]
             shared.append(_mixed(single[ga], share, near, settings))
     for group, weight in _weighed(fb, shared, settings).items():
         gb, turn = np.array(group), np.zeros(fa.size)
@@ -247,33 +246,24 @@ def _weighed(
 ) -> dict[tuple[int, ...], float]:
     """Groups of more than one mode of B, each with its weight: the mean over all limits between `close` and `FADE` it.
 
-    Each limit joins those that `mixed` says, too, where that is so by more than the limit asks. A mean over limits has
-    no jump where two modes pass one.
+    Each limit joins those that `mixed` says, too, where that is so by more than the limit asks, unless that makes more
+    than `largest_group` modes. A mean over limits has no jump where two modes pass one.
     """
-    order = np.sort(fb)
-    gap = np.diff(order) / np.maximum(np.abs(order[1:]), np.finfo(float).tiny)
+    gap = gaps(np.sort(fb))
     near = fade(gap / settings.close)[0] if settings.close else np.zeros(gap.size)
     steps = np.unique(np.concatenate([[0.0, 1.0], near, [s for sets in mixed for s, _ in sets]]))
     out: dict[tuple[int, ...], float] = {}
     for low, high in pairwise(steps.tolist()):
         limit = float(gap[near <= low].min(initial=FADE * settings.close))
-        groups = close_groups(fb, limit, settings.largest_group)
+        of = {j: tuple(sorted(g)) for g in close_groups(fb, limit, settings.largest_group) for j in g}
         for sets in mixed:
             members = [m for s, m in sets if s >= high]
-            groups = _joined(groups, members[-1], settings.largest_group) if members else groups
-        for g in (tuple(sorted(g)) for g in groups if len(g) > 1):
+            one = tuple(sorted({j for m in members[-1].tolist() for j in of[m]})) if members else ()
+            if len(one) <= settings.largest_group:
+                of.update(dict.fromkeys(one, one))
+        for g in dict.fromkeys(g for g in of.values() if len(g) > 1):
             out[g] = out.get(g, 0.0) + high - low
     return out
-
-
-def _joined(groups: tuple[tuple[int, ...], ...], members: Int, largest: int) -> tuple[tuple[int, ...], ...]:
-    """The groups with those of `members` made one, unless that is more than `largest` modes."""
-    those = set(members.tolist())
-    touched = [g for g in groups if not those.isdisjoint(g)]
-    one = tuple(sorted(j for g in touched for j in g))
-    if len(touched) < 2 or len(one) > largest:
-        return groups
-    return (*(g for g in groups if g not in touched), one)
 
 
 def _turned(single: Float, error: Float, a: Any_, b: Any_, settings: PairingSettings) -> tuple[Float, Float]:

@@ -69,9 +69,15 @@ def pair_modes(
     Raises
     ------
     InputError
-        If channels of A are not in B, or `visible_b` does not fit.
+        If channels of A are not in B, shapes have gaps, or `visible_b` does not fit.
     """
     b = b if b.channels == a.channels else b.rows(a.channels)
+    for name, m in zip(names, (a, b), strict=True):
+        if gaps := [m.channels[i] for i in np.flatnonzero(~np.isfinite(m.shapes).all(axis=1)).tolist()]:
+            raise InputError(
+                f"shapes of {name} have gaps (NaN) at {' '.join(gaps[:8])}{' ...' * (len(gaps) > 8)}: "
+                "take the channels (rows) and modes (take) that have none"
+            )
     if visible_b is not None and np.shape(visible_b) != (len(b),):
         raise InputError(f"visible_b {np.shape(visible_b)} for {len(b)} modes: one share a mode is needed")
     hidden = _hidden(b, settings, visible_b)

@@ -11,6 +11,7 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.pairing import Pairing
 from ringtrue.shapes.mac import mac
+from ringtrue.shapes.subspace import NIL
 
 __all__ = ["CorrelationRow", "CorrelationTable", "correlation_table"]
 
@@ -81,7 +82,7 @@ class CorrelationTable:
     @property
     def deviation_percent(self) -> Float:
         """(f_FE − f_test)/f_test, (k,) %."""
-        return 100 * self.deviation_hz / self.test_hz
+        return np.asarray(100 * self.deviation_hz / np.maximum(np.abs(self.test_hz), NIL))
 
     @property
     def mac_percent(self) -> Float:

@@ -9,6 +9,7 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.shapes.mac import unit
 
 RANK = 1e-10  # relative singular value below which columns count as dependent
+NIL = 1e-12  # Hz; what is relative to a rigid-body mode at 0 stays finite
 FADE = 1.5  # times a limit, where what holds below the limit has faded away
 
 
@@ -66,6 +67,11 @@ def fade(ratio: Float) -> tuple[Float, Float]:
     return t * t * (3 - 2 * t), 6 * t * (t - 1) / (FADE - 1)
 
 
+def gaps(ascending: Float) -> Float:
+    """Relative distance of each of (m,) ascending frequencies, Hz, from the one before it, (m - 1,)."""
+    return np.asarray(np.diff(ascending) / np.maximum(np.abs(ascending[1:]), NIL))
+
+
 def close_groups(frequencies: Float, close: float, largest: int = 4) -> tuple[tuple[int, ...], ...]:
     """Positions of modes closer than `close` (relative) to their neighbour, as groups of at most `largest`.
 
@@ -84,8 +90,7 @@ def close_groups(frequencies: Float, close: float, largest: int = 4) -> tuple[tu
     """
     f = np.asarray(frequencies, dtype=np.float64)
     order = np.argsort(f, kind="stable")
-    gap = np.diff(f[order]) / np.maximum(np.abs(f[order][1:]), np.finfo(float).tiny)
-    chains = np.split(order, np.flatnonzero(gap >= close) + 1) if f.size else []
+    chains = np.split(order, np.flatnonzero(gaps(f[order]) >= close) + 1) if f.size else []
     return tuple(g for chain in chains for g in _split(tuple(chain.tolist()), f, largest))
 
 
