@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +16,9 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.io.modes_json import write_modes
 from ringtrue.study.config import parse_config
 from ringtrue.study.reference import beyond, fewer, left_out, measured_part, reference_modes
+from ringtrue.study.stages import compare
 from ringtrue.study.stages.supplied import supplied_modes
+from ringtrue.study.workbench import Workbench
 
 
 def modes(known: npt.NDArray[np.bool_]) -> ModeSet:
@@ -83,3 +88,22 @@ def test_fewer_modes_left_out_than_asked_for_are_told() -> None:
         assert len(modes) - out.size == kept
         assert bool(fewer(count, out)) == told
     assert fewer(9, out)[0].startswith("update.left_out = 9: 4 modes are left out")
+
+
+def test_two_tests_are_compared_where_neither_has_a_gap(tmp_path: Path) -> None:
+    """Modes of a file may be those of several setups, as those of ambient records."""
+    rng = np.random.default_rng(0)
+    whole = replace(modes(np.ones((8, 5), dtype=bool)), shapes=rng.standard_normal((8, 5)))
+    shapes = np.array(whole.shapes)
+    shapes[6:, 1] = np.nan
+    std = Uncertainty.independent(0.01 * whole.frequencies, whole.damping, np.zeros((8, 5)))
+    points = np.arange(8)
+    xyz, axes = np.column_stack([points, 0 * points, 0 * points]).astype(float), np.tile([0.0, 0.0, 1.0], (8, 1))
+    sheet = TestModel(points, xyz, whole.channels, points, axes, np.zeros((0, 2), dtype=np.int64))
+    write_modes(tmp_path / "test.json", replace(whole, shapes=shapes), std)
+    found = replace(supplied_modes(tmp_path / "test.json", sheet, ()), ambient=whole, ambient_uncertainty=std)
+    desk = SimpleNamespace(config=parse_config('[model]\ndeck = "a.bdf"\n', tmp_path / "s.toml"), get=lambda _: found)
+    stage = compare.run(cast(Workbench, desk), lambda *_: None)
+    assert stage is not None
+    assert stage.table.mac.shape == (5, 4)  # eight channels of four modes are more than six of five
+    np.testing.assert_allclose(stage.table.pairing.mac, 1.0, rtol=1e-12)

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress
+from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.complete import complete
 from ringtrue.correlate.pairing import pair_modes
 from ringtrue.correlate.table import correlation_table
@@ -23,22 +25,23 @@ def run(desk: Workbench, progress: Progress) -> CompareStage | None:
     if found.hammer is None or found.hammer_uncertainty is None or not len(found.ambient):
         return None
     edge = elastic_edge(found.ambient.frequencies, desk.config)
-    ambient, std = _elastic(found, edge)
-    common = [c for c in ambient.channels if c in set(found.hammer.channels)]
+    ambient, std = _elastic(found.ambient, found.ambient_uncertainty, edge)
+    hammer, std_hammer = _elastic(found.hammer, found.hammer_uncertainty, edge)
+    common = [c for c in ambient.channels if c in set(hammer.channels)]
     if not common:
         return None
-    high = np.flatnonzero(found.hammer.frequencies >= edge)
-    a, b = ambient.rows(common), found.hammer.take(high).rows(common)
+    a, b = ambient.rows(common), hammer.rows(common)
     names = ("ambient", "hammer")
     gates = replace(settings(desk.config), reach=1.0)  # of one structure
     pairing = pair_modes(a, b, gates, names=names)
-    measures = complete(a, b, pairing, std_a=std, std_b=found.hammer_uncertainty.frequency[high], settings=gates)
+    measures = complete(a, b, pairing, std_a=std, std_b=std_hammer, settings=gates)
     return CompareStage(
         correlation_table(a, b, pairing, std_hz=std, names=names), Evidence(measures, auto_mac(a.shapes))
     )
 
 
-def _elastic(found: IdentifyStage, edge: float) -> tuple[ModeSet, np.ndarray[tuple[int], np.dtype[np.float64]]]:
-    high = np.flatnonzero(found.ambient.frequencies >= edge)
-    at, channels = measured_part(found.ambient.take(high))
-    return found.ambient.take(high[at]).rows(channels), found.ambient_uncertainty.frequency[high[at]]
+def _elastic(modes: ModeSet, std: Uncertainty, edge: float) -> tuple[ModeSet, Float]:
+    """The modes above the edge that have no gap, at the channels where they have none, and their scatter, Hz."""
+    high = np.flatnonzero(modes.frequencies >= edge)
+    at, channels = measured_part(modes.take(high))
+    return modes.take(high[at]).rows(channels), std.frequency[high[at]]
