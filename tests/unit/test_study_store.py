@@ -196,6 +196,17 @@ def test_a_stage_that_cannot_be_run_is_refused(finished: Path, options: dict[str
         run_study(finished, **options)  # type: ignore[arg-type]
 
 
+def test_a_stage_that_another_version_has_stored_is_run_anew_and_named_for_a_report(finished: Path) -> None:
+    run_study(finished)
+    path = finished.with_name("study.h5")
+    with h5py.File(path, "a") as f:
+        f["correlate"].attrs["class"] = "ringtrue.study.results:OfAnotherVersion"
+    with pytest.raises(DataError, match="stage 'correlate': .*which this version does not have; run the study again"):
+        load_study(path)
+    assert rerun(run_study(finished)) == {"correlate", "localise", "sensitivity", "update"} | AFTER
+    load_study(path)
+
+
 def test_types_named_by_the_module_that_results_once_were_still_load(tmp_path: Path) -> None:
     store = Store(tmp_path / "study.h5")
     store.save("correlate", "1", RemodelStep("a rib", 3, 1.0, 2.0, 98.0))

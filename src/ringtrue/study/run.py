@@ -186,8 +186,10 @@ def run_study(
             keys[stage.name] = key = stage_key(stage, desk, keys, inputs)
             stored = desk.store.key(stage.name)
             if _position(stage.name) < start and stored == key:
-                loaded.append(stage.name)
-                continue
+                if _readable(desk, stage.name):
+                    loaded.append(stage.name)
+                    continue
+                stored = None  # what was made of it goes, too
             began = time.perf_counter()
             result = stage.run(desk, part(progress, i / len(todo), (i + 1) / len(todo)))
             desk.put(stage.name, result)
@@ -204,6 +206,16 @@ def run_study(
     made = _sign(desk, inputs, text, timings)
     altered = tuple(name for p in dict.fromkeys(files) if _now(p) != inputs[name := _seen_from(desk.base, p)])
     return StudyRun(folder, desk, results | {"provenance": made}, made.timings, tuple(loaded), altered)
+
+
+def _readable(desk: Workbench, stage: str) -> bool:
+    """Whether a stored result is one of this code: of the same version it may have had other fields."""
+    try:
+        desk.get(stage)
+    except DataError as e:
+        log.warning("run anew: %s", str(e).removesuffix("; run the study again"))
+        return False
+    return True
 
 
 def _now(path: Path) -> str:

@@ -53,7 +53,7 @@ class Store:
         Raises
         ------
         DataError
-            If the file or the stage is not there.
+            If the file or the stage is not there, or was stored by a version with other results.
         """
         if not self.path.exists():
             raise DataError(f"{self.path}: no such store; run the study first")
@@ -62,7 +62,10 @@ class Store:
                 raise DataError(
                     f"{self.path}: stage {stage!r} is not in the store; it holds {', '.join(f) or 'nothing'}"
                 )
-            return codec.load(f[stage])
+            try:
+                return codec.load(f[stage])
+            except DataError as e:
+                raise DataError(f"{self.path}: stage {stage!r}: {e}; run the study again") from e
 
     def stages(self) -> tuple[str, ...]:
         """The stages that are stored."""

@@ -107,8 +107,8 @@ class PlanStage:
 
     @property
     def hopeless(self) -> Bool:
-        """Which target modes no point that can be struck excites well."""
-        return np.asarray(self.reachable < MISSED)
+        """Which target modes no point that can be struck excites well; none of a plan stored before this was asked."""
+        return np.asarray(self.reachable < MISSED) if self.reachable.size else np.zeros_like(self.missed)
 
     @property
     def missed_by_sets(self) -> list[list[int]]:
