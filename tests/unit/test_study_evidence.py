@@ -7,6 +7,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from ringtrue.correlate.table import CorrelationTable
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
 from ringtrue.report.parts import Items, Table
-from ringtrue.report.sections import measured, survey
+from ringtrue.report.sections import measured, summary, survey
 from ringtrue.report.stages import Stages
 from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.acceptance import Acceptance, in_both, limits, missed_words, verdict
@@ -177,7 +178,16 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
     won = replace(table([0, 1, 3], [1.0, -3.0, 38.0]), used=np.array([True, False, False]))
     words = spared(first, won)
     assert words.endswith("of the 1 paired before and after 15.00 -> 3.00 %; paired after only: 4 (+38.0 %)")
-    assert [x.tolist() for x in in_both(first, won, used=False)] == [pytest.approx([15.0]), pytest.approx([-3.0])]
+    assert [w.tolist() for w in in_both(first, won, used=False)] == [[False, True], [False, True, False]]
+    stages = {"correlate": SimpleNamespace(initial=first, changed=False), "final": SimpleNamespace(table=won)}
+    rows = summary.stages_table(Stages("", "", Acceptance(), **stages)).rows  # type: ignore[arg-type]
+    assert [tuple(r[:4]) for r in rows if r[1] != "used in the updating"] == [
+        ("Initial", "all", "2", "17.50"),
+        ("", "left out", "1", "15.00"),
+        ("Final", "all", "3", "14.00"),
+        ("", "left out", "1", "3.00"),
+    ]
+    assert [w.tolist() for w in in_both(first, won)] == [[True, True], [True, True, False]]
 
 
 def test_what_is_not_plausible_is_told_beside_what_is_not_proven(done: StudyRun) -> None:

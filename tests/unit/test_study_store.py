@@ -201,7 +201,7 @@ def test_a_stage_that_another_version_has_stored_is_run_anew_and_named_for_a_rep
     path = finished.with_name("study.h5")
     with h5py.File(path, "a") as f:
         f["correlate"].attrs["class"] = "ringtrue.study.results:OfAnotherVersion"
-    with pytest.raises(DataError, match="stage 'correlate': .*which this version does not have; run the study again"):
+    with pytest.raises(DataError, match=r"stage 'correlate': .*which this version does not have; run the study again"):
         load_study(path)
     assert rerun(run_study(finished)) == {"correlate", "localise", "sensitivity", "update"} | AFTER
     load_study(path)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Bool
 from ringtrue.correlate.table import CorrelationRow, CorrelationTable
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_correlate import CorrelateSection
@@ -179,19 +179,24 @@ def improvement(results: Mapping[str, Any]) -> tuple[Check, ...]:
         return ()
     out = []
     for name, used in (("used", True), ("left-out", False)):
-        first, last = in_both(before.initial, final.table, used=used)
-        if first.size:
-            a, b = (float(np.abs(x).mean()) for x in (first, last))
-            out.append(Check(f"{name} modes: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a)))
+        out += _improved(f"{name} modes", before.initial, final.table, used=used)
     return (*out, *_others_improved(results))
 
 
-def in_both(before: CorrelationTable, after: CorrelationTable, *, used: bool) -> tuple[Float, Float]:
-    """Deviations, (n,) %, of the test modes, used or left out, that have a partner in both tables."""
-    tables = [(t, t.used == used) for t in (before, after)]
-    a, b = (t.pairing.a[mine] for t, mine in tables)
-    first, last = (t.deviation_percent[mine] for t, mine in tables)
-    return first[np.isin(a, b)], last[np.isin(b, a)]
+def in_both(*tables: CorrelationTable, used: bool | None = None) -> tuple[Bool, ...]:
+    """Which pairs of each table, (k,), are of test modes with a partner in the first and in the last of them.
+
+    Of the modes that the updating has used, of those left out, or of all.
+    """
+    a, b = (t.pairing.a if used is None else t.pairing.a[t.used == used] for t in (tables[0], tables[-1]))
+    both = np.intersect1d(a, b)
+    return tuple(np.isin(t.pairing.a, both) for t in tables)
+
+
+def _improved(name: str, *tables: CorrelationTable, used: bool | None = None) -> list[Check]:
+    a, b = (t.mean_deviation(which) for t, which in zip(tables, in_both(*tables, used=used), strict=True))
+    there = np.isfinite(a)
+    return [Check(f"{name}: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a))] if there else []
 
 
 def _others_improved(results: Mapping[str, Any]) -> list[Check]:
@@ -200,11 +205,8 @@ def _others_improved(results: Mapping[str, Any]) -> list[Check]:
     after: ConfiguredStage | None = results.get("configured")
     if before is None or after is None:
         return []
-    out = []
-    for c, d in zip(before.items, after.items, strict=True):
-        a, b = c.initial.mean_deviation(), d.table.mean_deviation()
-        out.append(Check(f"{c.name}: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a)))
-    return out
+    every = zip(before.items, after.items, strict=True)
+    return [check for c, d in every for check in _improved(c.name, c.initial, d.table)]
 
 
 def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]:

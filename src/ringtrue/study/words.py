@@ -52,7 +52,7 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     if known is not None:
         out += _doubts(known)
     if correlate is not None and final is not None:
-        line = worse(*in_both(correlate.remodelled, final.table, used=True))
+        line = worse(*_shared(correlate.remodelled, final.table, used=True))
         out += [line] if line else []
     update, localise = r.get("update"), r.get("localise")
     if update is not None and (line := weighed_by(update.sets[update.chosen].discrepancy.tolist())):
@@ -190,9 +190,14 @@ def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
     return out
 
 
+def _shared(before: CorrelationTable, after: CorrelationTable, *, used: bool) -> list[Float]:
+    """Deviations, %, of the modes that are `in_both`."""
+    return [t.deviation_percent[w] for t, w in zip((before, after), in_both(before, after, used=used), strict=True)]
+
+
 def spared(before: CorrelationTable, after: CorrelationTable) -> str:
     """How well the modes are met that the updating did not see, and which of them have a partner in one table only."""
-    both = in_both(before, after, used=False)
+    both = _shared(before, after, used=False)
     out = "modes that the updating did not see: "
     if both[0].size:
         alone = both[0].size < max(int((~t.used).sum()) for t in (before, after))

@@ -22,6 +22,7 @@ from ringtrue.report.parts import (
 )
 from ringtrue.report.sections import shapes, survey
 from ringtrue.report.stages import Stages
+from ringtrue.study.acceptance import in_both
 
 GOOD, BAD, UNFIT = Cell("passed", "good"), Cell("failed", "bad"), Cell("no verdict", "warn")
 
@@ -92,7 +93,7 @@ def _outcome(data: Stages) -> list[Block]:
     left += _evidence(data)
     blocks: list[Block] = [_facts(final.table, before)]
     blocks += _beside(left, shapes.first(data))
-    blocks += [_deviations(data), _stages_table(data)]
+    blocks += [_deviations(data), stages_table(data)]
     return blocks
 
 
@@ -132,10 +133,12 @@ def _beside(left: list[Block], right: Block | None) -> list[Block]:
     return [Columns([left, [right]])] if left else [right]
 
 
-def _stages_table(data: Stages) -> Table:
-    rows = []
-    for name, table in _tables(data):
-        for label, which in (("all", None), ("used in the updating", table.used), ("left out", ~table.used)):
+def stages_table(data: Stages) -> Table:
+    """Deviations and MAC of each state of the model; means of the same modes in the first and the last."""
+    rows, named = [], _tables(data)
+    used, out = (in_both(*(t for _, t in named), used=u) for u in (True, False))
+    for (name, table), seen, unseen in zip(named, used, out, strict=True):
+        for label, which in (("all", None), ("used in the updating", seen), ("left out", unseen)):
             count = len(table) if which is None else int(which.sum())
             if not count:
                 continue
@@ -143,5 +146,8 @@ def _stages_table(data: Stages) -> Table:
             mac = (fixed(table.mean_mac(which), 1), fixed(table.min_mac(which), 1))
             rows.append((name.capitalize() if which is None else "", label, str(count), *deviation, *mac))
     heads = ("|Model", "|Modes", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Min MAC, %")
-    text = "The stages of the model against the test; the modes left out judge the prediction."
+    text = (
+        "The stages of the model against the test. Modes that were used or left out are those with a partner in the "
+        "first stage and the last; the ones left out judge the prediction."
+    )
     return Table(heads, rows, text).without_blank("MAC")
