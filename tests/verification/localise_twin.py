@@ -108,7 +108,7 @@ def observation(dofs: DofSet, seen: DofSet) -> Observation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """The deck as delivered, its candidates and its reduced model."""
+    """The initial deck, its candidates and its reduced model."""
 
     model: Model
     analysis: EmbeddedAnalysis
@@ -164,7 +164,7 @@ def region_elements(region: int) -> set[int]:
 
 
 def write_test(folder: Path, frequencies: Array, shapes: Array, error: float, noise: Array) -> None:
-    """`frame.bdf`, the deck as delivered, `sensors.csv`, and `modes.json`.
+    """`frame.bdf`, the initial deck, `sensors.csv`, and `modes.json`.
 
     Stated deviations are the relative `error` of all frequencies and the `noise` (m,) of the shapes.
     """

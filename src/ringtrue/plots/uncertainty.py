@@ -33,7 +33,7 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
             fig.add_scatter(x=f32(x), y=f32(y), mode="lines", name=name, line={"width": width, "color": color})
             fig.data[-1].update(hoverinfo="skip")
     marks = {"symbol": "line-ns", "size": 15, "line": {"width": 2.5, "color": TEST}}
-    fig.add_scatter(x=f32(stage.factor), y=rows, mode="markers", marker=marks, name="delivered", text=names)
+    fig.add_scatter(x=f32(stage.factor), y=rows, mode="markers", marker=marks, name="final", text=names)
     fig.data[-1].hovertemplate = "%{text}: × %{x:.3f}<extra></extra>"
     look = {"color": MUTED, "width": 1, "dash": "dot"}
     fig.update_layout(shapes=[{"type": "line", "x0": 1, "x1": 1, "yref": "paper", "y0": 0, "y1": 1, "line": look}])

@@ -102,7 +102,7 @@ class Stages:
 
     @property
     def computed(self) -> Float:
-        """Frequencies of the deck as delivered, Hz: up to [model] fmax, or as far as the test asked for them."""
+        """Frequencies of the initial deck, Hz: up to [model] fmax, or as far as the test asked for them."""
         found = [
             s.frequencies for s in (self.model and self.model.modes, self.correlate and self.correlate.fe_initial) if s
         ]

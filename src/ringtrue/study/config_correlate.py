@@ -24,7 +24,7 @@ class CorrelateSection(BaseModel):
     mac_gate: float = Field(default=0.6, gt=0, lt=1)
     # |f_FE − f_test|/f_test; None: 0.4, and beyond it modes that look alike and like no other
     frequency_gate: float | None = Field(default=None, gt=0)
-    lock: list[str] = []  # "3:7": test mode 3 belongs to mode 7 of the deck as delivered, and to what becomes of it
+    lock: list[str] = []  # "3:7": test mode 3 belongs to mode 7 of the initial deck, and to what becomes of it
     forbid: list[str] = []  # that do not belong together
     rigid_below: float | None = None  # Hz: rigid-body modes lie below; None: the largest gap decides
     tolerance: float | None = Field(default=None, gt=0)  # m, sensor to node; None: 3 % of the deck, or a mesh width

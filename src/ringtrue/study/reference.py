@@ -239,7 +239,7 @@ def positions(pairs: Sequence[str]) -> tuple[tuple[int, int], ...]:
 
 
 def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Followed | None:
-    """The pairs that the study decides, by the shapes of the deck as delivered at the channels of the test modes.
+    """The pairs that the study decides, by the shapes of the initial deck at the channels of the test modes.
 
     Raises
     ------

@@ -246,7 +246,7 @@ class Workbench:
 
     @cached_property
     def placed(self) -> tuple[Alignment, TestModel]:
-        """How the sheet of the study is laid onto the deck as delivered, and the sheet there: for all its states."""
+        """How the sheet of the study is laid onto the initial deck, and the sheet there: for all its states."""
         test = self.get("identify").test
         found = alignment(test, self.initial, self.config.correlate.align)
         return found, found.move(test)
@@ -283,12 +283,12 @@ class Workbench:
 
     @cached_property
     def initial(self) -> Opened:
-        """The deck as delivered."""
+        """The initial deck."""
         return self.opened(self.base / self.deck.deck)
 
     @cached_property
     def steps(self) -> tuple[Opened, ...]:
-        """The deck as delivered, and after each step of the stated remodelling, read from `out/remodelled`."""
+        """The initial deck, and after each step of the stated remodelling, read from `out/remodelled`."""
         out, files = [self.initial], [Path(f).resolve() for f in self.initial.model.files]
         for i, step in enumerate(self.config.remodel, start=1):
             model, file = out[-1].model, self.base / step.file

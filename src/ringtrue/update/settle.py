@@ -124,7 +124,7 @@ def lost(problem: Problem, at: Evaluated) -> int:
 
 
 def displaced(problem: Problem, at: Evaluated) -> int:
-    """How many of these have a shape that the model has, at the point or as delivered: other starts may pair them.
+    """How many of these have a shape that the model has, at the point or initially: other starts may pair them.
 
     A shape that no mode comes near, as of a local mode, is of something that the model does not have.
     """

@@ -107,13 +107,13 @@ def tests(data: Stages) -> Section | None:
 
 
 def initial(data: Stages) -> Section | None:
-    """The model as delivered."""
+    """The initial model."""
     c = data.correlate
     if c is None:
         return None
     body: list[Block] = [Text(sentence(c.placed))] if c.placed else []
     body += [Items(c.gaps, f"Notes on the test ({len(c.gaps)})")] if c.gaps else []
-    body += blocks(c.initial, data, "The model as delivered against the test.", updating=True)
+    body += blocks(c.initial, data, "The initial model against the test.", updating=True)
     return Section("initial", "Initial correlation", [*body, *evidence.brief(c.evidence_initial, c.initial, FOLDED)])
 
 
@@ -136,7 +136,7 @@ def _history(steps: Sequence[RemodelStep]) -> Table:
         for i, s in enumerate(steps)
     ]
     heads = ("Step", "|What", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %")
-    text = "The deck as delivered and after each step of the remodelling, against the test."
+    text = "The initial deck and that after each step of the remodelling, against the test."
     return Table(heads, rows, text).without_blank("MAC")
 
 
@@ -145,7 +145,7 @@ def final(data: Stages) -> Section | None:
     f = data.final
     if f is None:
         return None
-    body: list[Block] = [Text("Computed from the delivered deck, read back from its files after all changes.")]
+    body: list[Block] = [Text("The final model is the delivered deck, read back from its files after all changes.")]
     body += blocks(f.table, data, "The final model against the test.", updating=True)
     if len(f.rigid):
         body.append(pairs(f.rigid, data, "Rigid-body modes of the final model.", updating=False))

@@ -69,7 +69,7 @@ def _figures(table: CorrelationTable) -> tuple[str, str, str, str]:
 
 
 def _tables(data: Stages) -> list[tuple[str, CorrelationTable]]:
-    """The model as delivered, remodelled if it was, and updated."""
+    """The initial model, remodelled if it was, and updated."""
     out: list[tuple[str, CorrelationTable]] = []
     if (c := data.correlate) is not None:
         out += [("initial", c.initial), *([("remodelled", c.remodelled)] if c.changed else [])]

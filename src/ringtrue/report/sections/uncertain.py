@@ -37,7 +37,7 @@ def section(data: Stages) -> Section | None:
     percent = f"{100 * s.level:g} %"
     blocks: list[Block] = [_facts(s), Text(_lead(s), "lead"), Heading("Predicted frequencies")]
     caption = (
-        f"Deviation of the delivered model from the test, with the {percent} band of the prediction: the parameters, "
+        f"Deviation of the final model from the test, with the {percent} band of the prediction: the parameters, "
         "the model and the test. A band that reaches the zero line holds the measured frequency."
     )
     blocks += [Plot(plots.bands(s), caption), Fold("The bands mode by mode", [_modes(s)])]
@@ -143,7 +143,7 @@ def _parameters(s: UncertaintyStage) -> Table:
         chip: str | Cell = Cell("not proven", "warn") if s.unproven[i] else ""
         rows.append([*row, chip if s.moved[i] else Cell("the test says little", "warn")])
     text = (
-        "Intervals of the factors, around the delivered values, with the discrepancy of the model as the error and the "
+        "Intervals of the factors, around the final values, with the discrepancy of the model as the error and the "
         "candidates that were not chosen as wide as their priors. Change kept: the least that is left of a change that "
         "is not slight when a fold of modes is left out. Where the interval holds 1, or less than half is kept, the "
         "parameter may take up an error of the model's form, or the test tells it only together with others."

@@ -65,7 +65,7 @@ class Expansion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrelateStage:
-    """The model as delivered against the test, and after the stated remodelling."""
+    """The initial model against the test, and after the stated remodelling."""
 
     reference: ModeSet  # the elastic test modes that the model is judged by, real shapes
     reference_uncertainty: Uncertainty
@@ -82,7 +82,7 @@ class CorrelateStage:
     evidence_initial: Evidence | None = None
     evidence: Evidence | None = None  # of the remodelled deck
     placed: str = ""  # how the test was laid onto the deck, in words
-    history: tuple[RemodelStep, ...] = ()  # the deck as delivered, then each step
+    history: tuple[RemodelStep, ...] = ()  # the initial deck, then each step
     expanded: Expansion | None = None  # the elastic test shapes on the remodelled deck, where the study asks for them
     gaps: tuple[str, ...] = ()  # what of the test is not used, and partners that cannot be found, in words
 

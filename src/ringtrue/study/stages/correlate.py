@@ -1,4 +1,4 @@
-"""The deck as delivered and after the stated remodelling against the test."""
+"""The initial deck and the remodelled one against the test."""
 
 from __future__ import annotations
 
@@ -139,11 +139,11 @@ def _reasons(config: StudyConfig) -> str:
 def _history(
     desk: Workbench, reference: Reference, out: Int, initial: ModeSet, ends: Sequence[CorrelationTable]
 ) -> tuple[RemodelStep, ...]:
-    """The deck as delivered and after each step, against the test."""
+    """The initial deck and that after each step, against the test."""
     if not desk.config.remodel:
         return ()
     between = [elastic_table(reference, seen(desk, o), desk.config, out, initial) for o in desk.steps[1:-1]]
-    names = ("the deck as delivered", *(s.reason for s in desk.config.remodel))
+    names = ("the initial deck", *(s.reason for s in desk.config.remodel))
     return tuple(
         RemodelStep(n, len(t), t.mean_deviation(), t.max_deviation(), t.mean_mac())
         for n, t in zip(names, (ends[0], *between, ends[1]), strict=True)
