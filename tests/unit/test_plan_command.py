@@ -42,6 +42,36 @@ def test_sets_of_references_are_ranked_and_what_none_reaches_is_said(
     assert "ranked by the mode that they excite worst" in page
 
 
+def test_sets_are_ranked_as_they_are_told_where_few_points_can_be_struck(
+    deck: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Reach is over the best of all channels; a mode that none of these points reaches ranks no set."""
+    words = ["plan", str(deck), "--modes", "1-8", "--points", "6", "--references", "2", "--strike", "worst"]
+    for spots in ("151,102", "105,204,301", "151"):
+        run([*words, "--strike-at", spots, "--json", "-"])
+        told = json.loads(capsys.readouterr().out)
+        worst = {n: [s["worst_reach"] for s in told["reference_sets"] if len(s["references"]) == n] for n in (1, 2, 3)}
+        assert worst[2] == sorted(worst[2], reverse=True)
+        assert worst[1] <= worst[2][:1] <= worst[3]
+        assert sorted(told["reference_sets"][1]["references"]) == sorted(told["references"])
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--region", "a=1-3", "--region", "a=4"], "a is given twice"),
+        (["--cost", "a=nan"], "'nan' is not a number"),
+        (["--cost", "a"], "must be NAME="),
+        (["--box", "0 0 0 1 1 inf"], "six numbers"),
+    ],
+)
+def test_options_that_say_nothing_are_refused(
+    deck: Path, capsys: pytest.CaptureFixture[str], words: list[str], why: str
+) -> None:
+    assert run(["plan", str(deck), "--modes", "1-3", *words]) != 0
+    assert why in capsys.readouterr().err
+
+
 def test_modes_that_the_points_do_not_part_are_named(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """At one node of the roof, the sways along x of all storeys look alike."""
     words = ["plan", str(deck), "--modes", "1-6", "--points", "2", "--region", "roof=305,304", "--json", "-"]

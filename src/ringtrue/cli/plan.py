@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as text_json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -180,19 +181,26 @@ def numbers(text: str, where: str) -> list[int]:
 
 
 def _named(option: str, texts: Sequence[str] | None) -> list[tuple[str, str]]:
-    """NAME=VALUE, parted."""
-    parted = [text.partition("=") for text in texts or ()]
-    for name, sign, value in parted:
-        if not (name.strip() and sign and value.strip()):
-            raise ConfigError(f"{option} {name + sign + value!r}: must be NAME=...")
-    return [(name.strip(), value.strip()) for name, _, value in parted]
+    """NAME=VALUE, parted; each name once."""
+    out: dict[str, str] = {}
+    for text in texts or ():
+        name, _, value = (part.strip() for part in text.partition("="))
+        if not (name and value):
+            raise ConfigError(f"{option} {text!r}: must be NAME=...")
+        if name in out:
+            raise ConfigError(f"{option} {text!r}: {name} is given twice; put all in one")
+        out[name] = value
+    return list(out.items())
 
 
 def _share(option: str, name: str, text: str) -> float:
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
-        raise ConfigError(f"{option} {name}={text}: {text!r} is not a number") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{option} {name}={text}: {text!r} is not a number")
+    return value
 
 
 def _box(option: str, text: str) -> list[float]:
@@ -200,7 +208,7 @@ def _box(option: str, text: str) -> list[float]:
         values = [float(v) for v in text.replace(",", " ").split()]
     except ValueError:
         values = []
-    if len(values) != 6:
+    if len(values) != 6 or not all(map(math.isfinite, values)):
         raise ConfigError(f"{option} {text!r}: must be six numbers, X0 Y0 Z0 X1 Y1 Z1")
     return values
 
@@ -262,8 +270,8 @@ def _told(run: StudyRun) -> dict[str, Any]:
         "channels": list(stage.test.channels),
         "references": list(stage.references),
         "reference_sets": [
-            {"references": list(s), "worst_reach": float(r.min()), "missed": [names[i] for i in m]}
-            for s, r, m in zip(stage.sets, stage.set_reach, stage.missed_by_sets, strict=True)
+            {"references": list(s), "worst_reach": r, "missed": [names[i] for i in m]}
+            for s, r, m in zip(stage.sets, stage.least_reach.tolist(), stage.missed_by_sets, strict=True)
         ],
         "reciprocity": [list(p) for p in reciprocity_pairs(stage.references, stage.test.channels)],
         "rule": stage.rule,
@@ -355,8 +363,8 @@ def _print_modes(title: str, modes: list[dict[str, Any]]) -> None:
 
 
 def _best(stage: PlanStage) -> dict[int, float]:
-    """Number of points struck -> reach of the mode that the best set of so many excites worst."""
-    least = {len(s): float(r.min()) for s, r in zip(stage.sets[::-1], stage.set_reach[::-1], strict=True)}
+    """Number of points struck -> least reach of the best set of so many."""
+    least = {len(s): r for s, r in zip(stage.sets[::-1], stage.least_reach[::-1].tolist(), strict=True)}
     return dict(sorted(least.items()))  # of sets of one size the first is the best
 
 
@@ -364,11 +372,12 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
     _print_modes(f"{deck}: {len(told['modes'])} target modes", told["modes"])
     if ambient := told.get("virtual_ambient_test"):
         _print_modes(f"{ambient['trials']} virtual ambient tests", ambient["modes"])
+    best = _best(stage)
     lines = [
         f"{len(stage.test.channels)} channels at {stage.test.points.size} points, of {stage.candidates} candidates: "
         f"{' '.join(map(str, told['points']))}",
         f"strike at {' '.join(stage.references)}; least reach of the best "
-        + ", ".join(f"{k}: {100 * r:.0f} %" for k, r in _best(stage).items()),
+        f"{', '.join(map(str, best))} points: {', '.join(f'{100 * r:.0f}' for r in best.values())} %",
         f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {left_by_loss(stage)}",
         f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, {stage.averages} averages; "
         f"ambient record {stage.record_length / 60:.3g} min, {stage.segments} blocks",

@@ -11,7 +11,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 from ringtrue.errors import InputError
-from ringtrue.plan.layout import select_references
+from ringtrue.plan.layout import select_references, shares
 from ringtrue.plan.selection import qr_points
 
 _MOST_SETS = 200_000
@@ -28,7 +28,7 @@ class ExciterSet:
     rows : (k,) int64
         Positions in the candidate rows, ascending.
     reach : (m,) float64, 0..1
-        Best driving-point residue of the set over the best of all candidates, mode by mode.
+        Best driving-point residue of the set over the largest, mode by mode.
     missed : (x,) int64
         Modes below the limit.
     """
@@ -73,7 +73,9 @@ def qr_exciters(forces: Float, count: int) -> Int:
     return qr_points(np.asarray(forces, dtype=np.float64)[:, None, :], count)
 
 
-def rank_sets(shapes: Float, count: int, *, limit: float = 0.1, most: int = 10) -> tuple[ExciterSet, ...]:
+def rank_sets(
+    shapes: Float, count: int, *, largest: Float | None = None, limit: float = 0.1, most: int = 10
+) -> tuple[ExciterSet, ...]:
     """The best sets of `count` rows by the worst driving-point residue over all target modes.
 
     All sets are looked at where there are few enough; otherwise those of a pool (for each mode the rows that reach it
@@ -83,6 +85,8 @@ def rank_sets(shapes: Float, count: int, *, limit: float = 0.1, most: int = 10) 
     ----------
     shapes : (r, m) float64, mass-normalised
     count : int
+    largest : (m,) float64, optional
+        Of φ² of each mode, which residues are relative to; that of these rows if not given.
     limit : float
     most : int
         Sets to return.
@@ -95,8 +99,8 @@ def rank_sets(shapes: Float, count: int, *, limit: float = 0.1, most: int = 10) 
     r = len(shapes)
     if not 1 <= count <= r:
         raise InputError(f"sets of {count} of {r} rows: must be 1 to {r}")
-    share = _share(shapes)
-    pool = np.arange(r) if comb(r, count) <= _MOST_SETS else _pool(shapes, share, count)
+    share = shares(shapes, largest)
+    pool = np.arange(r) if comb(r, count) <= _MOST_SETS else _pool(share, count)
     sets = np.array(list(combinations(pool.tolist(), count)), dtype=np.int64)
     best = _ranked(share, sets, limit, most)
     if pool.size == r:
@@ -105,19 +109,14 @@ def rank_sets(shapes: Float, count: int, *, limit: float = 0.1, most: int = 10) 
     return _ranked(share, np.unique(np.stack([*better, *(b.rows for b in best)]), axis=0), limit, most)
 
 
-def _share(shapes: Float) -> Float:
-    square = np.asarray(shapes, dtype=np.float64) ** 2
-    return np.asarray(square / np.maximum(square.max(axis=0), 1e-300))
-
-
-def _pool(shapes: Float, share: Float, count: int) -> Int:
+def _pool(share: Float, count: int) -> Int:
     """As many promising rows as can be combined fully."""
     size = count
     while size < len(share) and comb(size + 1, count) <= _MOST_SETS:
         size += 1
     by_mode = np.argsort(-share, axis=0, kind="stable")[:size].ravel()  # best of every mode, then the second best, ...
     level = np.argsort(-np.log(share + 1e-3).sum(axis=1), kind="stable")
-    greedy = select_references(shapes, count)
+    greedy = select_references(np.sqrt(share), count, np.ones(share.shape[1]))
     mixed = np.concatenate([greedy, np.stack([level[:size], np.resize(by_mode, min(size, level.size))], 1).ravel()])
     _, first = np.unique(mixed, return_index=True)
     return np.sort(mixed[np.sort(first)][:size])

@@ -187,7 +187,14 @@ def _best_addition(gram: Float, shapes: Float) -> int:
     return best
 
 
-def select_references(shapes: Float, count: int) -> Int:
+def shares(shapes: Float, largest: Float | None = None) -> Float:
+    """Driving-point residues φ_im² of rows (r, m) over the largest of each mode, (m,), 0..1: of these if not given."""
+    square = np.asarray(shapes, dtype=np.float64) ** 2
+    over = square.max(axis=0) if largest is None else largest
+    return np.asarray(np.minimum(square / np.maximum(over, 1e-300), 1.0))
+
+
+def select_references(shapes: Float, count: int, largest: Float | None = None) -> Int:
     """Rows to hit, greedily by the worst driving-point residue over all modes.
 
     The residue of mode m at row i is φ_im², taken relative to the mode's largest.
@@ -196,13 +203,16 @@ def select_references(shapes: Float, count: int) -> Int:
     ----------
     shapes : (r, m) float64
         Mass-normalised shapes at the rows that can be hit.
+    count : int
+    largest : (m,) float64, optional
+        Of φ² of each mode; that of these rows if not given.
 
     Returns
     -------
     (count,) int64
         In order of choice.
     """
-    share = shapes**2 / np.maximum((shapes**2).max(axis=0), 1e-300)
+    share = shares(shapes, largest)
     reached = np.zeros(shapes.shape[1])
     out: list[int] = []
     for _ in range(min(count, len(shapes))):
@@ -217,5 +227,4 @@ def select_references(shapes: Float, count: int) -> Int:
 
 def reached(shapes: Float, references: Int) -> Float:
     """The largest share of each mode's best driving-point residue that the references reach, (m,)."""
-    share = shapes**2 / np.maximum((shapes**2).max(axis=0), 1e-300)
-    return np.asarray(share[references].max(axis=0))
+    return np.asarray(shares(shapes)[references].max(axis=0))

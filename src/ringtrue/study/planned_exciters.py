@@ -6,19 +6,20 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import ConfigError
 from ringtrue.fem.response import frf
 from ringtrue.plan.candidates import along
 from ringtrue.plan.exciters import appropriate_exciters, qr_exciters, rank_sets
-from ringtrue.plan.layout import select_references
+from ringtrue.plan.layout import select_references, shares
 from ringtrue.study.arrangement import Arrangement
 from ringtrue.study.config_plan import PlanSection
+from ringtrue.study.results.model import MISSED
 from ringtrue.study.workbench import Workbench
 
-RESIDUE: dict[str, Callable[[Float, int], Int]] = {
+RESIDUE: dict[str, Callable[[Float, int, Float], Int]] = {
     "greedy": select_references,
-    "worst": lambda rows, count: rank_sets(rows, min(count, len(rows)), most=1)[0].rows,
+    "worst": lambda rows, count, largest: rank_sets(rows, count, largest=largest, most=1)[0].rows,
 }
 BESIDE = 2  # points fewer and more than asked for
 ALIKE = 3  # sets of as many points as asked for
@@ -59,11 +60,23 @@ def exciters(
         # as good as all channels: the indicator reads sums over them alone
         outputs = np.asarray(np.linalg.qr(rows, mode="r"))
         return appropriate_exciters(frf(f[targets], f, zeta, outputs, rows), count)
-    return (RESIDUE[plan.strike](rows[:, targets], plan.references), *none)
+    rows = rows[:, targets]
+    largest = (shapes[:, :, targets] if plan.strike_at else rows[:, None, :]) ** 2
+    largest = largest.max(axis=(0, 1))
+    some = within_reach(rows, largest)
+    return (RESIDUE[plan.strike](rows[:, some], count, largest[some]), *none)
+
+
+def within_reach(rows: Float, largest: Float) -> Bool:
+    """Which modes of rows (r, m) one of them excites well, (m,); all if none: what no point reaches ranks nothing."""
+    some = (rows**2).max(axis=0) >= MISSED * largest
+    return np.asarray(some | ~some.any())
 
 
 def ranked(rows: Float, labels: Sequence[str], count: int, largest: Float) -> tuple[tuple[tuple[str, ...], ...], Float]:
     """The best sets of up to two points fewer and two more than `count`, and the next best of as many.
+
+    Ranked by the modes that a point can reach.
 
     Parameters
     ----------
@@ -81,6 +94,8 @@ def ranked(rows: Float, labels: Sequence[str], count: int, largest: Float) -> tu
         Driving-point residue of the best point of each set over the largest of any channel.
     """
     sizes = range(max(1, count - BESIDE), min(count + BESIDE, len(rows)) + 1)
-    sets = [s.rows for k in sizes for s in rank_sets(rows, k, most=ALIKE if k == count else 1)]
-    reach = np.stack([(rows[s] ** 2).max(axis=0) / np.maximum(largest, 1e-300) for s in sets])
+    some = within_reach(rows, largest)
+    few, top = rows[:, some], largest[some]
+    sets = [s.rows for k in sizes for s in rank_sets(few, k, largest=top, most=ALIKE if k == count else 1)]
+    reach = np.stack([shares(rows, largest)[s].max(axis=0) for s in sets])
     return tuple(tuple(labels[i] for i in s.tolist()) for s in sets), reach

@@ -189,10 +189,13 @@ def _ranked(plan: PlanStage) -> Table:
     """Sets of points to strike: the best of so many, and what they miss."""
     names = (plan.target_modes + 1).tolist()
     rows = [
-        (str(len(s)), ", ".join(s), fixed(100 * reach.min(), 0), ", ".join(f"{names[i]}" for i in missed) or "none")
-        for s, reach, missed in zip(plan.sets, plan.set_reach, plan.missed_by_sets, strict=True)
+        (str(len(s)), ", ".join(s), fixed(100 * least, 0), ", ".join(f"{names[i]}" for i in missed) or "none")
+        for s, least, missed in zip(plan.sets, plan.least_reach.tolist(), plan.missed_by_sets, strict=True)
     ]
-    caption = "Points to strike, ranked by the mode that they excite worst: what fewer and more of them reach."
+    caption = (
+        "Points to strike, ranked by the mode that they excite worst, of those that a point can reach: what fewer and "
+        "more of them reach."
+    )
     return Table(("points", "|strike", "least reach, %", "|modes missed"), rows, caption)
 
 

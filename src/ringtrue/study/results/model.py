@@ -111,6 +111,12 @@ class PlanStage:
         return np.asarray(self.reachable < MISSED) if self.reachable.size else np.zeros_like(self.missed)
 
     @property
+    def least_reach(self) -> Float:
+        """Reach, by each of `sets`, of the mode that it excites worst of those that a point can reach (all if none)."""
+        some = ~self.hopeless if not self.hopeless.all() else self.hopeless
+        return np.asarray(self.set_reach[:, some].min(axis=1, initial=1.0))
+
+    @property
     def missed_by_sets(self) -> list[list[int]]:
         """Positions of the target modes that each of `sets` misses."""
         return [np.flatnonzero(r < MISSED).tolist() for r in self.set_reach]
