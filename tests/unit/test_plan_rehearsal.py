@@ -14,12 +14,14 @@ import small_study
 
 from ringtrue.cli.main import run
 from ringtrue.cli.plan import numbers
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.fem.response import frf
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.io.uff.testmodel import write_test_model
-from ringtrue.plan.rehearsal import Conditions, Planned, missed_words, modal_model
+from ringtrue.plan.rehearsal import Conditions, Planned, missed_words, modal_model, trials
 from ringtrue.plan.rehearsal_ambient import Ambience, rehearse_ambient
 from ringtrue.plan.rehearsal_hammer import background_density, fitting_hammer, measured, rehearse
 from ringtrue.plan.resolution import ambient_std
@@ -70,6 +72,18 @@ def test_the_hammer_fits_the_sensors() -> None:
     at = np.abs(frfs.freqs[1:] - 12.0).argmin()  # between resonances the window does not matter
     np.testing.assert_allclose(np.abs(frfs.data[1 + at, 6, 1]), np.abs(truth[at, 6, 1]), rtol=0.05)
     assert 0 < peak < truth.shape[0]
+
+
+@pytest.mark.parametrize(("lost", "found"), [((0, 17, 18), True), (tuple(range(9)), False)])
+def test_channels_that_a_virtual_test_leaves_out_count_as_not_seen(lost: tuple[int, ...], found: bool) -> None:
+    """Three near the supports carry little of any mode; half of the string carries half, which is no MAC of 80 %."""
+    plan, kept = planned((3, 6)), [n for k, n in enumerate(NAMES) if k not in lost]
+
+    def find(model: ModalModel, _: np.random.Generator) -> ModeSet:
+        return ModeSet(model.frequencies, model.damping, PHI, NAMES).rows(kept[::-1])
+
+    told = trials(plan, Conditions(trials=2), find, np.random.default_rng(0), force=1.0)
+    assert told.found.tolist() == [float(found)] * 4
 
 
 def test_soft_suspensions_do_not_lengthen_the_block() -> None:

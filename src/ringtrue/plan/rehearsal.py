@@ -230,7 +230,7 @@ def trials(
         truth = truth.take(np.argsort(truth.frequencies, kind="stable"))
         back = np.argsort(f[target], kind="stable")
         try:
-            modes = find(modal_model(plan, f, z), stream)
+            modes = _whole(find(modal_model(plan, f, z), stream), plan.channels)
         except DataError:  # no pole found: every mode is missed in this trial
             continue
         pairs = pair_modes(truth, modes, conditions.pairing, names=("model", "test"))
@@ -238,6 +238,14 @@ def trials(
         inside = (modes.frequencies > plan.fmin) & (modes.frequencies < plan.fmax)
         invented += int(inside[pairs.lone_b].sum())
     return _outcome(plan.frequencies[target], error, invented, force)
+
+
+def _whole(modes: ModeSet, channels: tuple[str, ...]) -> ModeSet:
+    """The modes at all channels of the plan; nothing was seen at those that the test left out, as drowned in noise."""
+    shapes = np.zeros((len(channels), len(modes)), dtype=modes.shapes.dtype)
+    kept = np.flatnonzero(np.isin(channels, modes.channels))
+    shapes[kept] = modes.rows([channels[i] for i in kept.tolist()]).shapes
+    return replace(modes, shapes=shapes, labels=channels)
 
 
 def _errors(truth: ModeSet, found: ModeSet, pairs: Pairing) -> Float:
