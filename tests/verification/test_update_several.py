@@ -143,6 +143,9 @@ def test_a_start_outside_of_the_constraints_is_taken_inside() -> None:
     inside = np.array([0.2, 0.2, 0.0, 0.0])
     np.testing.assert_array_equal(problem.nearest(inside), inside)
     np.testing.assert_allclose(problem.nearest(np.array([0.4, 0.0, 0.1, 0.0])), [0.2, 0.2, 0.1, 0.0], atol=1e-12)
+    heavy = one(model, aim, rows=1e9 * np.array([[0.3, 0.1, 0.7, 0.9], [-0.3, -0.1, -0.7, -0.9]]), limits=np.zeros(2))
+    for y in np.random.default_rng(2).uniform(-0.6, 0.6, (20, 4)):  # terms in kg, say: the rounding of these is large
+        assert abs(heavy.rows[0] @ heavy.nearest(y)) < 1e-9 * np.abs(heavy.rows[0]).sum()
     with pytest.raises(ConfigError, match="no point fulfils"):
         solve(one(model, aim, rows=tie, limits=np.array([-0.1, -0.1])))
 

@@ -20,7 +20,7 @@ from ringtrue.update.quadratic import least_distance
 from ringtrue.update.residuals import NO_MODE, Block, Point, Term, Whole, default_terms, point, reweighed
 from ringtrue.update.robust import Loss, Squares, squares
 
-OUTSIDE = 1e-9  # of a limit, that is none
+OUTSIDE = 1e-9  # of an unknown, that is none
 APART = 1_000_000  # test modes of configuration i are numbered from i times this
 
 
@@ -171,10 +171,11 @@ class Problem:
             If there is none.
         """
         rows, limits = self.inequalities()
-        if (rows @ y <= limits + OUTSIDE).all():
+        at_most = limits + OUTSIDE * np.linalg.norm(rows, axis=1)
+        if (rows @ y <= at_most).all():
             return y
         out = y + least_distance(np.eye(y.size), np.zeros(y.size), rows, limits - rows @ y)
-        if (rows @ out > limits + OUTSIDE).any():
+        if (rows @ out > at_most).any():
             raise ConfigError("no point fulfils the bounds of the parameters and all constraints: widen one of them")
         return np.asarray(out)
 
