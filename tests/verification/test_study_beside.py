@@ -69,7 +69,7 @@ def written(folder: Path, more: str) -> Path:
     write_modes(folder / "modes.json", true.seen(true.modes(18.0).modes, test, 0.01))
     rows = at_dofs((f"{END}+Z", "303+X"), true.analysis.dofs, 1.0).matrix @ true.analysis.system.transform
     moved = rows @ true.analysis.pencil.at(0.0).solve(LOAD * rows[[0]].toarray().T)
-    lines = [f"pull,{END}+Z,{LOAD},{moved[0, 0]:.9e}", f"pull,303+X,,{moved[1, 0]:.9e}"]
+    lines = [f"pull,{END}+Z,{LOAD},{moved[0, 0]:.9e}", f"pull,303+X,,{moved[1, 0]:.9e}", f"pull,{END}+Y,,0.0"]
     (folder / "pull.csv").write_text("\n".join(["case,channel,load,deflection", *lines]) + "\n")
     (folder / "study.toml").write_text(STUDY + more)
     return folder / "study.toml"

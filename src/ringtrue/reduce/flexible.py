@@ -62,14 +62,15 @@ def with_responses(
 
 def responding(model: ReducedModel, channels: Int, x: Float) -> tuple[Float, Float]:
     """λ (r,) and vectors (f, r) of unit modal mass: the modes at x (p,) and, as modes of the space that they span
-    together, the static responses to unit loads at channels that are in the basis.
+    together, the static responses to unit loads at channels that are in the basis. Held channels have none.
 
     Of a structure that is free the responses are those of K − σM.
     """
     k, m = model.projected(model.system.parameters.factors(model.full_vector(x)))
     lam, y = model.coordinates(x)
     energy = k if lam[0] > 0 and elastic(frequencies(lam))[0] else k - model.shift * m
-    some = np.hstack([y, linalg.solve(energy, model.basis.observe[channels].T, assume_a="sym")])
+    loads = model.basis.observe[channels]
+    some = np.hstack([y, linalg.solve(energy, loads[loads.any(axis=1)].T, assume_a="sym")])
     some = some / np.sqrt(np.einsum("ij,ij->j", some, energy @ some))
     size, turn = linalg.eigh(some.T @ energy @ some)
     some = some @ (turn / np.sqrt(size))[:, size > DEPENDENT]
