@@ -19,6 +19,7 @@ import small_study
 from ringtrue.checks.mass import whole_mass
 from ringtrue.core.progress import quiet
 from ringtrue.correlate.observe import at_dofs
+from ringtrue.errors import ConfigError
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.study.beside import Beside
@@ -84,6 +85,17 @@ def test_a_candidate_that_no_mode_strains_is_proposed_by_the_pull_on_it(pulled: 
     found = {m.name: m.factor for m in pulled.results["localise"].proposal.members}
     assert found["MAT1 9 E"] == pytest.approx(SOFT, rel=0.02)
     assert found["MAT1 1 E"] == pytest.approx(WRONG, rel=0.02)
+
+
+def test_constraints_may_name_candidates_that_the_screening_left_out(pulled: StudyRun, tmp_path: Path) -> None:
+    """Which these are changes with the data; a name that the deck does not give is refused."""
+    limit = '[[constraint]]\nterms = {{ "{}" = 1.0 }}\nmost = 0.5\n'
+    out = pulled.results["localise"].screened[0]
+    study = written(tmp_path, STATIC + limit.format(out))
+    assert "sensitivity" in run_study(study, until="sensitivity").results
+    study.write_text(STUDY + STATIC + limit.format("MAT1 77 E"))
+    with pytest.raises(ConfigError, match="no candidate 'MAT1 77 E'"):
+        run_study(study, until="sensitivity")
 
 
 @pytest.mark.parametrize("kind", ["static", "mass", "zeros"])

@@ -107,6 +107,15 @@ def proposed(desk: Workbench) -> tuple[str, ...]:
     return tuple(m.name for m in found.proposal.members)
 
 
+def _known(desk: Workbench) -> tuple[str, ...]:
+    """All candidates; also those made from the deck that the data do not ask for, which stay at nominal."""
+    names = desk.parameters.names
+    if len(desk.config.candidates()) or not desk.config.propose:
+        return names
+    found: LocaliseStage = desk.get("localise")
+    return (*names, *found.screened, *found.dropped, *found.held)
+
+
 def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     """Linearise at the remodelled deck and choose sets by three rules.
 
@@ -115,7 +124,7 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     ConfigError
         If [update] stages or a [[constraint]] names what is no candidate that was made from the deck.
     """
-    desk.config.check_names(desk.parameters.names)
+    desk.config.check_names(_known(desk))
     aim = target(desk)
     model = desk.candidates(part(progress, 0.0, 0.6))
     names = model.parameters.names
