@@ -6,6 +6,8 @@ each x mode has a y mode beside it. What is measured is 0.6 % apart; the model i
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -89,6 +91,8 @@ def test_the_limits_are_passed_by_sets_that_fade() -> None:
     assert sizes[1].weight.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(sizes[1].slope.sum(axis=0), 0.0, atol=1e-12)
     assert sizes[1].held().slope.shape[1] == 0
+    loose = replace(now, frequencies=np.append(-1e-4, now.frequencies[1:]))  # locked to a mode that nothing holds
+    assert [s.size for s in spans(target.frequencies, target.used, pairs, loose, target.pairing)] == [1, 1]
 
 
 @pytest.mark.parametrize("term", [Mac(), Mac(form="ratio"), Shapes()], ids=["mac", "ratio", "shapes"])

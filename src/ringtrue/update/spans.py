@@ -49,7 +49,7 @@ class Span:
 def spans(
     frequencies: Float, used: Bool, pairs: Int, now: Linearisation, settings: PairingSettings
 ) -> tuple[Span, ...]:
-    """The span of each pair (k, 2) of a test mode and a mode of the model.
+    """The span of each pair (k, 2) of a test mode and a mode of the model; a mode at 0 Hz stands alone.
 
     Parameters
     ----------
@@ -60,7 +60,9 @@ def spans(
     partner = {t: f for t, f in pairs.tolist() if used[t]}
     near = {t: g for g in close_groups(frequencies, settings.close, settings.largest_group) for t in g}
     return tuple(
-        _around(now, f, {partner[s] for s in near[t] if s in partner}, settings) if len(near[t]) > 1 else _one(now, f)
+        _around(now, f, {partner[s] for s in near[t] if s in partner}, settings)
+        if len(near[t]) > 1 and now.frequencies[f] > 0
+        else _one(now, f)
         for t, f in pairs.tolist()
     )
 
