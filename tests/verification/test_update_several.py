@@ -150,6 +150,18 @@ def test_a_start_outside_of_the_constraints_is_taken_inside() -> None:
         solve(one(model, aim, rows=tie, limits=np.array([-0.1, -0.1])))
 
 
+def test_a_constraint_on_parameters_that_are_held_does_not_stop_the_others() -> None:
+    """x1 >= 0.2, which no set without x1 can keep: such sets are looked at in proposals and stages."""
+    model = row(lower=0.5, upper=2.0)
+    aim = aim_at(model, np.array([0.1, 0.3, 0.05, 0.1]), 8)
+    problem = one(model, aim, rows=np.array([[0.0, -1.0, 0.0, 0.0]]), limits=np.array([-0.2]))
+    done = solve(held_to(problem, ["p0"]))
+    assert done.outcome is Outcome.CONVERGED
+    assert done.x[1] == 0.0
+    last = staged(problem, [["p0"], ["p0", "p1"]])[-1]
+    assert last.x[1] >= 0.2 - 1e-9
+
+
 def test_least_distance_meets_the_conditions_of_karush_kuhn_and_tucker() -> None:
     rng = np.random.default_rng(5)
     for _ in range(20):

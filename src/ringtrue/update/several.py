@@ -306,7 +306,7 @@ def link_equal(parameters: ParameterSet, groups: Sequence[Sequence[str]]) -> Flo
 
 
 def held_to(problem: Problem, names: Sequence[str], base: Float | None = None) -> Problem:
-    """The problem with only some parameters free; the others stay at 0.
+    """The problem with only some parameters free; the others stay at 0, without constraints on these alone.
 
     Raises
     ------
@@ -322,4 +322,6 @@ def held_to(problem: Problem, names: Sequence[str], base: Float | None = None) -
     tied = np.abs(problem.link[~free][:, keep]).sum() > 0
     if tied or (base is not None and np.abs(np.asarray(base)[~free]).max(initial=0.0) > 0):
         raise InputError("parameters that stay must be at 0 and not be linked to free ones")
-    return replace(problem, link=problem.link[:, keep])
+    link = problem.link[:, keep]
+    limited = (problem.rows @ link).any(axis=1)
+    return replace(problem, link=link, rows=problem.rows[limited], limits=problem.limits[limited])
