@@ -11,8 +11,8 @@ from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import ConfigError
-from ringtrue.shapes.mac import mac, paired_mac
-from ringtrue.shapes.subspace import FADE, NIL, close_groups, fade, gaps, rotation, subspace_mac
+from ringtrue.shapes.mac import mac, paired_mac, unit
+from ringtrue.shapes.subspace import FADE, NIL, close_groups, fade, gaps, rotation, share_in
 
 TIE = 1e-3
 LOCKED = 1e6  # worth of a forced pair, above that of all others together
@@ -182,18 +182,18 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *,
     if not len(a):
         return Scores(np.full(error.shape, np.nan), np.full(error.shape, np.nan), error, ())
     single = mac(a, b)
-    merged = single.copy()
+    merged, units = single.copy(), (unit(a), unit(b))  # once: with hundreds of modes there are as many groups
     groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
     shared, turns = list[list[tuple[float, Int]]](), []
     for ga in (g for g in groups_a if g.size > 1 and mixed):
-        share = np.where((np.abs(error[ga]) <= settings.frequency_gate).any(axis=0), subspace_mac(b, a[:, ga]), 0.0)
+        share = np.where((np.abs(error[ga]) <= settings.frequency_gate).any(axis=0), share_in(units[1], a[:, ga]), 0.0)
         if share.any():
             here = fb[share.argmax()]
             near = fade(np.abs(fb - here) / max(APART * settings.close * here, NIL))[0]
             shared.append(_mixed(single[ga], share, near, settings))
     for group, weight in _weighed(fb, shared, settings).items():
         gb, turn = np.array(group), np.zeros(fa.size)
-        share = subspace_mac(a, b[:, gb])  # no rotation inside the group reaches more
+        share = share_in(units[0], b[:, gb])  # no rotation inside the group reaches more
         held = np.asarray(share > HOLD * settings.mac_gate)
         gains = held & np.asarray(share > single[:, gb].max(axis=1) + SOFT - TIE)
         near = np.asarray((np.abs(error[:, gb]) <= settings.frequency_gate).any(axis=1))
@@ -252,10 +252,13 @@ def _weighed(
     gap = gaps(np.sort(fb))
     near = fade(gap / settings.close)[0] if settings.close else np.zeros(gap.size)
     steps = np.unique(np.concatenate([[0.0, 1.0], near, [s for sets in mixed for s, _ in sets]]))
-    out: dict[tuple[int, ...], float] = {}
+    out, limit, close = dict[tuple[int, ...], float](), -1.0, dict[int, tuple[int, ...]]()
     for low, high in pairwise(steps.tolist()):
-        limit = float(gap[near <= low].min(initial=FADE * settings.close))
-        of = {j: tuple(sorted(g)) for g in close_groups(fb, limit, settings.largest_group) for j in g}
+        last, limit = limit, float(gap[near <= low].min(initial=FADE * settings.close))
+        if limit != last:
+            groups = close_groups(fb, limit, settings.largest_group)
+            close = {j: tuple(sorted(g)) for g in groups for j in g}
+        of = dict(close)
         for sets in mixed:
             members = [m for s, m in sets if s >= high]
             one = tuple(sorted({j for m in members[-1].tolist() for j in of[m]})) if members else ()
@@ -263,7 +266,7 @@ def _weighed(
                 of.update(dict.fromkeys(one, one))
         for g in dict.fromkeys(g for g in of.values() if len(g) > 1):
             out[g] = out.get(g, 0.0) + high - low
-    return out
+    return dict(sorted(out.items()))
 
 
 def _turned(single: Float, error: Float, a: Any_, b: Any_, settings: PairingSettings) -> tuple[Float, Float]:

@@ -38,7 +38,12 @@ def subspace_mac(a: Any_, b: Any_) -> Float:
 
     Equal to the MAC where `b` is one shape.
     """
-    share = np.abs(basis(b).conj().T @ unit(np.asarray(a))) ** 2
+    return share_in(unit(np.asarray(a)), b)
+
+
+def share_in(a: Any_, b: Any_) -> Float:
+    """The same of shapes `a` (n, ka) of unit length."""
+    share = np.abs(basis(b).conj().T @ a) ** 2
     return np.asarray(share.sum(axis=0).clip(0.0, 1.0), dtype=np.float64)
 
 
