@@ -50,7 +50,7 @@ def _candidates(plan: PlanSection, model: ModelStage) -> tuple[Int, tuple[str, .
         return model.scene.node, ("",) * model.scene.node.size
     first: dict[int, str] = {}
     for name, group in plan.candidates.items():
-        first = dict.fromkeys(group, name) | first
+        first |= dict.fromkeys((n for n in group if n not in first), name)
     return np.array(list(first)), tuple(first.values())
 
 
