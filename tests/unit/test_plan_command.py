@@ -94,6 +94,8 @@ def test_targets_and_points_by_regions(deck: Path, capsys: pytest.CaptureFixture
     assert told["candidates"] == 18
     run([*words, "--cost", "top=50"])
     dear, top = json.loads(capsys.readouterr().out), set(range(301, 310))
+    first = [p in top for p in told["points"]]
+    assert first == sorted(first, reverse=True)  # regions keep their order: the first two have the ambient sensors
     assert len(top & set(dear["points"])) < len(top & set(told["points"]))
     run([*words, "--kinetic", "top=0.6"])
     few = [m["mode"] for m in json.loads(capsys.readouterr().out)["modes"]]
