@@ -182,11 +182,13 @@ def test_modes_alike_and_like_no_other_are_pairs_beyond_the_gate() -> None:
     assert 0 not in pair_modes(a, b, locks=Locks((), ((0, 0),))).a
 
 
-def test_close_modes_beyond_the_gate_are_one_subspace() -> None:
+@pytest.mark.parametrize(("f", "beyond"), [(3.0, 2), (3.59, 1), (3.62, 0)], ids=["beyond", "across", "within"])
+def test_close_modes_about_the_gate_are_one_subspace(f: float, beyond: int) -> None:
     phi = sines(4)
-    a, b = modes([6, 6.01, 20, 30], mixed(phi, 0, np.pi / 4)), modes([3, 3.01, 20, 31], phi, Norm.MASS)
+    a, b = modes([6, 6.03, 20, 30], mixed(phi, 0, np.pi / 4)), modes([f, 1.005 * f, 20, 31], phi, Norm.MASS)
     p = pair_modes(a, b)
-    assert p.subspace.tolist() == p.beyond.tolist() == [True, True, False, False]
+    assert p.subspace.tolist() == [True, True, False, False]
+    assert np.count_nonzero(p.beyond) == beyond
     np.testing.assert_allclose(p.mac, 1.0, rtol=1e-9)
     np.testing.assert_allclose(*paired_shapes(a, b, p), atol=1e-9)
 

@@ -227,7 +227,10 @@ def correlate(
     frequency_gate: Annotated[
         float | None,
         typer.Option(
-            metavar="%", help="Largest deviation of a pair.", min=1e-6, show_default="40; beyond it modes like no other"
+            metavar="%",
+            help="Largest deviation of a pair.",
+            min=1e-6,
+            show_default="40; farther off only modes that look like no other",
         ),
     ] = None,
     lock: Annotated[

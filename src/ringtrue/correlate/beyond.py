@@ -95,7 +95,8 @@ def _merged(fa: Float, a: Any_, fb: Float, b: Any_, score: Scores, far: Bool, ga
     """MAC (ma, mb) with close modes of B rotated among those of `far`, too."""
     rows, cols = np.flatnonzero(far.any(axis=1)), np.flatnonzero(far.any(axis=0))
     merged = score.merged.copy()
-    merged[np.ix_(rows, cols)] = among(fa, a, fb, b, rows, cols, gates).merged
+    here = np.ix_(rows, cols)
+    merged[here] = np.maximum(merged[here], among(fa, a, fb, b, rows, cols, gates).merged)
     return merged
 
 

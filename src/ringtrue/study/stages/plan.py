@@ -14,7 +14,7 @@ from ringtrue.errors import ConfigError
 from ringtrue.model.frames import positions
 from ringtrue.plan.candidates import even_distance, select_candidates
 from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
-from ringtrue.plan.layout import lower_auto_mac, reached, select_points
+from ringtrue.plan.layout import lower_auto_mac, reached, select_points, shares
 from ringtrue.plan.resolution import resolution
 from ringtrue.plan.selection import auto_mac_points, kinetic_weighted, make_redundant, qr_points, worst_loss
 from ringtrue.plan.setups import Setups, roving_setups, roving_shift
@@ -155,7 +155,7 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         f"(least share reached {100 * float(reached(rows, hits).min()):.0f} %)",
         target_frequencies=f[targets],
         reach=reached(rows, hits),
-        reachable=(able_rows**2).max(axis=0) / largest,
+        reachable=shares(able_rows, largest).max(axis=0),
         reasons=wanted.reasons,
         left_by_loss=worst_loss(shapes[chosen][:, :, targets], lost).left if lost < chosen.size else 0.0,
         lost=lost,
