@@ -206,6 +206,19 @@ def test_what_is_not_plausible_is_told_beside_what_is_not_proven(done: StudyRun)
     assert sum(line.startswith("not proven by the test") and line.endswith(second) for line in lines) == 1
 
 
+def test_the_interval_of_a_factor_stands_beside_its_standard_deviation(done: StudyRun) -> None:
+    """Student's: with errors whose size few modes tell it is far wider than the standard deviation says."""
+    known = done.results["uncertainty"]
+    name, wide = known.parameters.names[0], np.array(known.interval)
+    wide[0] = 0.5, 0.9
+    some = {k: done.results[k] for k in ("update", "correlate")}
+    (line,) = [
+        x for x in told({**some, "uncertainty": replace(known, interval=wide)}) if x.startswith(f"{name}: times")
+    ]
+    assert re.search(r" ± [\d.]+ \(90 %: 0\.50* to 0\.90*\)$", line)
+    assert not any("90 %:" in x for x in told(some))
+
+
 def test_each_limit_is_held_and_missed(done: StudyRun) -> None:
     table = done.results["final"].table
     worst = float(np.abs(table.deviation_percent).max())

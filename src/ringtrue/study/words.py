@@ -46,9 +46,10 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     if correlate is not None:
         out += [*correlate.gaps, *_pairs(correlate, final)]
     lacking = _lacking(r)
-    for name, a, std in _factors(r):
-        out.append(_lump(name, lacking[name], a, std) if name in lacking else _factor(name, a, std))
     known: UncertaintyStage | None = r.get("uncertainty")
+    for name, a, std in _factors(r):
+        within = _interval(known, name)
+        out.append(_lump(name, lacking[name], a, std, within) if name in lacking else _factor(name, a, std, within))
     if known is not None:
         out += _doubts(known)
     if correlate is not None and final is not None:
@@ -231,9 +232,18 @@ def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
     return out
 
 
-def _factor(name: str, factor: float, std: float) -> str:
+def _interval(known: UncertaintyStage | None, name: str) -> tuple[float, float, float] | None:
+    """Level and ends of the interval of a factor: far wider than normal where few modes tell the size of the errors."""
+    if known is None or name not in known.parameters.names:
+        return None
+    low, high = known.interval[known.parameters.names.index(name)].tolist()
+    return known.level, low, high
+
+
+def _factor(name: str, factor: float, std: float, within: tuple[float, float, float] | None) -> str:
     digits = int(np.clip(1 - np.floor(np.log10(std)), 3, 6)) if np.isfinite(std) and std > 0 else 3
-    return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}"
+    ends = f" ({100 * within[0]:g} %: {within[1]:.{digits}f} to {within[2]:.{digits}f})" if within else ""
+    return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}{ends}"
 
 
 def _lacking(r: Mapping[str, Any]) -> dict[str, float]:
@@ -242,6 +252,9 @@ def _lacking(r: Mapping[str, Any]) -> dict[str, float]:
     return {p.name: p.lump for p in found.parameters.parameters if p.lump} if found is not None else {}
 
 
-def _lump(name: str, total: float, factor: float, std: float) -> str:
+def _lump(name: str, total: float, factor: float, std: float, within: tuple[float, float, float] | None) -> str:
     mass = f"{total * (factor - 1):.4g} ± {total * std:.2g}"
+    if within:
+        low, high = (total * max(a - 1, 0.0) for a in within[1:])
+        mass += f" ({100 * within[0]:g} %: {low:.3g} to {high:.3g})"
     return f"{name}: {mass} (units of the deck); is a part left out there? The updated deck has it as a CONM2"
