@@ -53,6 +53,6 @@ def _modes(frequencies: Float, residuals: Float) -> Table:
     return Table(
         ("#", "Frequency, Hz", "Residual"),
         rows,
-        "Modes of the deck as it was given, relative residual norm.",
+        "Modes of the initial deck, relative residual norm.",
         scroll=True,
     )
