@@ -15,7 +15,7 @@ from ringtrue.fem.assembly import System
 from ringtrue.fem.functions import AffineTerm
 from ringtrue.fem.interpolation import interpolated
 from ringtrue.fem.mesh import Mesh, mesh
-from ringtrue.fem.nodes import learn
+from ringtrue.fem.nodes import MOST, learn
 from ringtrue.fem.powers import Group, cubic, groups_of
 from ringtrue.fem.products import products
 from ringtrue.fem.regions import few, regions
@@ -59,10 +59,11 @@ def affine_terms(
         smooth -= lost  # elements that are not in the sample, or what two of them do together
 
 
-def matrices_kept(model: Model, *parameters: Parameter) -> int | None:
+def matrices_kept(model: Model, *parameters: Parameter, most: int = MOST) -> int | None:
     """How many matrices the interpolation of parameters together keeps of an element, seen on a sample of elements.
 
-    0 where powers of each do; None where K and M are no smooth function of them: `affine_terms` has no parts.
+    0 where powers of each do; None where K and M are no smooth function of them (`affine_terms` has no parts), or take
+    more than `most`.
 
     Raises
     ------
@@ -74,7 +75,7 @@ def matrices_kept(model: Model, *parameters: Parameter) -> int | None:
     try:
         parts = [_parts(m, g) for g in groups]
         rough = [g.rows for g, powers in zip(groups, parts, strict=True) if powers is None]
-        found = [n for rows in rough for n in learn(m, regions(groups, few(rows, SAMPLE)))]
+        found = [n for rows in rough for n in learn(m, regions(groups, few(rows, SAMPLE)), most)]
     except UnsupportedError:
         return None
     return max((len(n.factors) for n in found), default=0) if rough or any(parts) else None

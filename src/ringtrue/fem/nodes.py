@@ -71,8 +71,10 @@ class Nodes:
 class _Learner:
     """What is kept of a region: factors (r, P), scaled entries (r, e) less those at nominal, and which tell it."""
 
-    def __init__(self, region: Region, start: Float, weights: Float, axes: Sequence[Float], found: Found) -> None:
-        self.region, self.start, self.weights = region, start, weights
+    def __init__(
+        self, region: Region, start: Float, weights: Float, axes: Sequence[Float], found: Found, most: int
+    ) -> None:
+        self.region, self.start, self.weights, self.most = region, start, weights, most
         self.factors, self.changes, self.places = np.empty((0, axes[0].size)), np.empty((0, start.size)), list[int]()
         self.learn(axes, found)
 
@@ -92,7 +94,7 @@ class _Learner:
         self.factors = np.vstack([self.factors, *(a for a, _ in some)])
         self.changes = np.vstack([self.changes, changes])
         size = np.abs(self.changes + self.weights * self.start).max(axis=1, initial=1e-300)
-        nodes, self.places = _pivots(self.changes / size[:, None], MOST + 1)
+        nodes, self.places = _pivots(self.changes / size[:, None], self.most + 1)
         self.factors, self.changes = self.factors[nodes], self.changes[nodes]
         return None
 
@@ -127,7 +129,7 @@ def _pivots(rest: Float, most: int) -> tuple[list[int], list[int]]:
     return rows, columns
 
 
-def learn(m: Mesh, some: Sequence[Region]) -> list[Nodes]:
+def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
     """What tells the functions of each region.
 
     The points lie first on the axes, where only one parameter is not at nominal, then anywhere between the bounds. No
@@ -136,7 +138,7 @@ def learn(m: Mesh, some: Sequence[Region]) -> list[Nodes]:
     Raises
     ------
     UnsupportedError
-        If the entries of a region are no smooth functions between the bounds.
+        If the entries of a region are no smooth functions between the bounds, or take more than `most` matrices.
     """
     axes, low, high = _box(some)
     one, rng = np.ones_like(low), np.random.default_rng(0)
@@ -145,7 +147,7 @@ def learn(m: Mesh, some: Sequence[Region]) -> list[Nodes]:
     for region, start, weights, found in given:
         if any(f is None for f in found):
             raise UnsupportedError(rough(region.groups))
-        learners.append(_Learner(region, start, weights, axes, found))
+        learners.append(_Learner(region, start, weights, axes, found, most))
     count = BLOCK
     for _ in range(BLOCKS):
         waiting = [k for k in range(len(some)) if k not in out]
@@ -157,7 +159,7 @@ def learn(m: Mesh, some: Sequence[Region]) -> list[Nodes]:
             check = learners[k].learn(points, found)
             if check is not None:
                 out[k] = learners[k].told(m, check)
-            elif len(learners[k].places) > MOST:
+            elif len(learners[k].places) > most:
                 raise UnsupportedError(rough(some[k].groups))
         count *= 2
     for k, region in enumerate(some):

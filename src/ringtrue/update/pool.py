@@ -122,8 +122,8 @@ def tractable(model: Model, candidates: Sequence[Candidate], most: int) -> Int:
         both = (1 + own) * (1 + kept[mine])  # at most the product of those of each, the nominal one counted
         if own and both.max(initial=0) > TOGETHER:
             beside = [candidates[k].parameter for k in out if np.isin(members[[k]].indices, mine).any()]
-            found = matrices_kept(model, *beside, c.parameter)
-            if found is None or found > TOGETHER:
+            found = matrices_kept(model, *beside, c.parameter, most=TOGETHER)
+            if found is None:
                 continue
             both = np.minimum(both, 1 + found)
         kept[mine] = both - 1
