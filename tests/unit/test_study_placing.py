@@ -223,6 +223,13 @@ def test_correlate_takes_setups_of_other_sensors_at_the_channels_they_share(
     assert run(words) == 0
     told = capsys.readouterr().out
     assert f"Hz: not used, seen at 1 of {len(test.channels)} channels only" in " ".join(told.split())
+    shapes[1:] = np.nan  # none of them is left: nothing is told of pairs and channels
+    write_modes(tmp_path / "test.json", ModeSet(modes.frequencies[:6], np.full(6, 0.01), shapes, test.channels))
+    assert run([*words, "--complete"]) == 1
+    told = capsys.readouterr().out
+    assert "orthogonality not checked: no mode has a partner" in " ".join(told.split())
+    assert "CoMAC" not in told
+    assert "collinearity" not in told
 
 
 def test_strain_is_not_compared_with_motions(

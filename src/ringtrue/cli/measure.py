@@ -186,8 +186,9 @@ def _show_complete(c: CompleteCorrelation) -> None:
         other = "" if "Craig-Bampton" in (k.mass for k in c.checks) else "; --tam craig-bampton may"
         tell([f"the {' and the '.join(unfit)} mass cannot judge it: readings with 2 % error alone fail{other}"])
     out.print(f"largest off-diagonal auto-MAC: A {100 * c.auto_mac[0]:.1f} %, B {100 * c.auto_mac[1]:.1f} %")
-    worst = c.comac.argsort(kind="stable")[:5].tolist()
-    out.print("lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst))
+    if c.scale.size:  # pairs
+        worst = c.comac.argsort(kind="stable")[:5].tolist()
+        out.print("lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst))
     left_out = zip(c.elimination.order[:5].tolist(), c.elimination.mac[1:6], strict=True)
     for i, (channel, mac) in enumerate(left_out):
         out.print(f"{'then' if i else 'first'} left out {c.channels[channel]}: mean MAC {100 * mac.mean():.2f} %")
@@ -195,8 +196,8 @@ def _show_complete(c: CompleteCorrelation) -> None:
         modes = (" ".join(str(i + 1) for i in side) for side in (group.a, group.b))
         angles = " ".join(f"{degrees(x):.1f}" for x in group.angles)
         out.print("close modes A {} and B {}: principal angles {}°".format(*modes, angles))
-    seen = c.mpc[c.mpc > 0]  # a mode that was not seen at these channels has none
-    out.print(f"lowest phase collinearity of A: {100 * seen.min(initial=1.0):.1f} %")
+    if (seen := c.mpc[c.mpc > 0]).size:  # a mode that was not seen at these channels has none
+        out.print(f"lowest phase collinearity of A: {100 * seen.min():.1f} %")
     for s in c.suspects:
         out.print(f"channel {s.channel} looks {s.fault}: {s.message}")
     total, count, p = c.significance.chi_square
