@@ -48,6 +48,9 @@ def test_forms() -> None:
     assert matrices_kept(m, g12) == 0
     assert all(matrices_kept(m, p) for p in (e1, nu))
     assert matrices_kept(laminate(1.4e11), nu) is None
+    both = matrices_kept(m, e1, nu)
+    assert both
+    assert [matrices_kept(m, e1, nu, most=n) for n in (both - 1, both)] == [None, both]
 
 
 def test_constants_of_a_laminate() -> None:

@@ -157,10 +157,10 @@ def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
         points = list(low * (high / low) ** shares)
         for k, found in zip(waiting, _at(m, [some[k] for k in waiting], points), strict=True):
             check = learners[k].learn(points, found)
+            if len(learners[k].places) > most:
+                raise UnsupportedError(rough(some[k].groups))
             if check is not None:
                 out[k] = learners[k].told(m, check)
-            elif len(learners[k].places) > most:
-                raise UnsupportedError(rough(some[k].groups))
         count *= 2
     for k, region in enumerate(some):
         if k not in out:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from itertools import zip_longest
 
 import numpy as np
@@ -14,6 +15,8 @@ from ringtrue.fem.dependence import matrices_kept
 from ringtrue.fem.rows import union
 from ringtrue.model.model import Model
 from ringtrue.update.candidates import Candidate, Kind, counted, membership
+
+Kept = Callable[..., int | None]
 
 KIND: dict[str, Kind] = {
     **dict.fromkeys(("MAT1", "MAT2", "MAT8", "MAT9"), "material"),
@@ -36,6 +39,7 @@ def close(
     most: int,
     *,
     stay: Sequence[int] = (),
+    kept: Kept | None = None,
 ) -> Int:
     """The candidates that are looked at closely, ascending: of those that can be taken apart the first that explain.
 
@@ -47,11 +51,13 @@ def close(
         As in `explaining`; the first of each in turn.
     stay : sequence of int
         Come before all others.
+    kept : callable, optional
+        As of `tractable`.
     """
     lump = np.array([c.kind == "lump" for c in candidates], dtype=np.bool_)
     own = np.flatnonzero(~lump)
     first = [i for i in _in_turn(misfits, own, 2 * most, stay) if not lump[i]][: 2 * most]
-    near = np.array(first, dtype=np.int64)[tractable(model, [candidates[i] for i in first], most)]
+    near = np.array(first, dtype=np.int64)[tractable(model, [candidates[i] for i in first], most, kept)]
     added = [i for i in _in_turn(misfits, np.arange(lump.size), 2 * most, stay) if lump[i]] if lump.any() else []
     return np.sort(np.append(near, np.array(added[: most // 2], dtype=np.int64)))
 
@@ -111,22 +117,34 @@ def falling(value: Float) -> Int:
     return np.argsort(-np.round(value / max(float(value.max(initial=0.0)), 1e-300), EQUAL), kind="stable")
 
 
-def tractable(model: Model, candidates: Sequence[Candidate], most: int) -> Int:
-    """The first whose matrices can be taken apart, in order, also where several act on the same elements."""
+def counted_once(model: Model) -> Kept:
+    """How many matrices parameters keep of an element together (`matrices_kept`), up to `TOGETHER`, remembered."""
+    return cache(partial(matrices_kept, model, most=TOGETHER))
+
+
+def tractable(model: Model, candidates: Sequence[Candidate], most: int, kept: Kept | None = None) -> Int:
+    """The first whose matrices can be taken apart, in order, also where several act on the same elements.
+
+    Parameters
+    ----------
+    kept : callable, optional
+        `counted_once`, where they are asked for again.
+    """
+    count = kept or counted_once(model)
     members, out = membership(model, candidates), list[int]()
-    kept = np.zeros(members.shape[1], dtype=np.int64)  # matrices of each element that those before may ask for
+    held = np.zeros(members.shape[1], dtype=np.int64)  # matrices of each element that those before may ask for
     for i, c in enumerate(candidates):
-        mine, own = members[[i]].indices, matrices_kept(model, c.parameter)
+        mine, own = members[[i]].indices, count(c.parameter)
         if own is None:
             continue
-        both = (1 + own) * (1 + kept[mine])  # at most the product of those of each, the nominal one counted
+        both = (1 + own) * (1 + held[mine])  # at most the product of those of each, the nominal one counted
         if own and both.max(initial=0) > TOGETHER:
             beside = [candidates[k].parameter for k in out if np.isin(members[[k]].indices, mine).any()]
-            found = matrices_kept(model, *beside, c.parameter, most=TOGETHER)
+            found = count(*beside, c.parameter)
             if found is None:
                 continue
             both = np.minimum(both, 1 + found)
-        kept[mine] = both - 1
+        held[mine] = both - 1
         out.append(i)
         if len(out) == most:
             break
