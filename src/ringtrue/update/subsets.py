@@ -157,7 +157,9 @@ def _path(search: Search, most: int, none: Choice, few: Sequence[Choice], told: 
             tried += [search.fit(at, now.x) for _, at in search.best(r, now.x, stay, free, r.value)[:TRIALS]]
         if k > 1:
             tried += _in_pairs(search, path[-2])
-        if search.target.rule == "gates" and r.used.sum() < search.modes:  # no slope sees a mode without partner
+        gained = any(search.value(c.x).used.sum() > r.used.sum() for c in tried)
+        if search.target.rule == "gates" and r.used.sum() < search.modes and not gained:
+            # no slope sees a mode without partner; where one leads to it, all candidates need not be looked at far off
             here = search.cost(now.x)
             tried += [search.fit(at, x) for value, at, x in search.far(now, free)[:TRIALS] if value < here]
         if not tried:
