@@ -286,6 +286,22 @@ def test_near_the_end_a_pair_that_is_forbidden_stays_so() -> None:
     assert not len(match(replace(aim, followed=known).doubting(), now)[0])
 
 
+def test_the_lowest_modes_of_a_test_keep_the_pairs_that_the_user_decides() -> None:
+    """Modes stand in any order, and those not used do not count; the third and fourth are forced onto each other's."""
+    f, every = np.array([30.0, 10.0, 20.0, 25.0, 40.0]), np.eye(5)
+    known = Followed((0, 2, 3), every[:, [0, 3, 2]], (1, 4), every[:, [2, 1]])
+    used = np.array([True, True, False, True, True])
+    aim = Target(f, every, np.zeros(5), used, pairing=PairingSettings(mac_gate=0.0), followed=known)
+    low = aim.lowest(2)
+    assert low.frequencies.tolist() == [10.0, 20.0, 25.0]
+    assert low.used.tolist() == [True, False, True]
+    now = Linearisation(np.zeros(1), np.sort(f), every[:, np.argsort(f)], np.zeros((5, 1)), np.zeros((5, 5, 1)))
+    of_all = {f[t]: m for t, m in match(aim, now)[0].tolist() if f[t] <= 25}
+    assert {low.frequencies[t]: m for t, m in match(low, now)[0].tolist()} == of_all
+    assert {20.0: 2, 25.0: 1}.items() <= of_all.items()
+    assert aim.lowest(4) is aim
+
+
 def test_a_mode_left_out_that_is_far_off_is_counted() -> None:
     """The settled pairs of an updating drop it; the figure that judges the set must not."""
     now = Linearisation(np.zeros(1), np.array([10.0, 21.5, 30.0]), np.eye(3), np.zeros((3, 1)), np.zeros((3, 3, 1)))

@@ -132,6 +132,15 @@ class Followed:
     forbidden: tuple[int, ...]
     barred: Float
 
+    def among(self, modes: Int) -> Followed:
+        """Those of some modes of A, ascending (k,), which are counted anew."""
+
+        def kept(which: tuple[int, ...], shapes: Float) -> tuple[tuple[int, ...], Float]:
+            stay = np.isin(np.array(which, dtype=np.int64), modes)
+            return tuple(np.searchsorted(modes, np.array(which, dtype=np.int64)[stay]).tolist()), shapes[:, stay]
+
+        return Followed(*kept(self.forced, self.shapes), *kept(self.forbidden, self.barred))
+
     def locks(self, shapes: Any_) -> Locks:
         """The pairs among modes of B with shapes (channel, m), each found by its MAC with the first model's."""
         if not shapes.shape[1]:

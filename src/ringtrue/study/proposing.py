@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -26,7 +26,7 @@ from ringtrue.update.lumps import lumped, places
 from ringtrue.update.objective import Target, Weights, match
 from ringtrue.update.pool import SMALL, conflicts, drawn, passed_over
 from ringtrue.update.proposal import Proposal, propose
-from ringtrue.update.screening import screened
+from ringtrue.update.screening import LEADING, screened
 
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test
 
@@ -87,7 +87,7 @@ def directly_proposed(
     test = test.take(np.flatnonzero(test.frequencies > 0))
     weights, used = Weights(shape=0.0) if test.lent else Weights(), np.ones(len(test), dtype=bool)
     aim = Target(test.frequencies, test.shapes, np.zeros(len(test)), used, weights, lent=test.lent)
-    count = int(EXTRA * len(test)) + 4
+    count = _beyond(len(test))
     modes = analysis.eigen(ModesRequest(modes_of(count)), part(progress, 0.0, 0.1))
     progress(0.1, f"energies of {len(every)} candidates")
     moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
@@ -99,11 +99,11 @@ def directly_proposed(
 
     def small(whole: ReducedModel, some: tuple[Candidate, ...]) -> ReducedModel:
         points = drawn(whole.parameters, conflicts(model, some), np.random.default_rng(0))
-        return condensed(whole, points, max(SMALL, 2 * count))
+        return condensed(whole, points, max(SMALL, 2 * whole.count))
 
     def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
         whole = reduced_to(some)
-        return small(whole, some), whole
+        return small(replace(whole, count=min(whole.count, _beyond(LEADING))), some), whole
 
     progress(0.15, f"what {len(moved)} candidates explain")
     keep = screened(
@@ -133,6 +133,11 @@ def directly_proposed(
     )
     names = {c.name for c in keep}
     return Proposed(found, model, keep, lost, tuple(c.name for c in moved if c.name not in names), len(every))
+
+
+def _beyond(modes: int) -> int:
+    """Modes of the model to compare so many of a test with."""
+    return int(EXTRA * modes) + 4
 
 
 def with_lumps(opened: Opened, nodes: Int, settings: CandidateSettings) -> tuple[Model, tuple[Candidate, ...]]:

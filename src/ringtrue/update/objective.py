@@ -131,6 +131,22 @@ class Target:
             return self
         return replace(self, rule="capped", lost=DOUBT * spread**2 * max(self.weights.data / 2, 1.0))
 
+    def lowest(self, count: int) -> Target:
+        """The same up to the highest of so many used modes, the lowest; pairs are made anew."""
+        used = np.sort(self.frequencies[self.used])
+        if used.size <= count:
+            return self
+        at = np.flatnonzero(self.frequencies <= used[count - 1])
+        return replace(
+            self,
+            frequencies=self.frequencies[at],
+            shapes=self.shapes[:, at],
+            std=self.std[at],
+            used=self.used[at],
+            fixed=None,
+            followed=self.followed and self.followed.among(at),
+        )
+
     def settled(self, now: Linearisation, spread: float = 1.0) -> Target:
         """The same with the pairs that `doubting` makes at a point, for good; modes without a partner are not used.
 

@@ -2,7 +2,7 @@
 
 The slopes at a deck that is far off tell little of some candidates. So the set that is chosen among those that explain
 most from there only leads nearer, and all are weighed again with the modes found there (iterated screening: Fan and
-Lv 2008, sec. 4.1).
+Lv 2008, sec. 4.1). Of many modes the lowest lead: those of a dense band find partners only once these are right.
 """
 
 from __future__ import annotations
@@ -22,9 +22,11 @@ from ringtrue.update import choose
 from ringtrue.update.candidates import Candidate
 from ringtrue.update.effects import misfits
 from ringtrue.update.objective import Target
-from ringtrue.update.pool import close, conflicts, passed_over
+from ringtrue.update.pool import close, conflicts, counted_once, passed_over
 from ringtrue.update.several import Problem
 from ringtrue.update.subsets import subsets
+
+LEADING = 60  # modes at most by which the first choice is made
 
 
 class Beside(Protocol):
@@ -67,6 +69,7 @@ def screened(
     modes : (m,), (f, m) float64
         λ, (rad/s)², and shapes of unit modal mass of the deck.
     look : callable (candidates) -> (model to search with, model whose modes are in the free degrees of freedom)
+        The first needs modes for the `LEADING` lowest of the test only.
     pool, most : int
         Candidates that are kept, and parameters of the first choice.
     alike : float
@@ -84,14 +87,16 @@ def screened(
         more, slopes = beside.misfit(at, x, which, aim)
         return tuple((np.append(r, more), np.concatenate([g, slopes])) for r, g in found)
 
-    at = close(model, candidates, seen(modes, None, np.zeros(0), ()), pool)
+    kept = counted_once(model)
+    at = close(model, candidates, seen(modes, None, np.zeros(0), ()), pool, kept=kept)
     some = tuple(candidates[i] for i in at.tolist())
     if len(some) == len(candidates):
         return some
     search, whole = look(some)
-    problem = None if beside is None else beside.problem(search, aim)
+    low = aim.lowest(LEADING)
+    problem = None if beside is None else beside.problem(search, low)
     far = passed_over(candidates, some)
-    found = subsets(search, aim, most, alike, conflicts(model, some), progress, problem, far)
+    found = subsets(search, low, most, alike, conflicts(model, some), progress, problem, far)
     best, groups = found.path[-1], found.search.groups
     if not best.members.size:
         return some
@@ -99,4 +104,4 @@ def screened(
     x[at] = best.x / whole.parameters.std()
     stay = at[np.isin(groups, groups[best.members])]
     near = [(r + g @ x, g) for r, g in seen(whole.vectors(best.x), whole, best.x, at.tolist())]
-    return tuple(candidates[i] for i in close(model, candidates, near, pool, stay=stay.tolist()))
+    return tuple(candidates[i] for i in close(model, candidates, near, pool, stay=stay.tolist(), kept=kept))
