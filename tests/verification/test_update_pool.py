@@ -74,6 +74,9 @@ def test_no_more_constants_on_one_laminate_than_can_be_interpolated_together(mon
     every = generate(m, CandidateSettings(("material",)))
     assert len(tractable(m, every, len(every))) == len(every)
     assert affine_terms(m, parameters(every), assemble(m))
+    with monkeypatch.context() as large:
+        large.setattr(pool, "FEW", 0)  # in a large deck the product stands for what is not counted
+        assert len(tractable(m, every, len(every))) < len(every)
     monkeypatch.setattr(pool, "TOGETHER", 8)
     assert 2 < len(tractable(m, every, len(every))) < len(every)
 

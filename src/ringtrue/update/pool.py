@@ -28,6 +28,7 @@ SMALL = 160  # vectors of the model that a proposal searches with
 DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
 MATE, MATES = 0.7, 2  # share of the best fall of J from which on a candidate may be meant in place of the best
 TOGETHER = 100  # matrices that those acting on one element may keep of all theirs: they take the memory
+FEW = 1000  # elements of a deck of which 100 matrices each are little: up to there it is counted what is kept
 EQUAL = 9  # decimals, in units of the largest, to which what candidates explain is compared
 NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
@@ -125,6 +126,8 @@ def counted_once(model: Model) -> Kept:
 def tractable(model: Model, candidates: Sequence[Candidate], most: int, kept: Kept | None = None) -> Int:
     """The first whose matrices can be taken apart, in order, also where several act on the same elements.
 
+    How many these keep together is at most the product of those of each; what it is is counted in small decks only.
+
     Parameters
     ----------
     kept : callable, optional
@@ -139,6 +142,8 @@ def tractable(model: Model, candidates: Sequence[Candidate], most: int, kept: Ke
             continue
         both = (1 + own) * (1 + held[mine])  # at most the product of those of each, the nominal one counted
         if own and both.max(initial=0) > TOGETHER:
+            if members.shape[1] > FEW:
+                continue
             beside = [candidates[k].parameter for k in out if np.isin(members[[k]].indices, mine).any()]
             found = count(*beside, c.parameter)
             if found is None:
