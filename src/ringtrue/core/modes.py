@@ -110,13 +110,15 @@ class ModeSet:
         return self.take(np.flatnonzero((self.frequencies >= low) & (self.frequencies <= high)))
 
     def rows(self, channels: Sequence[str]) -> ModeSet:
-        """The chosen rows by label, in the given order.
+        """The chosen rows by label, in the given order; the set itself where these are all of its rows.
 
         Raises
         ------
         InputError
             If a label is absent.
         """
+        if tuple(channels) == self.channels:
+            return self
         here = {c: i for i, c in enumerate(self.channels)}
         lost = [c for c in channels if c not in here]
         if lost:

@@ -169,7 +169,7 @@ def complete(
     settings : PairingSettings
         Those of the pairing: `close` and `largest_group` make the groups.
     """
-    b = b if b.channels == a.channels else b.rows(a.channels)
+    b = b.rows(a.channels)
     left, right = paired_shapes(a, b, pairing, settings)
     notes: list[str] = []
     turn = turning(a, b, pairing, settings)

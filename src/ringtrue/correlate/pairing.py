@@ -71,7 +71,7 @@ def pair_modes(
     InputError
         If channels of A are not in B, shapes have gaps, or `visible_b` does not fit.
     """
-    b = b if b.channels == a.channels else b.rows(a.channels)
+    b = b.rows(a.channels)
     for name, m in zip(names, (a, b), strict=True):
         if gaps := [m.channels[i] for i in np.flatnonzero(~np.isfinite(m.shapes).all(axis=1)).tolist()]:
             raise InputError(

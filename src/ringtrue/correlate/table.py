@@ -154,7 +154,7 @@ def correlation_table(
     left_out : sequence of int
         Positions in A that take no part in updating.
     """
-    b = b if b.channels == a.channels else b.rows(a.channels)
+    b = b.rows(a.channels)
     std = np.full(len(a), np.nan) if std_hz is None else np.asarray(std_hz, dtype=np.float64)
     everything = mac(a.shapes, b.shapes) if a.channels else np.full((len(a), len(b)), np.nan)
     return CorrelationTable(

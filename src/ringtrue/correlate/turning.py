@@ -28,7 +28,7 @@ def paired_shapes(
     settings : PairingSettings
         Those of the pairing.
     """
-    b = b if b.channels == a.channels else b.rows(a.channels)
+    b = b.rows(a.channels)
     turn = turning(a, b, pairing, settings)[:, pairing.b] if pairing.subspace.any() else None
     return a.shapes[:, pairing.a], np.array(b.shapes[:, pairing.b]) if turn is None else b.shapes @ turn
 
@@ -51,7 +51,7 @@ def turning(
     settings : PairingSettings
         Those of the pairing.
     """
-    b = b if b.channels == a.channels else b.rows(a.channels)
+    b = b.rows(a.channels)
     out = np.eye(len(b), dtype=np.result_type(a.shapes, b.shapes, np.float64))
     turned = np.flatnonzero(pairing.subspace)
     if not turned.size:
