@@ -14,7 +14,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import InputError
 from ringtrue.identify.ambient import AmbientSettings, identify_ambient
 from ringtrue.plan.rehearsal import RATE, Conditions, Planned, Rehearsal, trials
-from ringtrue.virtual.noise import coloured
+from ringtrue.virtual.noise import white
 from ringtrue.virtual.response import lines, response_spectrum
 from ringtrue.virtual.sensors import Chain, record
 
@@ -90,9 +90,8 @@ def recorded(
     rate : float, Hz
     """
     samples = 2 * fft.next_fast_len(int(np.ceil(0.5 * ambience.duration * rate)), real=True)
-    psd = np.full((len(model.inputs), samples // 2 + 1), ambience.density**2)
-    psd[:, 0] = 0.0
-    motion = response_spectrum(model, coloured(psd, samples, rate, rng), lines(samples, rate))
+    forces = white(len(model.inputs), ambience.density, samples, rate, rng)
+    motion = response_spectrum(model, forces, lines(samples, rate))
     loudest = np.sqrt(2 * (np.abs(motion) ** 2).sum(axis=1).max()) / samples
     wide = max(conditions.sensor.range, HEADROOM * conditions.sensor.sensitivity * float(loudest))
     chain = Chain.draw((replace(conditions.sensor, range=wide),) * len(model.outputs), rng)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from scipy import fft
 
-from ringtrue.core.arrays import Complex
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress
@@ -18,7 +17,7 @@ from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.virtual.events import Pulses, pulse_spectrum
 from ringtrue.virtual.hammer import HammerPlan, hammer_record, strike
-from ringtrue.virtual.noise import coloured
+from ringtrue.virtual.noise import white
 from ringtrue.virtual.response import decay_time, lines, response_spectrum
 from ringtrue.virtual.sensors import FORCE_CELL, Chain, Sensor
 
@@ -160,14 +159,8 @@ def _record(
     limit = chain.sensors[0].range / chain.sensors[0].sensitivity
     blows = strike(hammer, at, limit, rate, rng)
     samples = 2 * int(np.ceil(0.5 * (float(blows.times[-1]) + hammer.block + hammer.rest) * rate))
-    background = _background(len(model.inputs), conditions.background, samples, rate, rng)
+    background = white(len(model.inputs), conditions.background, samples, rate, rng)
     volts, _, _ = hammer_record(model, blows, hammer, chain, background, samples, rate, rng)
     data = volts / np.array([s.sensitivity for s in chain.sensors])[:, None]
     force = replace(model.inputs[at], id=f"F:{model.inputs[at].id}")
     return TimeHistory(data, rate, (force, *model.outputs), f"virtual test, {model.inputs[at].id}")
-
-
-def _background(inputs: int, density: float, samples: int, rate: float, rng: np.random.Generator) -> Complex:
-    psd = np.full((inputs, samples // 2 + 1), density**2)
-    psd[:, 0] = 0.0
-    return coloured(psd, samples, rate, rng)

@@ -48,6 +48,13 @@ def coloured(psd: Float, samples: int, rate: float, rng: np.random.Generator) ->
     return np.asarray(normal)
 
 
+def white(count: int, density: float, samples: int, rate: float, rng: np.random.Generator) -> Complex:
+    """Spectra (count, line) of independent white noise of a density, unit/√Hz, without an offset: as of `coloured`."""
+    psd = np.full((count, samples // 2 + 1), density**2)
+    psd[:, 0] = 0.0
+    return coloured(psd, samples, rate, rng)
+
+
 def power(spectrum: Complex, samples: int, rate: float) -> Float:
     """Periodogram (row, line) of a spectrum, one-sided, unit²/Hz."""
     return np.asarray(2.0 / (rate * samples) * (spectrum.real**2 + spectrum.imag**2))
