@@ -118,9 +118,9 @@ def plan(
         "method": method,
         "modes": numbers(modes, "--modes"),
         "effective_mass": effective_mass,
-        "kinetic": {name: _share("--kinetic", name, text) for name, text in _named("--kinetic", kinetic)},
+        "kinetic": {name: _number("--kinetic", name, text) for name, text in _named("--kinetic", kinetic)},
         "candidates": {name: numbers(text, "--region") for name, text in _named("--region", region)},
-        "cost": {name: _share("--cost", name, text) for name, text in _named("--cost", cost)},
+        "cost": {name: _number("--cost", name, text) for name, text in _named("--cost", cost)},
         "weigh": weigh,
         "boxes": [_box("--box", b) for b in box or []],
         "keep_out": [_box("--keep-out", b) for b in keep_out or []],
@@ -193,7 +193,7 @@ def _named(option: str, texts: Sequence[str] | None) -> list[tuple[str, str]]:
     return list(out.items())
 
 
-def _share(option: str, name: str, text: str) -> float:
+def _number(option: str, name: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:

@@ -20,7 +20,7 @@ from ringtrue.model.model import Model
 from ringtrue.reduce.affine import AffineSystem
 from ringtrue.reduce.flexible import responding, with_responses
 from ringtrue.reduce.parametric import ReducedModel
-from ringtrue.study.measured import excited, flexible
+from ringtrue.study.measured import flexible
 from ringtrue.study.objective import data_of, on_parameters, terms_of
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.workbench import OWN, Workbench
@@ -71,9 +71,9 @@ class Beside:
     @cached_property
     def touched(self) -> Int:
         """Channels that were struck or pulled, and those whose deflections were read."""
-        at, found = {c: i for i, c in enumerate(self.desk.channels(OWN))}, self.desk.measured(OWN)
-        read = [at[c] for m in found if m.statics is not None for c in m.outputs]
-        return np.unique([*excited(found, at), *read]).astype(np.int64)
+        at = {c: i for i, c in enumerate(self.desk.channels(OWN))}
+        read = [at[c] for m in self.desk.measured(OWN) if m.statics is not None for c in m.outputs]
+        return np.unique([*self.desk.loaded(OWN), *read]).astype(np.int64)
 
     @cached_property
     def mass(self) -> tuple[Float, Float]:
@@ -89,7 +89,7 @@ class Beside:
 
     def loaded(self, model: AtChannels) -> AtChannels:
         """With the responses to unit loads at the touched channels in its basis."""
-        loads = excited(self.desk.measured(OWN), {c: i for i, c in enumerate(self.desk.channels(OWN))})
+        loads = self.desk.loaded(OWN)
         more, read = flexible(model.model, self.desk.measured(OWN), loads), np.setdiff1d(self.touched, loads)
         if read.size:
             more, _ = with_responses(more, read, np.zeros(len(more.parameters)))

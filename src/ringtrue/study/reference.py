@@ -136,11 +136,17 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
     return Reference(elastic, std, rigid, rigid_std, gaps)
 
 
+def without_gaps(modes: ModeSet, std: Uncertainty, some: Int) -> tuple[ModeSet, Uncertainty]:
+    """Those of some modes that were seen at common channels, at these (`measured_part`), and their scatter."""
+    at, channels = measured_part(modes.take(some))
+    return modes.take(some[at]).rows(channels), std.take(some[at])
+
+
 def _full(modes: ModeSet, std: Uncertainty, edge: float) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
     """The modes from the edge on that were seen at common channels, and what is not used, in words."""
     high = np.flatnonzero(modes.frequencies >= edge)
-    at, channels = measured_part(modes.take(high))
-    return realise_modes(modes.take(high[at]).rows(channels)), std.take(high[at]), _gaps(modes.take(high))
+    seen, scatter = without_gaps(modes, std, high)
+    return realise_modes(seen), scatter, _gaps(modes.take(high))
 
 
 def _rigid(modes: ModeSet, std: Uncertainty, edge: float, least: float) -> tuple[ModeSet, Uncertainty]:
@@ -148,8 +154,8 @@ def _rigid(modes: ModeSet, std: Uncertainty, edge: float, least: float) -> tuple
     low = np.flatnonzero((modes.frequencies < edge) & (modes.confidence >= least))
     if not low.size:
         return modes.take(low), std.take(low)
-    at, channels = measured_part(modes.take(low))
-    return realise_modes(modes.take(low[at]).rows(channels)), std.take(low[at])
+    seen, scatter = without_gaps(modes, std, low)
+    return realise_modes(seen), scatter
 
 
 def reference_of_file(path: Path, config: StudyConfig) -> Reference:

@@ -164,7 +164,7 @@ class Workbench:
         """All channels of the reduced model of the deck of the study, or of another configuration."""
         return self._channels[name]
 
-    def _loaded(self, name: str) -> Int:
+    def loaded(self, name: str) -> Int:
         """Positions of the channels at which something was excited or pulled."""
         return excited(self.measured(name), {c: i for i, c in enumerate(self.channels(name))})
 
@@ -188,7 +188,7 @@ class Workbench:
         """All candidates and suspensions on the remodelled deck, seen at every channel of the sheet."""
         if self._model is None:
             model = self._built(self.everything, progress)
-            self._model = flexible(model, self.measured(OWN), self._loaded(OWN))
+            self._model = flexible(model, self.measured(OWN), self.loaded(OWN))
         return self._model
 
     def apart(self, parameters: ParameterSet, progress: Progress) -> AtChannels:
@@ -205,7 +205,7 @@ class Workbench:
         model = self._reduced(progress)
         total = len(model.system.parameters)
         held = model.with_parameters(range(len(self.parameters)), np.zeros(total))
-        return AtChannels(held, self.rows(self.reference(OWN).channels), self._loaded(OWN))
+        return AtChannels(held, self.rows(self.reference(OWN).channels), self.loaded(OWN))
 
     def suspended(self, channels: Sequence[str], progress: Progress) -> AtChannels:
         """The reduced model at the channels of the rigid-body reference modes."""
@@ -262,7 +262,7 @@ class Workbench:
                 seen = self._extended(self.observed(opened, item.test, channels), section.name)
                 mine, count = carried(opened.model, self.everything), len(carried(opened.model, self.parameters))
                 rows = np.array([seen.channels.index(c) for c in channels], dtype=np.int64)
-                loaded = self._loaded(section.name)
+                loaded = self.loaded(section.name)
                 base = build(opened, mine, seen, self.up_to(item.reference.frequencies), progress)
                 model = AtChannels(flexible(base, self.measured(section.name), loaded), rows, loaded)
                 self._others[section.name] = model.with_parameters(range(count), np.zeros(len(mine)))
