@@ -1,33 +1,50 @@
 """Hammer identification: time, accuracy and stated uncertainty, against the truth and sdynpy's PolyPy.
 
-    python bench/identification_hammer.py accuracy 4           records, real and complex modes by turns
-    python bench/identification_hammer.py single 4             one reference instead of three
-    python bench/identification_hammer.py uncertainty 60       repeats with the same structure, new noise
-    python bench/identification_hammer.py peer PYTHON          the interpreter of an environment with sdynpy
+    python bench/identification_hammer.py accuracy       records, real and complex modes by turns
+    python bench/identification_hammer.py single         one reference instead of three
+    python bench/identification_hammer.py uncertainty    repeats with the same structure, new noise
+    python bench/identification_hammer.py peer           beside sdynpy
 
-The system is `../shared/bench/identification_system.py`: 60 responses, 3 references, 8193 lines, modes to 64 Hz asked
-for. Set OMP_NUM_THREADS=1 (and MKL's, OpenBLAS's): times are CPU seconds of one thread. The peer gets four bands and,
-in each, the pole nearest to every true mode at the best of its orders: an oracle that ringtrue does without. Not
-covered: measured records, commercial tools.
+each with [--quick | --full]. The system is that of identification_system.py: 60 responses, 3 references, 8193 lines,
+modes to 64 Hz asked for. Times are CPU seconds. The peer gets four bands and, in each, the pole nearest to every true
+mode at the best of its orders: an oracle that ringtrue does without. Not covered: measured records, commercial tools.
 """
 
 from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+import identification_system as system
 import numpy as np
-from identification_ambient import system
+from outcome import (
+    Check,
+    Peer,
+    Report,
+    arguments,
+    at_least,
+    at_most,
+    peer_program,
+    rms_over_stated,
+    share_at_least,
+    sized,
+)
 
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 
-HIGH = 64.0
+HIGH = 64.0  # Hz
+EVERY, ONE = (0, 1, 2), (0,)  # references
+# %, root mean square over the modes, of noise 40 dB below; what one reference excites badly is known less
+F_MOST = {EVERY: 0.005, ONE: 0.03}
+Z_MOST = {EVERY: 0.1, ONE: 1.0}
+MAC_LEAST = {EVERY: 0.999, ONE: 0.99}
+NOISE = 0.05  # of the RMS of each FRF, for the stated deviations
+STATED_LOW = 0.6  # of the errors over stated deviations: these may be too large, as that of a fit in bands
 
 PEER = """
 import contextlib, io, sys, time
@@ -59,13 +76,21 @@ print(f"{t} {e[0]} {e[1]}")
 """
 
 
-def frfs(d: dict[str, Any], refs: tuple[int, ...]) -> FrfSet:
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Seconds and score of one record."""
+
+    seconds: float
+    score: system.Score
+
+
+def frfs(d: system.HammerTest, refs: tuple[int, ...]) -> FrfSet:
     """The record with some of its references."""
-    out = tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in d["resp"])
-    given = tuple(Channel(f"{d['refs'][j] + 1}+Z", "force", "N") for j in refs)
+    out = tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in d.responses)
+    given = tuple(Channel(f"{d.references[j] + 1}+Z", "force", "N") for j in refs)
     at = list(refs)
-    average = np.full(len(at), 5.0)
-    return FrfSet(d["H"][:, :, at], d["f"], out, given, d["coh"][:, :, at], average, "accelerance", d["sigma"], "made")
+    average = np.full(len(at), float(system.AVERAGES))
+    return FrfSet(d.H[:, :, at], d.f, out, given, d.coherence[:, :, at], average, "accelerance", d.sigma, "made")
 
 
 def timed(data: FrfSet) -> tuple[float, HammerResult]:
@@ -75,75 +100,124 @@ def timed(data: FrfSet) -> tuple[float, HammerResult]:
     return time.process_time() - t, r
 
 
-def accuracy(records: int, *, single: bool = False) -> None:
-    """Errors in % and MAC; the score of the benchmark system."""
-    s = system()
-    rows = []
-    for seed in range(records):
-        d, truth = s.hammer(seed, bool(seed % 2)), s.truth(idx=s.RESP, complex_modes=bool(seed % 2))
-        t, r = timed(frfs(d, (seed % 3,) if single else (0, 1, 2)))
-        e = s.score(r.modes.frequencies, r.modes.damping, r.modes.shapes, truth)
-        rows.append((t, e["found"], e["extra"], e["f_rms"], e["z_rms"], e["mac_min"]))
-        print(f"{seed:3d} {'complex' if seed % 2 else 'real':8s}" + " ".join(f"{x:9.5f}" for x in rows[-1]), flush=True)
-    a = np.array(rows)
-    print(
-        f"best {a[:, 0].min():.2f} s; found {a[:, 1].min():.0f} to {a[:, 1].max():.0f}, most extra {a[:, 2].max():.0f}"
-    )
-    print(f"worst rms: f {a[:, 3].max():.4f} %, damping {a[:, 4].max():.3f} %; least MAC {a[:, 5].min():.5f}")
+def identified(d: system.HammerTest, refs: tuple[int, ...], complex_modes: bool) -> Found:
+    """One record against the truth."""
+    seconds, r = timed(frfs(d, refs))
+    true = system.truth(d.responses, complex_modes)
+    return Found(seconds, system.score(r.modes.frequencies, r.modes.damping, r.modes.shapes, true))
 
 
-def uncertainty(repeats: int) -> None:
-    """Stated over found standard deviations by mode: white noise of 5 %, four averages, 24 responses, 3 references."""
-    s = system()
-    truth, model = s.truth(idx=s.RESP), s.system()
+def checks(found: list[Found], refs: tuple[int, ...]) -> list[Check]:
+    """All modes, no other ones, small errors."""
+    return [
+        at_least("modes found in each", min(x.score.found for x in found), system.BAND),
+        at_most("extra", max(x.score.extra for x in found), 0),
+        at_most("frequency rms, worst", max(system.rms(x.score.f) for x in found), F_MOST[refs], "%"),
+        at_most("damping rms, worst", max(system.rms(x.score.z) for x in found), Z_MOST[refs], "%"),
+        at_least("MAC", min(x.score.mac.min() for x in found), MAC_LEAST[refs]),
+    ]
+
+
+def accuracy(report: Report, count: int) -> None:
+    """Three references."""
+    found = [identified(system.hammer(seed, bool(seed % 2)), EVERY, bool(seed % 2)) for seed in range(count)]
+    seconds = min(x.seconds for x in found)
+    report.row(f"hammer test, 60 responses, 3 inputs, {count} records", {"s": seconds}, checks(found, EVERY))
+
+
+def single(report: Report, count: int) -> None:
+    """One reference, each in turn."""
+    found = []
+    for seed in range(count):
+        refs = (seed % 3,)
+        found.append(identified(system.hammer(seed, bool(seed % 2)), refs, bool(seed % 2)))
+    seconds = min(x.seconds for x in found)
+    report.row(f"hammer test, 60 responses, 1 input, {count} records", {"s": seconds}, checks(found, ONE))
+
+
+def honest(whole: int, repeats: int, f: np.ndarray, z: np.ndarray) -> list[Check]:
+    """Repeats with all modes, and errors over stated deviations of all modes in them."""
+    return [
+        share_at_least("repeats with all modes and no other", whole, repeats, 0.99),
+        rms_over_stated("error over stated deviation, frequency, rms", f, STATED_LOW),
+        rms_over_stated("error over stated deviation, damping, rms", z, STATED_LOW),
+    ]
+
+
+def uncertainty(report: Report, repeats: int) -> None:
+    """White noise of 5 %, four averages, 20 responses, 3 references."""
     freqs = np.arange(1, 2001) / 32
-    pick, refs = np.arange(0, 60, 3), s.REFS
-    q = -((2 * np.pi * freqs[:, None]) ** 2) / (2j * np.pi * freqs[:, None] - model["lam"])
-    w = -((2 * np.pi * freqs[:, None]) ** 2) / (2j * np.pi * freqs[:, None] - model["lam"].conj())
-    left, right = model["phi"][s.RESP[pick]], model["L"] @ model["Phi"][refs].T
-    h = np.einsum("fk,ok,ki->foi", q, left, right) + np.einsum("fk,ok,ki->foi", w, left.conj(), right.conj())
-    sigma = 0.05 * np.sqrt(np.mean(np.abs(h) ** 2, axis=0) / 2) / 2
-    values, stated = [], []
+    pick = system.RESP[::3]
+    true = system.truth(pick)
+    h = system.accelerance(system.system(), freqs, pick, system.REFS)
+    sigma = NOISE * np.sqrt(np.mean(np.abs(h) ** 2, axis=0) / 2) / 2
+    coherence = 1 / (1 + 8 * (sigma / np.abs(h)) ** 2)
+    f, z = list[np.ndarray](), list[np.ndarray]()
     for seed in range(repeats):
         rng = np.random.default_rng(seed)
         y = h + sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
-        d = {"H": y, "f": freqs, "coh": 1 / (1 + 8 * (sigma / np.abs(h)) ** 2), "sigma": 0.0}
-        r = timed(frfs(d | {"resp": s.RESP[pick], "refs": refs}, (0, 1, 2)))[1]
-        if len(r.modes) == truth["f"].size:
-            values.append((r.modes.frequencies, r.modes.damping))
-            stated.append((r.uncertainty.frequency, r.uncertainty.damping))
-    v = np.array(values)
-    ratio = np.sqrt(np.mean(np.square(stated), axis=0)) / v.std(axis=0)
-    print(f"{len(v)} of {repeats} with 15 modes; stated over found: f {ratio[0].round(2)}, damping {ratio[1].round(2)}")
+        r = timed(frfs(system.HammerTest(freqs, y, coherence, 0.0, pick, system.REFS), EVERY))[1]
+        if len(r.modes) == system.BAND:
+            f.append((r.modes.frequencies - true.frequencies) / r.uncertainty.frequency)
+            z.append((r.modes.damping - true.damping) / r.uncertainty.damping)
+    checks = honest(len(f), repeats, np.array(f), np.array(z))
+    report.row(f"hammer test, {repeats} repeats with noise of 5 %", {}, checks)
 
 
-def peer(python: str) -> None:
+def peer(report: Report, repeats: int) -> None:
     """Both on one record, in the same run."""
-    s = system()
-    d, truth = s.hammer(1), s.truth(idx=s.RESP)
-    data = frfs(d, (0, 1, 2))
-    t, r = min((timed(data) for _ in range(3)), key=lambda x: x[0])
-    e = s.score(r.modes.frequencies, r.modes.damping, r.modes.shapes, truth)
-    print(f"ringtrue {t:.2f} s: {e}")
+    d = system.hammer(1)
+    found = [identified(d, EVERY, False) for _ in range(repeats)]
+    peers = []
+    python = peer_program("sdynpy")
+    theirs = polypy(python, d) if python else "not installed"
+    if isinstance(theirs, str):
+        report.not_run("sdynpy PolyPy", theirs)
+    else:
+        units = ("s", "% of frequency", "% of damping")
+        peers = [Peer("sdynpy PolyPy, poles alone, picked by an oracle", dict(zip(units, theirs, strict=True)))]
+    score = found[0].score
+    cost = {
+        "s": min(x.seconds for x in found),
+        "% of frequency": system.rms(score.f),
+        "% of damping": system.rms(score.z),
+    }
+    report.row("hammer test, 60 responses, 3 inputs, FRFs to modes", cost, checks(found, EVERY), peers)
+
+
+def polypy(python: str, d: system.HammerTest) -> list[float] | str:
+    """Seconds, errors of frequency and damping in %, or why there are none."""
+    true = system.truth(d.responses)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "frf.npz"
-        np.savez(
-            path, true_f=truth["f"], true_z=truth["zeta"], **{k: d[k] for k in ("H", "f", "sigma", "resp", "refs")}
-        )
+        given = {"f": d.f, "H": d.H, "sigma": d.sigma, "resp": d.responses, "refs": d.references}
+        np.savez(path, true_f=true.frequencies, true_z=true.damping, **given)
         env = dict(os.environ, QT_QPA_PLATFORM="offscreen")
-        told = subprocess.run([python, "-c", PEER, str(path)], capture_output=True, text=True, check=False, env=env)
-    if told.returncode:
-        raise SystemExit(told.stderr[-2000:])
-    seconds, f, z = (float(x) for x in told.stdout.split()[-3:])
-    print(f"PolyPy, poles only, with an oracle {seconds:.2f} s: f_rms {f:.4f} %, z_rms {z:.3f} %")
-    print(f"{seconds / t:.1f} times faster")
+        done = subprocess.run([python, "-c", PEER, str(path)], capture_output=True, text=True, check=False, env=env)
+    if done.returncode:
+        return (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
+    return [float(x) for x in done.stdout.split()[-3:]]
+
+
+SIZES = {  # quick, usual, full: records, repeats
+    accuracy: (2, 4, 10),
+    single: (3, 6, 12),
+    uncertainty: (5, 20, 60),
+    peer: (1, 3, 3),
+}
+
+
+def main() -> None:
+    """Run and state."""
+    parser = arguments(__doc__)
+    works = {work.__name__: work for work in SIZES}
+    parser.add_argument("what", choices=list(works))
+    options = parser.parse_args()
+    work = works[options.what]
+    report = Report(options)
+    work(report, sized(options, *SIZES[work]))
+    report.end()
 
 
 if __name__ == "__main__":
-    what, arg = (*sys.argv[1:], "4")[:2] if len(sys.argv) > 1 else ("accuracy", "4")
-    if what == "peer":
-        peer(arg)
-    elif what == "uncertainty":
-        uncertainty(int(arg))
-    else:
-        accuracy(int(arg), single=what == "single")
+    main()

@@ -1,15 +1,16 @@
-"""Modes end to end, from deck to modes on disk, beside CalculiX, MYSTRAN and scipy's eigsh: ratios and memory.
+"""Modes end to end, from deck to modes on disk, beside CalculiX, MYSTRAN and scipy's eigsh: times and memory.
 
-    python bench/modes.py [--sizes 50000 350000] [--kinds shell solid] [--modes 30] [--repeats 2] [--threads 1]
-                          [--ccx ccx] [--mystran mystran] [--peers ringtrue eigsh calculix mystran]
+    python bench/modes.py [--quick | --full] [--kinds shell solid] [--threads 1]
 
-Free-free, the lowest modes, the same mesh of CQUAD4 (a curved strip) or CHEXA (a block) for everyone; each run is a
+Free-free, the 30 lowest modes, the same mesh of CQUAD4 (a curved strip) or CHEXA (a block) for everyone; each run is a
 process of its own, the smallest CPU time of the repeats counts, memory is the peak of the process. `eigsh` is scipy
-as it comes (SuperLU, shift-invert at the shift that we use), from our matrices, without reading. A peer that is not
-installed is left out, and said. Frequencies are compared with ours.
+as it comes (SuperLU, shift-invert at the shift that we use), from our matrices, without reading: it is compared with
+our eigensolution alone. The modes are right if they fulfil the equations of motion, six of them are rigid, no count
+misses one, and the frequencies are those of `eigsh` and near those of CalculiX, whose solid has other incompatible
+modes. MYSTRAN's shell is another element and no measure of ours.
 
-Not covered: CalculiX on shells (its S4 is expanded into solids), MYSTRAN on solids by default (its CHEXA needs the
-integration named in PSOLID; add it with --peers), SLEPc (see the solver of that name), more than one thread.
+Not covered: CalculiX on shells (its S4 is expanded into solids), MYSTRAN on solids (its CHEXA needs the integration
+named in PSOLID), SLEPc (see the solver of that name).
 """
 
 from __future__ import annotations
@@ -17,19 +18,51 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from outcome import THREADS, Check, Peer, Report, arguments, at_most, peer_program, sized
+
+from ringtrue.backends.mystran import find_mystran
+from ringtrue.errors import SolverMissing
 
 HERE = Path(__file__).resolve()
-THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "CCX_NPROC_EQUATION_SOLVER")
+MODES, RIGID, REPEATS = 30, 6, 2
+QUICK = {"shell": (6_000,), "solid": (6_000,)}  # DOFs
+USUAL = {"shell": (50_000,), "solid": (42_000,)}
+FULL = {"shell": (50_000, 350_000), "solid": (42_000,)}
+EIGSH_LARGEST = 60_000  # DOFs; above it SuperLU takes many minutes
+SAME_MOST = 1e-6  # of the same matrices: rounding of thin shells, docs/theory/modes.md
+RIGID_MOST = 1e-2  # the square root of rounding
+RESIDUAL_MOST = 1e-4  # as the solver asks of itself
+OTHER_MOST = 2.0  # %, of another element on the same mesh
 E, NU, RHO = 2.1e11, 0.3, 7850.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """A program on a mesh.
+
+    Attributes
+    ----------
+    seconds : float
+        Of the processor, the best of the repeats.
+    memory : float, GB
+    frequencies : (mode,) float64, Hz
+    solution : float
+        Seconds of the eigensolution alone; NaN where it is not known.
+    """
+
+    seconds: float
+    memory: float
+    frequencies: np.ndarray
+    solution: float
 
 
 def shell_mesh(dof: int) -> tuple[np.ndarray, np.ndarray]:
@@ -54,11 +87,11 @@ def solid_mesh(dof: int) -> tuple[np.ndarray, np.ndarray]:
     return ijk * [1.0, 0.7, 0.4] / n, c @ step[:, None] + corner @ step
 
 
-def write_nastran(path: Path, nodes: np.ndarray, elements: np.ndarray, modes: int) -> None:
+def write_nastran(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
     """A free-field deck for SOL 103."""
     shell = elements.shape[1] == 4
     head = "SOL 103\nCEND\nMETHOD = 1\nDISP(PLOT) = ALL\nBEGIN BULK\n"
-    head += f"EIGRL,1,,,{modes}\nMAT1,1,{E:.2e},,{NU},{RHO}\n"
+    head += f"EIGRL,1,,,{MODES}\nMAT1,1,{E:.2e},,{NU},{RHO}\n"
     head += "PSHELL,1,1,.01,1,,1\n" if shell else "PSOLID,1,1,0,2,,FULL\n"
     with path.open("w") as f:
         f.write(head.replace("e+", "+"))
@@ -71,7 +104,7 @@ def write_nastran(path: Path, nodes: np.ndarray, elements: np.ndarray, modes: in
         f.write("ENDDATA\n")
 
 
-def write_calculix(path: Path, nodes: np.ndarray, elements: np.ndarray, modes: int) -> None:
+def write_calculix(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
     """C3D8I, the element with incompatible modes."""
     with path.open("w") as f:
         f.write("*NODE,NSET=ALL\n")
@@ -79,10 +112,10 @@ def write_calculix(path: Path, nodes: np.ndarray, elements: np.ndarray, modes: i
         f.write("*ELEMENT,TYPE=C3D8I,ELSET=ALL\n")
         f.writelines(f"{k},{','.join(map(str, g))}\n" for k, g in enumerate((elements + 1).tolist(), 1))
         f.write(f"*MATERIAL,NAME=M\n*ELASTIC\n{E},{NU}\n*DENSITY\n{RHO}\n*SOLID SECTION,ELSET=ALL,MATERIAL=M\n")
-        f.write(f"*STEP\n*FREQUENCY\n{modes}\n*NODE FILE\nU\n*END STEP\n")
+        f.write(f"*STEP\n*FREQUENCY\n{MODES}\n*NODE FILE\nU\n*END STEP\n")
 
 
-def own(folder: Path, modes: int, method: str = "auto") -> np.ndarray:
+def own(folder: Path) -> np.ndarray:
     """Deck to modes on disk; Hz."""
     from ringtrue.backends.embedded import EmbeddedSolver
     from ringtrue.io.nastran.reader import read_deck
@@ -91,9 +124,9 @@ def own(folder: Path, modes: int, method: str = "auto") -> np.ndarray:
     marks = [time.process_time()]
     model = read_deck(folder / "m.bdf")
     marks.append(time.process_time())
-    with EmbeddedSolver(method=method).open(model) as analysis:
+    with EmbeddedSolver().open(model) as analysis:
         marks.append(time.process_time())
-        result = analysis.modes(ModesRequest(modes))
+        result = analysis.modes(ModesRequest(MODES))
         marks.append(time.process_time())
         np.savez(folder / "modes.npz", frequencies=result.modes.frequencies, shapes=result.modes.shapes)
     marks.append(time.process_time())
@@ -103,7 +136,7 @@ def own(folder: Path, modes: int, method: str = "auto") -> np.ndarray:
     return result.modes.frequencies
 
 
-def plain(folder: Path, modes: int) -> np.ndarray:
+def plain(folder: Path) -> np.ndarray:
     """scipy's eigsh as it comes, the eigensolution alone."""
     from scipy.sparse.linalg import eigsh
 
@@ -113,20 +146,36 @@ def plain(folder: Path, modes: int) -> np.ndarray:
     system = assemble(read_deck(folder / "m.bdf"))
     before = time.process_time()
     shift = -0.1 * (2 * np.pi * float(np.load(folder / "modes.npz")["frequencies"][-1])) ** 2
-    values = eigsh(system.stiffness.tocsc(), modes, system.mass.tocsc(), sigma=shift, return_eigenvectors=True)[0]
+    values = eigsh(system.stiffness.tocsc(), MODES, system.mass.tocsc(), sigma=shift, return_eigenvectors=True)[0]
     (folder / "phases.json").write_text(json.dumps([time.process_time() - before]))
     return np.sqrt(np.abs(values)) / (2 * np.pi)
 
 
-def child(folder: Path, what: str, modes: int) -> None:
-    """In a process of its own: one run of ours or of scipy."""
-    f = own(folder, modes) if what == "ringtrue" else plain(folder, modes)
+def residual(folder: Path) -> float:
+    """Largest residual of the equations of motion of an elastic mode, over the forces of its inertia."""
+    from ringtrue.fem.assembly import assemble
+    from ringtrue.io.nastran.reader import read_deck
+
+    system = assemble(read_deck(folder / "m.bdf"))
+    modes = np.load(folder / "modes.npz")
+    phi = system.local @ modes["shapes"][:, RIGID:]
+    inertia = (system.mass @ phi) * (2 * np.pi * modes["frequencies"][RIGID:]) ** 2
+    rest = system.stiffness @ phi - inertia
+    return float((np.linalg.norm(rest, axis=0) / np.linalg.norm(inertia, axis=0)).max())
+
+
+def child(folder: Path, what: str) -> None:
+    """In a process of its own: one run of ours or of scipy, or the residual of ours."""
+    if what == "residual":
+        (folder / "residual.json").write_text(json.dumps(residual(folder)))
+        return
+    f = own(folder) if what == "ringtrue" else plain(folder)
     (folder / "frequencies.json").write_text(json.dumps(np.sort(f).tolist()))
 
 
 def timed(command: list[str], folder: Path, threads: int) -> tuple[float, float]:
     """CPU seconds and peak GB of a command."""
-    environment = os.environ | dict.fromkeys(THREADS, str(threads))
+    environment = os.environ | dict.fromkeys((*THREADS, "CCX_NPROC_EQUATION_SOLVER"), str(threads))
     pid = subprocess.Popen(
         command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
     ).pid
@@ -151,79 +200,112 @@ def mystran_frequencies(folder: Path) -> np.ndarray:
     return np.array([float(r[4]) for r in rows if len(r) == 7 and r[0].isdigit() and r[0] == r[1]])
 
 
-def run(peer: str, folder: Path, args: argparse.Namespace) -> tuple[float, float, np.ndarray, list[float]]:
-    """Least CPU seconds, peak GB, frequencies (Hz) and phases of a peer."""
-    commands = {
-        "ringtrue": [sys.executable, str(HERE), "--child", "ringtrue", "--modes", str(args.modes)],
-        "eigsh": [sys.executable, str(HERE), "--child", "eigsh", "--modes", str(args.modes)],
-        "calculix": [args.ccx, "m"],
-        "mystran": [args.mystran, "m.bdf"],
-    }
-    runs = [timed(commands[peer], folder, args.threads) for _ in range(args.repeats)]
-    cpu, peak = min(r[0] for r in runs), min(r[1] for r in runs)
-    if peer in ("ringtrue", "eigsh"):
-        phases = json.loads((folder / "phases.json").read_text())
-        f = np.array(json.loads((folder / "frequencies.json").read_text()))
-        return (phases[0] if peer == "eigsh" else cpu), peak, f, phases
-    return cpu, peak, (calculix_frequencies if peer == "calculix" else mystran_frequencies)(folder), []
+def ours(folder: Path, what: str, threads: int) -> Run:
+    """Ringtrue, or scipy on our matrices: the best of two runs; scipy's seconds are those of the eigensolution."""
+    command = [sys.executable, str(HERE), "--child", what]
+    runs = [timed(command, folder, threads) for _ in range(REPEATS)]
+    frequencies = np.array(json.loads((folder / "frequencies.json").read_text()))
+    phases = json.loads((folder / "phases.json").read_text())
+    solution = phases[2] if what == "ringtrue" else phases[0]
+    return Run(min(r[0] for r in runs), min(r[1] for r in runs), frequencies, solution)
 
 
-def case(kind: str, dof: int, args: argparse.Namespace, folder: Path) -> None:
+def program(command: list[str], folder: Path, threads: int) -> Run:
+    """CalculiX or MYSTRAN: the best of two runs."""
+    runs = [timed(command, folder, threads) for _ in range(REPEATS)]
+    read = mystran_frequencies if command[-1] == "m.bdf" else calculix_frequencies
+    return Run(min(r[0] for r in runs), min(r[1] for r in runs), read(folder), np.nan)
+
+
+def apart(f: np.ndarray, g: np.ndarray) -> float:
+    """Largest relative difference of two lists of frequencies of a free structure, rigid-body modes left out."""
+    if f.size < MODES or g.size < MODES:
+        return np.nan
+    return float(np.abs(g[RIGID:MODES] / f[RIGID:MODES] - 1).max())
+
+
+def rigid(f: np.ndarray) -> float:
+    """Largest of six frequencies over the first elastic one."""
+    return float(np.abs(f[:RIGID]).max() / f[RIGID])
+
+
+def solved(frequencies: np.ndarray, rest: float) -> list[Check]:
+    """Whether these are modes of a free structure."""
+    return [
+        at_most("six rigid-body modes over the first elastic one", rigid(frequencies), RIGID_MOST),
+        at_most("residual of the equations of motion", rest, RESIDUAL_MOST),
+    ]
+
+
+def same(mine: np.ndarray, eigsh: np.ndarray) -> Check:
+    """Against scipy on the same matrices."""
+    return at_most("frequencies off those of eigsh by", apart(mine, eigsh), SAME_MOST)
+
+
+def near(mine: np.ndarray, other: np.ndarray) -> Check:
+    """Against another element on the same mesh."""
+    return at_most("frequencies off those of CalculiX by", 100 * apart(mine, other), OTHER_MOST, "%")
+
+
+def case(kind: str, dof: int, threads: int, report: Report, folder: Path) -> None:
     """One mesh: ours, then the peers that can and are there."""
     nodes, elements = (shell_mesh if kind == "shell" else solid_mesh)(dof)
-    write_nastran(folder / "m.bdf", nodes, elements, args.modes)
-    if kind == "solid":
-        write_calculix(folder / "m.inp", nodes, elements, args.modes)
+    write_nastran(folder / "m.bdf", nodes, elements)
     size = len(nodes) * (6 if kind == "shell" else 3)
-    print(f"\n{kind}, {size} DOF, {args.modes} modes, {args.threads} thread(s)")
-    cpu, peak, f, phases = run("ringtrue", folder, args)
-    solve = phases[2]
-    print(f"  ringtrue  {cpu:8.2f} s CPU  {peak:5.2f} GB   read, assemble, modes, write: {phases}")
-    for peer in args.peers:
-        program = {"calculix": args.ccx, "mystran": args.mystran}.get(peer)
-        if peer == "ringtrue" or (peer == "calculix" and kind == "shell"):
-            continue
-        if peer == "mystran" and kind == "solid" and "mystran" not in args.solids:
-            continue
-        if peer == "eigsh" and dof > args.eigsh_limit:
-            continue
-        if program and not shutil.which(program):
-            print(f"  {peer:9s} is not installed ({program}): left out")
-            continue
-        c, p, g, _ = run(peer, folder, args)
-        n = min(f.size, g.size)
-        elastic = f[:n] > 1e-3 * f[n - 1]
-        apart = np.abs(g[:n][elastic] / f[:n][elastic] - 1).max()
-        base, what = (solve, "eigensolution") if peer == "eigsh" else (cpu, "end to end")
-        print(
-            f"  {peer:9s} {c:8.2f} s CPU  {p:5.2f} GB   {c / base:5.1f}x our {what}, memory {p / peak:4.2f}x; "
-            f"frequencies apart by {apart:.1e}"
-        )
+    own_run = ours(folder, "ringtrue", threads)
+    timed([sys.executable, str(HERE), "--child", "residual"], folder, threads)
+    checks = solved(own_run.frequencies, json.loads((folder / "residual.json").read_text()))
+    what = f"{MODES} modes of a {kind} of {size / 1000:.0f}k DOFs"
+    if size < EIGSH_LARGEST:
+        plain = ours(folder, "eigsh", threads)
+        check = same(own_run.frequencies, plain.frequencies)
+        scipy_itself = Peer("scipy `eigsh`", {"s": plain.solution})
+        report.row(f"{what}, eigensolution alone", {"s": own_run.solution}, [check], [scipy_itself])
+    name = "CalculiX" if kind == "solid" else "MYSTRAN"
+    command = calculix() if kind == "solid" else mystran()
+    peers = []
+    if command is None:
+        report.not_run(name, "not installed")
+    else:
+        if kind == "solid":
+            write_calculix(folder / "m.inp", nodes, elements)
+        other = program(command, folder, threads)
+        if kind == "solid":
+            checks.append(near(own_run.frequencies, other.frequencies))
+        peers = [Peer(name, {"s": other.seconds, "GB": other.memory})]
+    report.row(f"{what}, deck to disk", {"s": own_run.seconds, "GB": own_run.memory}, checks, peers)
+
+
+def calculix() -> list[str] | None:
+    """The command, if it is there."""
+    found = peer_program("ccx", "ccx") or shutil.which("ccx")
+    return [found, "m"] if found else None
+
+
+def mystran() -> list[str] | None:
+    """The command, if it is there."""
+    try:
+        return [str(find_mystran()), "m.bdf"]
+    except SolverMissing:
+        return None
 
 
 def main() -> None:
-    """Parse and run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", type=int, nargs="+", default=[50_000])
+    """Run and state."""
+    parser = arguments(__doc__)
     parser.add_argument("--kinds", nargs="+", default=["shell", "solid"], choices=["shell", "solid"])
-    parser.add_argument("--modes", type=int, default=30)
-    parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--peers", nargs="+", default=["eigsh", "calculix", "mystran"])
-    parser.add_argument("--solids", nargs="*", default=[], help="Peers that run solids beside CalculiX: mystran.")
-    parser.add_argument("--eigsh-limit", type=int, default=60_000, help="Most DOF for eigsh.")
-    parser.add_argument("--ccx", default="ccx")
-    parser.add_argument("--mystran", default="mystran")
-    parser.add_argument("--child", choices=["ringtrue", "eigsh"], help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.child:
-        child(Path.cwd(), args.child, args.modes)
+    parser.add_argument("--child", choices=["ringtrue", "eigsh", "residual"], help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        child(Path.cwd(), options.child)
         return
-    for kind in args.kinds:
-        for dof in args.sizes:
+    report = Report(options)
+    for kind in options.kinds:
+        for dof in sized(options, QUICK[kind], USUAL[kind], FULL[kind]):
             with tempfile.TemporaryDirectory() as folder:
-                case(kind, dof, args, Path(folder))
-    print(f"\npeak of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+                case(kind, dof, options.threads, report, Path(folder))
+    report.end()
 
 
 if __name__ == "__main__":

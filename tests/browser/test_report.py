@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import chromium
+import fake_study
 import numpy as np
 import plotly.graph_objects as go
 import pytest
@@ -105,7 +106,7 @@ def test_acceptance_takes_percent_or_hertz_and_mac() -> None:
     assert rule.holds(-9.0, -0.05, 90.0)
     assert not rule.holds(3.0, 0.2, 99.0)
     assert not rule.holds(0.0, 0.0, 79.0)
-    assert rule.words() == "|Δf| ≤ 2 % or |Δf| ≤ 0.1 Hz and MAC ≥ 80 %"
+    assert rule.words() == "|Δf| ≤ 2 % or |Δf| ≤ 0.1 Hz and subspace MAC ≥ 80 %"
 
 
 def test_a_rounded_zero_has_no_sign() -> None:
@@ -153,6 +154,25 @@ def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromi
     assert page.complaints() == []
     outside = [u for u in page.requests() if not u.startswith(("data:", "blob:", full.as_uri()))]
     assert outside == []
+
+
+HOSTILE = ("<!--", "</script>", "<script>", "--><b>", "a\u2028b", "&lt;", "'\"", "]]>", "<!DOCTYPE", "${x}")
+
+
+@needs_browser
+def test_any_name_of_a_region_leaves_every_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`<!--` before `<script>` made the rest of the page a comment; JSON has no escape for `!`."""
+    monkeypatch.setattr(fake_study, "REGIONS", HOSTILE)
+    monkeypatch.setattr(fake_study, "CANDIDATES", (*HOSTILE, *fake_study.CANDIDATES[len(HOSTILE) :]))
+    path = build(fake_study.study(), tmp_path / "r.html", title="<!--<script>")
+    with chromium.page(tmp_path / "profile") as opened:
+        opened.call("Page.navigate", url=path.as_uri())
+        assert opened.until(DRAWN, 60.0), opened.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]")
+        assert opened.evaluate("window.ringtrueExpected") > 20
+        assert opened.evaluate(EMPTY) == 0
+        assert opened.complaints() == []
+        legend = opened.evaluate("[...document.querySelectorAll('.legend span')].map(e => e.textContent).join(' ')")
+        assert all(name in legend for name in HOSTILE)
 
 
 @needs_browser

@@ -17,6 +17,7 @@ class Op2Writer:
 
     order: str = "<"
     word: int = 4
+    enhanced: bool = False  # six words after label and names, as PARAM,POST,1 of MSC Nastran writes them
     out: bytearray = field(default_factory=bytearray)
 
     def record(self, data: bytes) -> None:
@@ -40,14 +41,20 @@ class Op2Writer:
         self.block([1, 2, 3])
         self.block([b"NAST", b"RAN ", b"FORT", b" TAP", b"E ID", b" COD", b"E - "])
         self.block([b"XXXX", b"XXXX"])
+        self.qualifiers()
         self.key(-1)
         self.key(0)
 
     def begin(self, name: str, trailer: Sequence[int]) -> None:
         text = name.ljust(8).encode()
         self.block([text[:4], text[4:]])
+        self.qualifiers()
         self.key(-1)
         self.block(list(trailer))
+
+    def qualifiers(self) -> None:
+        if self.enhanced:
+            self.block([1, 0, 20190000, 0, 0, 0])
 
     def row(self, number: int, *blocks: Sequence[Any], flag: int = 0) -> None:
         for k in (-number, 1, flag):

@@ -16,7 +16,9 @@ from eigen_shell import parameters, shell
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.backends.nastran import NastranSolver, nastran_command, nastran_make, sensitivity_deck
 from ringtrue.backends.nastran_design import design_cards
+from ringtrue.backends.registry import time_limits
 from ringtrue.backends.runner_deck import modes_deck
+from ringtrue.cli.main import run
 from ringtrue.core.parameters import Parameter, ParameterSet, Shape, Target
 from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.io.nastran.reader import read_deck
@@ -118,6 +120,27 @@ def test_a_hanging_program_is_ended() -> None:
     with stub("hang", timeout=4.0).open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match="within 4 s"):
         analysis.modes(ModesRequest(3))
     assert time.monotonic() - start < 60
+
+
+def test_the_time_limit_of_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RINGTRUE_NASTRAN", f"{sys.executable} {STUB} hang op2 {{deck}}")
+    deck = tmp_path / "beam.bdf"
+    deck.write_text(
+        "BEGIN BULK\nGRID,1,,0.,0.,0.,,123456\nGRID,2,,1.,0.,0.\nCBAR,1,1,1,2,0.,1.,0.\n"
+        "PBAR,1,1,1.-4,1.-8,1.-8,2.-8\nMAT1,1,2.+11,,.3,7800.\nENDDATA\n"
+    )
+    start = time.monotonic()
+    assert run(["modes", str(deck), "-n", "2", "--solver", "nastran", "--time-limit", "2"]) == 1
+    assert time.monotonic() - start < 60
+    told = capsys.readouterr().err
+    assert "nastran did not end within 2 s and was stopped: give it longer by --time-limit SECONDS" in told
+    assert run(["modes", str(deck), "--time-limit", "2"]) == 2
+    told = capsys.readouterr().err
+    assert "'embedded' has no time limit; those that have one: mystran, nastran, slepc" in told
+    assert run(["modes", str(deck), "--solver", "nastran", "--time-limit", "nan"]) == 2
+    assert time_limits() == {"mystran": 3600.0, "nastran": 86400.0, "slepc": 86400.0}
 
 
 def test_a_command_that_does_not_wait_is_told_to() -> None:

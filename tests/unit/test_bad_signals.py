@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -16,10 +17,11 @@ from test_cli import Capture, call, frf, parsed, refused
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient
+from ringtrue.identify.ambient_record import with_nothing_found
 from ringtrue.identify.ambient_verdict import overtones
 from ringtrue.io.records import write_history
 from ringtrue.signal.harmonics import families, steady_amplitudes, without_machines
-from ringtrue.signal.preprocess import channel_states, harmonics
+from ringtrue.signal.preprocess import Band, channel_states, harmonics
 
 __all__ = ("frf",)  # a fixture
 
@@ -93,6 +95,73 @@ def test_modes_are_found_and_the_fault_is_said(change: Change, told: str) -> Non
     assert told in r.notes if told else not r.notes
 
 
+@pytest.mark.parametrize(
+    "drift",
+    [
+        lambda t: 1e5 * t,
+        lambda t: 1e5 * t**2,
+        lambda t: 1e4 * np.exp(-20 * t),
+        lambda t: 1e4 * np.sin(2 * np.pi * 1.3 * t),
+        lambda t: 1e9 + 0 * t,
+    ],
+    ids=["trend", "parabola", "settling", "day and night", "offset"],
+)
+@pytest.mark.parametrize("rows", [slice(None), slice(2, 3)], ids=["all", "one"])
+def test_what_drifts_below_the_band_loses_no_mode(drift: Change, rows: slice) -> None:
+    """Drifts 10,000 times the vibration; warnings of NumPy would be errors here."""
+
+    def drifting(y: np.ndarray) -> np.ndarray:
+        y[rows] += y.std() * drift(np.linspace(0, 1, N))
+        return y
+
+    still, r = found(lambda y: y), found(drifting)
+    np.testing.assert_allclose(r.modes.frequencies[:4], still.modes.frequencies[:4], rtol=1e-4)
+    np.testing.assert_allclose(r.modes.damping[:4], still.modes.damping[:4], rtol=0.02)
+
+
+@pytest.mark.parametrize("factor", [1e-60, 1e-30, 1e-20, 1e20, 1e60])
+def test_the_size_of_a_record_changes_nothing(factor: float) -> None:
+    still, r = found(lambda y: y), found(lambda y: factor * y)
+    np.testing.assert_allclose(r.modes.frequencies, still.modes.frequencies, rtol=1e-6)
+    np.testing.assert_allclose(r.modes.damping, still.modes.damping, rtol=1e-3)
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12])
+def test_records_whose_values_wrap_are_refused(bits: int) -> None:
+    """Twice the range of the converter: what is beyond one end comes back at the other."""
+    top = 2 ** (bits - 1)
+
+    def wrapped(y: np.ndarray) -> np.ndarray:
+        counts = np.round(2 * top * y / np.abs(y).max())
+        return (counts + top) % (2 * top) - top
+
+    with pytest.raises(ValueError, match=r"no usable channel; 1\+Z wraps \d+ times from one end of its range"):
+        found(wrapped)
+    told = [s.why for s in channel_states(wrap(wrapped(made().copy())))]
+    assert len(told) == 6
+    assert all("too few bits, or an overflow" in why for why in told)
+
+
+def test_peaks_without_a_mode_are_no_noise() -> None:
+    """Three clear peaks of which no pole is believed: what stands out is named, and not called noise."""
+    told = with_nothing_found(wrap(made()), [], 0, (Band(0.1, 31.0, 64.0),))[0]
+    assert "noise" not in told
+    for f in (2.1, 4.8, 9.3):
+        assert any(abs(float(x) / f - 1) < 0.03 for x in re.findall(r"([\d.]+) Hz \(", told)), told
+    for noise in (1.0, np.array([1.0, -0.95])):
+        rng = np.random.default_rng(1)
+        y = lfilter([1.0], np.atleast_1d(noise), rng.standard_normal((6, N)), axis=1)
+        assert "look like noise" in with_nothing_found(wrap(y), [], 0, (Band(0.1, 31.0, 64.0),))[0]
+
+
+def test_sound_signals_with_large_steps_do_not_wrap() -> None:
+    rng = np.random.default_rng(2)
+    spikes = 0.01 * rng.standard_normal(N) + 5 * (np.arange(N) % 400 == 7) - 5 * (np.arange(N) % 400 == 207)
+    telegraph = np.where(np.cumsum(rng.uniform(size=N) < 0.1) % 2, 5.0, -5.0)
+    sound = np.stack([rng.standard_normal(N), rng.uniform(-1, 1, N), spikes, telegraph + 0.01 * rng.standard_normal(N)])
+    assert not any("wraps" in s.why for s in channel_states(wrap(sound)))
+
+
 def test_a_channel_of_noise_is_named() -> None:
     noise = 20 * made().std() * np.random.default_rng(5).standard_normal(N)
     r = found(put(2, noise))
@@ -145,6 +214,8 @@ def test_nothing_is_invented(signal: Callable[[np.random.Generator], np.ndarray]
     [
         (lambda y: np.outer(np.arange(1, 7), np.arange(N) * 1.0), "no usable channel; 1+Z a straight line: no signal;"),
         (lambda y: y * 1e300, "no unit makes that"),
+        (lambda y: y * (1e308 / np.abs(y).max()), "no unit makes that"),
+        (lambda y: y * 1e-300, "no unit makes that"),
         (lambda y: y[:, :150], "too short for modes above"),
         (lambda y: y[:, :20], "is empty"),
         (lambda y: 0 * y, "constant"),
@@ -183,6 +254,12 @@ def test_files_with_a_bad_channel(ending: str, tmp_path: Path, capsys: Capture) 
 def test_a_rate_that_cannot_be_right(rate: str, tmp_path: Path, capsys: Capture) -> None:
     np.save(tmp_path / "r.npy", made().T)
     assert "rate" in refused(capsys, "oma", tmp_path / "r.npy", "--rate", rate)
+
+
+@pytest.mark.parametrize("command", [("oma", "--rate", RATE), ("oma", "--rate", RATE, "--method", "fsdd")])
+def test_values_that_no_unit_makes(command: tuple[object, ...], tmp_path: Path, capsys: Capture) -> None:
+    np.save(tmp_path / "r.npy", made().T * (1e308 / np.abs(made()).max()))
+    assert "no unit makes that" in refused(capsys, command[0], tmp_path / "r.npy", *command[1:])
 
 
 def test_a_name_twice(tmp_path: Path, capsys: Capture) -> None:
@@ -334,7 +411,7 @@ def _h(frf: Callable[..., Path], change: Callable[[Any], Any]) -> Path:
         (put((slice(None), slice(None), slice(300, 320)), 0.0), "20 lines between 16 and 16.95 Hz are zero"),
         (put((1, slice(None), slice(300, 320)), 0.0), "20 lines between 16 and 16.95 Hz are zero"),
         (lambda h: 0 * h, "no unit makes that"),
-        (lambda h: 1e200 * h, "no unit makes that"),
+        (lambda h: 1e200 * h, "is no measured value"),
         (np.abs, "amplitudes without phase"),
     ],
 )
@@ -361,6 +438,7 @@ def test_noise_has_no_modes(frf: Callable[..., Path], capsys: Capture) -> None:
     [
         ({"outputs": ["a", "b", "a", "c"]}, "response a occurs twice"),
         ({"kind": "acelerance"}, "kind 'acelerance'; did you mean 'accelerance'?"),
+        ({"coherence": np.full((2, 4, 780), 5.0)}, "coherence 5 of out1/in1 at 1 Hz, and 6239 more beyond 0 to 1"),
         ({"freq": np.arange(-19.0, 20.0, 0.05)}, "the lines begin at -19 Hz"),
     ],
 )

@@ -21,9 +21,10 @@ import small_study
 from typer.main import get_command
 
 from ringtrue.cli import show
-from ringtrue.cli.main import COMMANDS, application, run
+from ringtrue.cli.main import COMMANDS, application, main, run
 from ringtrue.cli.panels import OPTIONS
 from ringtrue.cli.show import listed, rows
+from ringtrue.cli.status import WORDS, ExitStatus
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import NotConverged
 from ringtrue.io.modes_json import read_modes, write_modes
@@ -202,9 +203,28 @@ def test_translations_that_nothing_holds_are_told(tmp_path: Path, capsys: Captur
     (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + plate.format(""))
     out = call(capsys, "modes", tmp_path / "d.bdf")[1]
     assert "held by AUTOSPC, without stiffness: 3+Z 4+Z\n" in out
-    assert "PSHELL 1: MID2 is blank" in call(capsys, "check", tmp_path / "d.bdf")[1]
+    assert parsed(capsys, "modes", tmp_path / "d.bdf")["autospc"] == {"123456": [5], "345": [3, 4]}
+    told = call(capsys, "check", tmp_path / "d.bdf")[1]
+    assert "PSHELL 1: MID2 is blank" in told
+    assert "AUTOSPC holds translations of nodes that move otherwise: component 3 of 2 nodes (3, 4)" in told
+    assert "AUTOSPC holds components 123456 of node 5, components 45 of 2 nodes (3, 4); nothing stiffens them" in told
     (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + plate.format(",1"))
     assert "AUTOSPC" not in call(capsys, "modes", tmp_path / "d.bdf")[1]
+    assert parsed(capsys, "check", tmp_path / "d.bdf")["autospc"] == {"123456": [5]}
+
+
+def test_a_stiff_spring_holds_nothing_beside_it(tmp_path: Path, capsys: Capture) -> None:
+    """A cantilever of five bars, its tip on CELAS2 of 3e14 in Z: it bends in Y as without the spring."""
+    grid = "".join(f"GRID,{i},,{(i - 1) / 5},0.,0.\n" for i in range(1, 7))
+    bars = "".join(f"CBAR,{i},1,{i},{i + 1},0.,1.,0.\n" for i in range(1, 6))
+    beam = f"BEGIN BULK\n{grid}{bars}PBAR,1,1,1.-4,8.-10,8.-10,1.-9\nMAT1,1,2.+11,,.3,8000.\nSPC1,1,123456,1\n"
+    found = []
+    for more in ("", "CELAS2,9,3.+14,6,3\n"):
+        (tmp_path / "d.bdf").write_text(beam + more)
+        found.append(parsed(capsys, "modes", tmp_path / "d.bdf", "-n", 1))
+        assert found[-1]["autospc"] == {}
+    first = [f["modes"][0]["frequency_hz"] for f in found]
+    assert first[1] == pytest.approx(first[0], rel=1e-3)  # rounding of the stiff spring
 
 
 def test_json_goes_to_a_file_whole(deck: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -394,7 +414,7 @@ def test_a_rate_that_the_file_contradicts(tmp_path: Path, capsys: Capture) -> No
     )
     (tmp_path / "text.npy").write_text("no")
     assert "text.npy" in refused(capsys, "oma", tmp_path / "text.npy", "--rate", 1)
-    assert "not a WAVE file" in refused(capsys, "oma", _touch(tmp_path / "a.wav"), "--rate", 1)
+    assert "not a readable WAVE file" in refused(capsys, "oma", _touch(tmp_path / "a.wav"), "--rate", 1)
     assert "no such file" in refused(capsys, "oma", tmp_path / "none.npy")
     assert "a folder; name a file in it" in refused(capsys, "oma", tmp_path)
 
@@ -456,7 +476,7 @@ def test_correlating_what_cannot_be(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "c.json").write_text('{"modes": 3}')
     assert "c.json: not a table of modes" in refused(capsys, "correlate", a, tmp_path / "c.json")
     (tmp_path / "d.json").write_text("{")
-    assert "d.json: not a JSON file" in refused(capsys, "correlate", a, tmp_path / "d.json")
+    assert "d.json:1: not JSON" in refused(capsys, "correlate", a, tmp_path / "d.json")
     far = _modes(tmp_path / "far.json", [300.0])
     assert parsed(capsys, "correlate", a, far, status=1)["pairs"] == []
 
@@ -522,7 +542,7 @@ def test_a_stopped_run_keeps_the_store_and_says_how_to_go_on(
 
     monkeypatch.setattr("ringtrue.study.stages.sensitivity.choose.best_subset", stop)
     status, out, err = call(capsys, "run", study)
-    assert status == 1
+    assert status == ExitStatus.STOPPED
     assert out == ""
     assert err.splitlines()[-1] == "stopped: the stages that were finished are stored, the same command resumes"
     monkeypatch.undo()
@@ -547,9 +567,62 @@ def test_a_signal_stops_the_command_and_what_was_done_is_stored(tmp_path: Path, 
         assert any("modes from the signals" in line for line in process.stderr)
         process.send_signal(number)
         assert process.stderr.read().splitlines()[-1].startswith("stopped: the stages that were finished are stored")
-    assert process.returncode == 1
+    assert process.returncode == ExitStatus.STOPPED
     done = subprocess.run([*command, "--until", "model"], capture_output=True, text=True, check=True)
     assert "model: up to date" in done.stdout
+
+
+def _raising(fault: BaseException) -> Callable[..., None]:
+    def body(*_: object, **__: object) -> None:
+        raise fault
+
+    return body
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("model.read_deck", ("modes", "a.bdf")),
+        ("model.survey", ("check", "a.bdf")),
+        ("respond.read_damped_deck", ("frf", "a.bdf", "--fmax", "9", "--force", "1+Z")),
+        ("respond.read_deck", ("static", "a.bdf", "--force", "1+Z")),
+        ("update.read_config", ("update", "study.toml", "a.json")),
+    ],
+)
+def test_ctrl_c_ends_any_command_with_one_line_and_130(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch, place: str, words: tuple[str, ...]
+) -> None:
+    importlib.import_module(f"ringtrue.cli.{place.split('.')[0]}")
+    monkeypatch.setattr(f"ringtrue.cli.{place}", _raising(KeyboardInterrupt()))
+    status, out, err = call(capsys, *words)
+    assert status == ExitStatus.STOPPED == 130
+    assert [line for line in err.splitlines() if not line.startswith("[")] == ["stopped: no file was left half written"]
+    assert out == ""
+
+
+def test_a_fault_of_ringtrue_is_called_so_and_its_details_are_kept(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    importlib.import_module("ringtrue.cli.model")
+    monkeypatch.setattr("ringtrue.cli.model.read_deck", _raising(KeyError("who")))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["ringtrue", "modes", "a.bdf"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == ExitStatus.FAULT == 70
+    told = capsys.readouterr().err
+    assert "this is a fault of ringtrue, not of your input: KeyError: 'who'" in told
+    assert "Traceback" not in told
+    (details,) = tmp_path.iterdir()
+    assert str(details) in told
+    text = details.read_text()
+    assert "ringtrue modes a.bdf" in text
+    assert "Traceback" in text
+
+
+def test_the_help_lists_every_exit_status(capsys: Capture) -> None:
+    _, out, _ = call(capsys, "--help")
+    assert all(f"{status.value} {WORDS[status]}"[:20] in " ".join(out.split()) for status in ExitStatus)
 
 
 def test_a_stage_that_fails_says_so_in_one_message(

@@ -310,9 +310,9 @@ def test_displaced_supports_are_of_the_deck(tmp_path: Path, capsys: Capture) -> 
         (("frf", "--force", "5+X", "--fmax", "5", "--direct", "--damping", "0.1"), 2, "--damping is for modes"),
         (("frf", "--force", "5+X", "--fmax", "5", "--damping", "2"), 2, "between 0 and 1"),
         (("frf", "--force", "55+X", "--fmax", "5"), 2, "the deck has no 55+X"),
-        (("frf", "--force", "5+X", "--fmax", "5", "--units", "mm-kg-ms"), 2, "did you mean"),
+        (("frf", "--force", "5+X", "--fmax", "5", "--units", "mm-kg-h"), 2, "did you mean"),
         (("frf", "--force", "7+X", "--fmax", "5"), 0, "warning: 7+X is held"),
-        (("static", "--at", "5+X", "--units", "mm-kg-ms"), 2, "did you mean"),  # frequencies in kHz
+        (("static", "--at", "5+X", "--units", "mm-kg-h"), 2, "did you mean"),
         (("static",), 2, "--at: name the points"),
         (("static", "--at", "5+X", "--csv", "s.csv"), 2, "--csv: a static test has forces at points"),
         (("static", "--force", "5+X=much"), 2, "the form is"),

@@ -251,6 +251,35 @@ def test_table_summary() -> None:
     assert row.deviation_hz == pytest.approx(-1)
 
 
+@pytest.mark.parametrize("norm", [Norm.MASS, Norm.UNSCALED])
+def test_modes_that_do_not_move_the_channels_have_no_mac(norm: Norm) -> None:
+    """More than half of the modes move across the sensors: what these read of them is rounding."""
+    rng = np.random.default_rng(3)
+    shapes = [sines(5) * np.where(np.isin(np.arange(5), [0, 2]), 1.0, 1e-16) for _ in range(2)]
+    shapes = [s + 1e-17 * rng.standard_normal(s.shape) for s in shapes]
+    a = modes([10, 20, 30, 40, 50], shapes[0], norm)
+    b = modes([11, 21, 31, 41, 51], shapes[1], norm)
+    pairing = pair_modes(a, b)
+    assert pairing.a.tolist() == pairing.b.tolist() == [0, 2]
+    assert {w.split(":")[0] for w in (*pairing.why_a, *pairing.why_b)} == {"not observable"}
+    table = correlation_table(a, b, pairing)
+    assert not table.mac[[1, 3, 4]].any()
+    assert not table.mac[:, [1, 3, 4]].any()
+
+
+def test_the_table_has_the_mac_of_its_matrix_and_that_of_the_subspace() -> None:
+    phi = sines(4)
+    a = modes([10, 20, 20.1, 40], phi)
+    b = modes([10, 21, 21.1, 40], mixed(phi, 1, np.pi / 4), Norm.MASS)
+    t = correlation_table(a, b, pair_modes(a, b))
+    np.testing.assert_allclose(t.mac_percent, [100, 50, 50, 100])
+    np.testing.assert_allclose(t.mac_percent, 100 * t.mac[t.pairing.a, t.pairing.b])
+    np.testing.assert_allclose(t.subspace_mac_percent, 100)
+    assert t.mean_mac() == pytest.approx(75)
+    assert t.mean_subspace_mac() == pytest.approx(100)
+    assert [row.subspace for row in t.rows()] == [False, True, True, False]
+
+
 def test_a_pair_that_the_user_decides_follows_its_shape_through_a_crossing() -> None:
     shapes = np.eye(4)[:, :3]
     known = Followed((0,), shapes[:, [1]], (2,), shapes[:, [2]])

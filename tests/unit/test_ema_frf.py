@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ringtrue.core.channels import input_id
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance
-from ringtrue.signal.hits import HammerSettings, input_id
+from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.overloads import ceilings
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.setups import join_frfs

@@ -23,7 +23,7 @@ from ringtrue.errors import DataError
 from ringtrue.identify.frf_input import frf_notes
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.lvm import read_lvm_segments
-from ringtrue.io.mat5 import read_mat5
+from ringtrue.io.matfile import mat_values
 from ringtrue.io.records import read_record, write_history
 from ringtrue.io.uff.modes import read_shapes
 from ringtrue.io.uff.tables import read_geometry
@@ -158,10 +158,10 @@ def test_matlab_variables_of_every_class(tmp_path: Path) -> None:
     cells = np.array([1.5, "two", np.eye(2)], dtype=object)
     content = {"c": cells, "s": {"t": {"u": 3.0}, "z": 1 + 2j}, "text": "long text", "b": np.array([[True, False]])}
     savemat(tmp_path / "r.mat", content)
-    found = read_mat5(tmp_path / "r.mat")
+    found = mat_values(tmp_path / "r.mat")
     assert found["text"] == "long text"
-    assert found["s"]["t"]["u"].item() == 3.0
-    assert found["s"]["z"].item() == 1 + 2j
+    assert found["s.t.u"].item() == 3.0
+    assert found["s.z"].item() == 1 + 2j
     assert found["c"].ravel()[1] == "two"
     np.testing.assert_array_equal(found["c"].ravel()[2], np.eye(2))
     np.testing.assert_array_equal(found["b"], [[1, 0]])

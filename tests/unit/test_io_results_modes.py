@@ -153,6 +153,45 @@ def test_op2_byte_orders_and_word_sizes(tmp_path: Path, order: str, word: int) -
     np.testing.assert_allclose(modes.frequencies, [1 / np.pi, 15 / np.pi], rtol=1e-6 if word == 4 else 1e-14)
 
 
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("other", ["ROUGV1", "BOPHIGF", "RADCONS"])
+def test_op2_eigenvectors_of_something_else_are_no_shapes(tmp_path: Path, other: str, first: bool) -> None:
+    """NX writes the rigid-body motion of a moved base as ROUGV1; its codes are those of OUGV1."""
+    writer, motion, rigid = Op2Writer(), made(), np.ones((3, 6, 2))
+    names = [(other, rigid), ("OUGV1", motion)]
+    for name, values in names if first else names[::-1]:
+        writer.modes(VALUES, NODES, values, np.ones(2), name)
+    writer.write(tmp_path / "m.op2")
+    modes = read_nastran_modes(tmp_path / "m.op2")
+    np.testing.assert_allclose(modes.shapes, motion.reshape(18, 2), rtol=1e-6)
+    alone = Op2Writer()
+    alone.modes(VALUES, NODES, rigid, np.ones(2), other)
+    alone.write(tmp_path / "alone.op2")
+    with pytest.raises(DataError, match=f"no real eigenvectors in a table .* but those of {other}"):
+        read_nastran_modes(tmp_path / "alone.op2")
+
+
+def test_op2_eigenvalues_of_a_fluid_are_not_those_of_the_structure(tmp_path: Path) -> None:
+    writer, motion = Op2Writer(), made()
+    writer.table("LAMAF", [[21, 6, *[0] * 144], [1, 1, 1e6, 1e3, 159.0, 4.0, 4e6, 2, 2, 4e6, 2e3, 318.0, 4.0, 16e6]])
+    writer.modes(VALUES, NODES, motion, np.ones(2))
+    writer.write(tmp_path / "m.op2")
+    np.testing.assert_allclose(read_nastran_modes(tmp_path / "m.op2").frequencies, [1 / np.pi, 15 / np.pi], rtol=1e-6)
+
+
+@pytest.mark.parametrize("word", [4, 8])
+def test_op2_in_the_enhanced_format_of_msc(tmp_path: Path, word: int) -> None:
+    """PARAM,POST,1: six words follow the label and the name of each table."""
+    writer, motion = Op2Writer(word=word, enhanced=True), made()
+    writer.head()
+    writer.table("GEOM1", [[4501, 45, 1, *(x for n in NODES.tolist() for x in (n, 0, 0.0, 0.0, 0.0, 0, 0, 0))]])
+    writer.modes(VALUES, NODES, motion, np.ones(2))
+    writer.write(tmp_path / "m.op2")
+    modes = read_nastran_modes(tmp_path / "m.op2")
+    np.testing.assert_allclose(modes.shapes, motion.reshape(18, 2), rtol=1e-6)
+    np.testing.assert_allclose(modes.frequencies, [1 / np.pi, 15 / np.pi], rtol=1e-6)
+
+
 def deck(cd: int = 0) -> Model:
     grid = {"ID": [3, 7, 12], "CP": [0] * 3, "X1": [0.0, 1.0, 0.0], "X2": [1.0, 0.0, 0.0], "X3": [0.0, 0.0, 5.0]}
     cylinder = {"CID": [4], "RID": [0]} | {

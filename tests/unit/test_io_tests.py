@@ -62,7 +62,7 @@ def test_uff_of_vendors() -> None:
     got = read_frfs(DATA / "uff/beam.uff")
     assert got.data.shape == (64000, 3, 1)
     assert got.inputs[0].id == "21+X"
-    with pytest.raises(DataError, match="no frequency response"):
+    with pytest.raises(DataError, match="no FRFs"):
         read_frfs(DATA / "uff/BK_4_channels.uff")
     np.testing.assert_array_equal(read_modes(DATA / "uff/uff55_translation.uff").frequencies, [10, 12, 13])
 

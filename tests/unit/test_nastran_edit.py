@@ -103,7 +103,7 @@ def test_several_changes_of_a_card_and_its_new_line(main: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        (FieldChange("MAT1", 9, "E", 1.0), InputError, "MAT1 9 is not in the model; the nearest ids are"),
+        (FieldChange("MAT1", 9, "E", 1.0), InputError, "MAT1 9 is not in the model; did you mean"),
         (FieldChange("MAT1", 1, "RO", 1.0), InputError, "did you mean 'RHO'"),
         (FieldChange("PBAR", 1, "A", float("nan")), InputError, "nan cannot stand"),
         (FieldChange("PBAR", 1, "MID", 1.5), InputError, "must be an integer"),

@@ -258,7 +258,8 @@ def test_the_stage_of_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "predict" in run_study(study).loaded
     assert run(["predict", str(study), "--seed", "5", "--json", "-"]) == 0  # an option: computed, not stored
     other = json.loads(capsys.readouterr().out)["outputs"][0]
-    np.testing.assert_allclose(other["peak"], told["outputs"][0]["peak"], rtol=0.3)
+    low_and_median = slice(2)  # the upper end of a band of 20 draws is that of one of them
+    np.testing.assert_allclose(other["peak"][low_and_median], told["outputs"][0]["peak"][low_and_median], rtol=0.3)
     assert other["peak"] != told["outputs"][0]["peak"]
     page = deliver(ran).read_text()
     assert '<section id="prediction">' in page

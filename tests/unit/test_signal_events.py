@@ -55,7 +55,7 @@ def test_events_are_found_where_they_are(jumped: Float, starts: Float) -> None:
     for t in starts:
         assert np.abs(at - t).min() < 0.5
     gap = at[:, None] - starts
-    assert np.all(((gap > -0.5) & (gap < 6)).any(axis=1))
+    assert np.all(((gap > -0.8) & (gap < 6)).any(axis=1))  # two windows of a quarter of a second more
 
 
 def test_noise_and_the_spike_of_one_sensor_are_no_events() -> None:
@@ -91,7 +91,9 @@ def test_decays_after_events_give_the_damping_that_the_whole_record_gets_wrong(
 
     with_events = error()
     assert with_events.max() < 0.1
-    monkeypatch.setattr("ringtrue.identify.stretches.find_events", lambda data, rate: find_events(data[:, :1], rate))
+    monkeypatch.setattr(
+        "ringtrue.identify.stretches.find_events", lambda data, rate, gone: find_events(data[:, :1], rate)
+    )
     assert error().max() > 2 * with_events.max()
 
 

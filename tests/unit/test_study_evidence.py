@@ -234,7 +234,7 @@ def test_each_limit_is_held_and_missed(done: StudyRun) -> None:
     for name, good, bad in (
         ("accept_pairs", len(table), len(table) + 1),
         ("accept_mean_percent", 1.01 * table.mean_deviation(), 0.99 * table.mean_deviation()),
-        ("accept_mean_mac", table.mean_mac() - 1e-6, table.mean_mac() + 1e-6),
+        ("accept_mean_mac", table.mean_subspace_mac() - 1e-6, table.mean_subspace_mac() + 1e-6),
         ("accept_off_diagonal", 10.0, 10.0),
     ):
         assert stated(done, **{name: good})[0] == [True]
@@ -262,7 +262,7 @@ def test_no_pair_is_no_success(done: StudyRun) -> None:
     results = {"final": replace(done.results["final"], table=empty), "correlate": done.results["correlate"]}
     config = done.config.model_copy(update={"correlate": type(done.config.correlate)(accept_percent=5.0)})
     assert [c.held for c in limits(config, results)] == [False]
-    assert Acceptance.of(config.correlate).words() == "|Δf| ≤ 5 % and MAC ≥ 80 %"
+    assert Acceptance.of(config.correlate).words() == "|Δf| ≤ 5 % and subspace MAC ≥ 80 %"
 
 
 def test_the_exit_status_follows_the_limits(tmp_path: Path, capsys: Capture) -> None:
@@ -279,7 +279,7 @@ def test_the_exit_status_follows_the_limits(tmp_path: Path, capsys: Capture) -> 
     out, err = capsys.readouterr()
     assert "up to date" in out
     assert not re.search(r": \d+\.\d s\n", out)
-    assert re.search(r"yes +final model: mean MAC", out)
+    assert re.search(r"yes +final model: mean subspace MAC", out)
     assert "not accepted" not in err
 
 

@@ -276,7 +276,7 @@ def test_nothing_is_written_when_an_input_is_wrong(tmp_path: Path) -> None:
     out = tmp_path / "out"
     study = small_study.write_study(tmp_path)
     study.write_text(small_study.FULL.replace("MAT1 2 E", "MAT1 20 E"))
-    with pytest.raises(ConfigError, match=r"MAT1 20 is not in the model; the nearest ids are \[10"):
+    with pytest.raises(ConfigError, match=r"MAT1 20 is not in the model; did you mean 10\? The nearest ids are \[10"):
         run_study(study, out=out)
     study.write_text(small_study.FULL)
     (tmp_path / "data/ambient.h5").unlink()

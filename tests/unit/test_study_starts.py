@@ -18,7 +18,7 @@ from ringtrue.study.stages import update
 def poor(lost: int, good: int) -> Any:
     """The updating, as if it had ended at the deck with `lost` modes without partner.
 
-    Not so from further starts (`good` 5, the place of their settings) or from the proposal (6, that of its factors).
+    Not so from further starts (`good` 4, the place of their settings) or from the proposal (5, that of its factors).
     """
     well = update.together
 
@@ -35,7 +35,7 @@ def updated(folder: Path) -> StudyRun:
     return run_study(small_study.write_study(folder, ambient=False), until="update")
 
 
-@pytest.mark.parametrize("good", [5, 6], ids=["further starts", "proposal"])
+@pytest.mark.parametrize("good", [4, 5], ids=["further starts", "proposal"])
 def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: int
 ) -> None:
@@ -46,10 +46,10 @@ def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
     assert set(best.parameters) == {f"columns {k}" for k in small_study.TRUTH}
     for name, factor in zip(best.parameters, best.factor.tolist(), strict=True):
         assert factor == pytest.approx(small_study.TRUTH[int(name.split()[1])], rel=0.02)  # noise of the signals
-    assert not (done.folder / "update.iterates.json").exists()
+    assert not (done.folder / "update.sets.h5").exists()
 
 
 def test_an_end_with_all_partners_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(update, "together", poor(lost=0, good=5))
+    monkeypatch.setattr(update, "together", poor(lost=0, good=4))
     stage = updated(tmp_path).results["update"]
     np.testing.assert_array_equal(stage.sets[stage.chosen].factor, 1.0)

@@ -9,7 +9,7 @@ import pytest
 
 from ringtrue.core.outcome import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlate.assign import Followed, PairingSettings
+from ringtrue.correlate.assign import Followed, PairingSettings, peak_shares
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import mac
@@ -309,3 +309,58 @@ def test_a_mode_left_out_that_is_far_off_is_counted() -> None:
     assert not (~residual(aim.settled(now), now).used).any()
     assert spared([aim], [now]) == pytest.approx(7.5)
     assert np.isnan(spared([replace(aim, used=np.ones(3, dtype=bool))], [now]))
+
+
+def with_local_part(mass: float, frequency: float, x: float = 0.0) -> DenseModel:
+    """A chain of six masses with a small part on a spring at the third, which no sensor sees; one stiffness factor.
+
+    |-k-m-k-m-k-m-k-m-k-m-k-m      the part: `mass` of a mass of the chain, `frequency` of the chain's first
+                |                  mode at x; the factor leaves its spring as it is
+                part
+    """
+    n = 6
+    bare = chain(n, 1)
+    first = (2 * np.pi * frequency * bare.modes(np.array([x])).frequencies[0]) ** 2
+    held = np.zeros(n + 1)
+    held[[2, n]] = 1.0, -1.0
+    stiffness = np.pad(bare.stiffness, (0, 1))
+    part = np.zeros((1, n + 1, n + 1))
+    part[0, :n, :n] = bare.stiffness
+    whole = stiffness + mass * first * np.outer(held, held)
+    made = DenseModel.springs(whole, np.diag([*np.diag(bare.mass), mass]), part, bare.parameters)
+    return replace(made, observation=np.eye(n, n + 1))
+
+
+@pytest.mark.parametrize("rule", ["gates", "capped", "cost"])
+@pytest.mark.parametrize("mass", [1e-5, 1e-8, 1e-11])
+def test_objective_is_zero_at_the_truth_with_a_mode_that_hardly_moves_the_sensors(rule: str, mass: float) -> None:
+    """The local mode beside the first one has its shape at the sensors, but for a little: exact data tell them."""
+    model = with_local_part(mass, 1.3)
+    truth = np.array([0.2])
+    share = peak_shares(model.modes(truth).shapes)
+    aim = target(model, truth, 4, rule=rule)
+    assert 1e-7 < share[:4].min() < aim.pairing.faint
+    problem = Problem((Configuration(model, aim),), precision=np.zeros((1, 1)))
+    eps = np.finfo(np.float64).eps
+    # λ is known to eps of the highest of the chain; a shape to eps over its share, and J adds up their squares
+    assert problem.cost(truth) < (1e4 * eps / share[:4].min()) ** 2
+    at = residual(aim, model.modes(truth))
+    np.testing.assert_array_equal(at.pairs[:, 1], np.arange(4))
+
+
+@pytest.mark.parametrize("rule", ["gates", "capped", "cost"])
+@pytest.mark.parametrize("mass", [1e-6, 1e-8])
+def test_local_mode_beside_a_global_one_is_not_taken_for_it(rule: str, mass: float) -> None:
+    """The thing has no such part and is softer; in the deck the part has the frequency that was measured."""
+    truth = np.array([np.log(0.7)])
+    measured = target(chain(6, 1), truth, 1, rule=rule)
+    measured = replace(measured, shapes=measured.shapes + 0.01 * np.array([[1, -1, 1, 1, -1, -1]]).T)
+    model = with_local_part(mass, 0.87)
+    now = model.linearise(np.zeros(1))
+    local = int(np.argmin(peak_shares(now.shapes)))
+    assert mac(measured.shapes, now.shapes)[0, local] > 0.98
+    assert local not in residual(measured, now).pairs[:, 1]
+    if rule != "gates":
+        return  # the chain's own mode is so far off that it costs more than none
+    done = solve(Problem((Configuration(model, measured),)))
+    np.testing.assert_allclose(done.x, truth, atol=0.01)  # the prior and the noise of the shape

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.parameters import Target as Place
@@ -225,6 +226,25 @@ def test_posterior_of_linked_parameters_and_its_draws() -> None:
     assert draws.std() == pytest.approx(0.2, rel=0.02)
     reach = 1.6448536 * 0.2
     np.testing.assert_allclose(both.interval(0.9)[0], np.exp([0.1 - reach, 0.1 + reach]), rtol=1e-6)
+
+
+def test_draws_do_not_depend_on_signs_of_eigenvectors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three parameters, two of them correlated, with standard deviations a million apart."""
+    names = ParameterSet(tuple(Parameter(n, (), 1e-9, 1e9, "log", 0.5) for n in "abc"))
+    covariance = np.array([[0.04, 0.0, 1e-8], [0.0, 0.04, 0.0], [1e-8, 0.0, 4e-14]])
+    posterior = Posterior(names, np.zeros(3), covariance, np.eye(3), names.std())
+    first = posterior.sample(20_000, np.random.default_rng(0))
+    std = np.sqrt(np.diag(covariance))
+    scatter = 4 * np.sqrt(2 / 20_000)  # of a variance from so many draws
+    np.testing.assert_allclose(np.cov(first.T) / np.outer(std, std), covariance / np.outer(std, std), atol=scatter)
+    plain = linalg.eigh
+
+    def turned(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        value, vectors = plain(a)
+        return value, -vectors
+
+    monkeypatch.setattr("ringtrue.update.quadratic.linalg.eigh", turned)
+    np.testing.assert_allclose(posterior.sample(20_000, np.random.default_rng(0)), first, rtol=1e-9, atol=1e-15)
 
 
 def test_plausibility_flags() -> None:

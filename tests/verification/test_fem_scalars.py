@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fem_cases import cards, grid, model, modes, ragged, spc, steel
+from fem_cases import cards, grid, model, modes, pshell, ragged, shells, spc, square, steel
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
@@ -344,11 +344,14 @@ def test_dmig_that_cannot_be_used() -> None:
 
 
 def test_autospc_takes_epzero() -> None:
-    """A node stiff by 1 along x and by 1e-6 along y: weak only where EPZERO says so."""
-    m = {"K": [1.0, 1e-6], "G1": [1, 1], "C1": [1, 2]}
-    tables = grid(XYZ[:1], PS="3456"), cards("CELAS2", EID=[1, 2], **m)
-    assert len(assemble(model(*tables)).autospc) == 0
-    assert assemble(model(*tables, EPZERO=1e-4)).autospc.labels() == ("1+Y",)
+    """The drilling stiffness of a plate by its rotational stiffness: no direction is weak until EPZERO says so."""
+    xyz, quads = square(1, 1.0, 1.0)
+    tables = grid(xyz), shells(quads), pshell(0.1), steel()
+    K = assemble(model(*tables, K6ROT=1.0)).stiffness.diagonal()
+    share = K[5] / K[3:6].max()
+    assert len(assemble(model(*tables, K6ROT=1.0, EPZERO=share / 3)).autospc) == 0
+    held = assemble(model(*tables, K6ROT=1.0, EPZERO=share * 3)).autospc
+    assert held.labels() == ("1+RZ", "2+RZ", "3+RZ", "4+RZ")
 
 
 def test_rbe3_um_is_read(tmp_path: Path) -> None:

@@ -132,13 +132,13 @@ def test_resonances_at_equal_distances_are_no_echo(zeta: float) -> None:
     assert clean is cable
 
 
-@pytest.mark.parametrize("seed", [0, 1, 4])
+@pytest.mark.parametrize("seed", [0, 1, 2, 4])
 def test_groups_that_jump_leave_the_modes_of_the_structure(seed: int) -> None:
     r = identify_ambient(jumped(seed))
     assert any("the decays after them are used" in n for n in r.notes)
     assert len(r.modes) == STOREYS, (r.modes.frequencies, r.notes)
     assert np.abs(r.modes.frequencies / chain()[0] - 1).max() < 0.01  # decays behind some ten groups
-    assert not seed or forced(r)
+    assert seed < 2 or forced(r)  # of the first two records no other pole is believed
 
 
 def test_only_a_doubtful_pole_of_a_shape_that_others_span_is_forced() -> None:

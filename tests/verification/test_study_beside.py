@@ -8,6 +8,7 @@ The frame of `small_study` with a hanger of no account to its modes, a rod along
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,16 @@ def written(folder: Path, more: str) -> Path:
     (folder / "frame.bdf").write_text(deck())
     (folder / "truth.bdf").write_text(deck(WRONG, SOFT))
     true, test = Opened(read_deck(folder / "truth.bdf"), 1.0), small_study.test_model()
-    write_sheet(folder / "sensors.csv", test, test.channels)
+    end = replace(
+        test,
+        points=np.append(test.points, END),
+        xyz=np.vstack([test.xyz, [4.0, 3.0, 8.5]]),
+        channels=(*test.channels, f"{END}+Z", f"{END}+Y"),
+        at=np.append(test.at, [END, END]),
+        axes=np.vstack([test.axes, [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]]),
+        groups=(*test.groups, ""),
+    )
+    write_sheet(folder / "sensors.csv", end, end.channels)
     write_modes(folder / "modes.json", true.seen(true.modes(18.0).modes, test, 0.01))
     rows = at_dofs((f"{END}+Z", "303+X"), true.analysis.dofs, 1.0).matrix @ true.analysis.system.transform
     moved = rows @ true.analysis.pencil.at(0.0).solve(LOAD * rows[[0]].toarray().T)

@@ -78,9 +78,10 @@ def errors(run: StudyRun) -> dict[str, float]:
 def test_both_parameters_are_found_and_from_one_configuration_they_are_not(both: StudyRun, tmp_path: Path) -> None:
     alone = errors(run_study(folder(tmp_path, PLAIN), until="final"))
     together = errors(both)
-    # the objective allows 1 % of a frequency, so that the prior still pulls; alone it shares out what is not known
+    # the objective allows 1 % of a frequency, so that the prior still pulls; alone one is held at the deck's value,
+    # as the data cannot tell the two apart, and the other takes up the error of both
     assert max(together.values()) < 0.003
-    assert min(alone.values()) > 0.15
+    assert min(alone.values()) > 0.1
 
 
 def test_the_intervals_know_of_both_tests(both: StudyRun) -> None:

@@ -70,24 +70,24 @@ class EmbeddedAnalysis:
         self.model, self.system, self.spins, self.progress = model, system, spins, progress
         self.dofs: DofSet = system.dofs
         self.pencil = Pencil(system.stiffness, system.mass, method=method, labels=self._labels)
-        self._lowest: EigenModes | None = None
-        self._shift: float | None = None
+        self._lowest: tuple[int, EigenModes] | None = None  # how many were asked for, and what was found
 
     def _labels(self, rows: Int) -> list[str]:
         free = self.system.free
         return list(DofSet(free.node[rows], free.direction[rows]).labels())
 
     def eigen(self, request: ModesRequest, progress: Progress | None = None) -> EigenModes:
-        """Modes in the free DOFs: the lowest `count` (and a few above), or the band."""
+        """Modes in the free DOFs: the lowest `count` (and a few above), or the band.
+
+        They follow from the model and the request alone, to the last bit, whatever was solved before.
+        """
         told = progress or self.progress
         if request.band is not None:
-            found = solve_modes(self.pencil, band=request.band, shift=self._shift, progress=told)
-        else:
-            if self._lowest is None or self._lowest.values.size < request.count:
-                self._lowest = solve_modes(self.pencil, request.count + BUFFER, shift=self._shift, progress=told)
-            found = self._lowest
-        self._shift = found.shift if found.shift < 0 else self._shift
-        return found
+            return solve_modes(self.pencil, band=request.band, progress=told)
+        if self._lowest is None or self._lowest[0] != request.count:
+            found = solve_modes(self.pencil, request.count + BUFFER, progress=told)
+            self._lowest = (request.count, found)
+        return self._lowest[1]
 
     def modes(self, request: ModesRequest, progress: Progress | None = None) -> ModesResult:
         """Natural modes; those asked for and no more."""
@@ -102,7 +102,8 @@ class EmbeddedAnalysis:
             "embedded",
         )
         proof = found.proof + self._blurred(found, request.band[1] if request.band else 0.0)
-        return ModesResult(modes, found.residuals[:n], found.complete, proof, found.orthogonality)
+        autospc = self.system.autospc
+        return ModesResult(modes, found.residuals[:n], found.complete, proof, found.orthogonality, autospc)
 
     def _blurred(self, found: EigenModes, highest: float) -> str:
         """A word on a stiffness so large that its rounding moves modes."""
@@ -213,7 +214,7 @@ class EmbeddedAnalysis:
             Norm.MODAL_A,
             "embedded, complex",
         )
-        return ModesResult(modes, residuals, problem == "full", proof)
+        return ModesResult(modes, residuals, problem == "full", proof, autospc=self.system.autospc)
 
     def _projected(self, request: ModesRequest, extra: float) -> tuple[Float, damped.ComplexModes]:
         """Real modes and residual vectors of the dampers (f, n), and the complex modes in them."""

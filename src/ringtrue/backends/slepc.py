@@ -26,6 +26,8 @@ from ringtrue.eigen.solve import start_shift, suitable_shift
 from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.fem.assembly import System, assemble, refuse_held
 from ringtrue.fem.spins import without_spins
+from ringtrue.io.foreign.arrays import read_npy
+from ringtrue.io.foreign.texts import read_json
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
@@ -117,8 +119,11 @@ class SlepcAnalysis:
         done = run_program([*self._command, WORKER, self._folder], self._folder, name="slepc", timeout=self._timeout)
         if done.status or not (self._folder / "result.json").is_file():
             raise SolverFailed(f"slepc ended with exit status {done.status}{tail(done.log)}")
-        result = json.loads((self._folder / "result.json").read_text())
-        values, vectors = np.load(self._folder / "values.npy"), np.load(self._folder / "vectors.npy").T
+        result = read_json(self._folder / "result.json")
+        values, vectors = (
+            np.array(read_npy(self._folder / "values.npy")),
+            np.array(read_npy(self._folder / "vectors.npy")).T,
+        )
         if not values.size:
             return values, vectors.reshape(self.system.stiffness.shape[0], 0), np.empty(0), result
         values, vectors, residuals, _ = polish(self.system.stiffness, self.system.mass, values, vectors)

@@ -6,41 +6,31 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ringtrue.checks.findings import Finding, at_rows
+from ringtrue.checks.findings import Finding, Severity, at_rows
 from ringtrue.core.arrays import Float
-from ringtrue.model.model import Model, Ragged, Table
+from ringtrue.fem.negative import asks_for_negative_stiffness, negative_springs, negative_stiffness
+from ringtrue.model.model import Model, Table
 
 _FIT = 0.01  # of E / (2 (1 + NU) G)
-_ZERO = 1e-12  # of the largest eigenvalue: round-off
-
-
-POSITIVE = {  # fields below 0 that no body has
-    "MAT1": ("E", "G", "RHO"),
-    **dict.fromkeys(("MAT2", "MAT8", "MAT9"), ("RHO",)),
-    **dict.fromkeys(("PROD", "CONROD"), ("A", "J")),
-    "PTUBE": ("OD", "T"),
-    "PBAR": ("A", "I1", "I2", "J"),
-    "PBEAM": ("A", "I1", "I2", "J", "AB", "I1B", "I2B", "JB"),
-    **dict.fromkeys(("PSHELL", "PSHEAR", "PCOMP", "PCOMPG"), ("T",)),
-}
+_DENSITIES = ("MAT1", "MAT2", "MAT8", "MAT9")
 
 
 def check_materials(model: Model) -> list[Finding]:
     """Poisson's ratio of MAT1, E1, E2 and NU12 of MAT8, the matrices of MAT2 and MAT9, shells that do not bend, and
     moduli, densities and sizes of sections below 0."""
-    matrices = [*_indefinite(model, "MAT2", 3), *_indefinite(model, "MAT9", 6)]
-    doubtful = [*_poisson(model), *_orthotropic(model), *matrices, *_membranes(model), *_straight(model)]
+    doubtful = [*_poisson(model), *_orthotropic(model), *_membranes(model), *_straight(model)]
     return [*doubtful, *_negative(model)]
 
 
 def _negative(model: Model) -> Iterator[Finding]:
-    for card in (c for c in POSITIVE if c in model):
-        for name in POSITIVE[card]:
-            column = model[card].columns[name]
-            values = column.values if isinstance(column, Ragged) else column
-            if (at := np.flatnonzero(values < 0)).size:
-                rows = np.unique(column.owner[at]) if isinstance(column, Ragged) else at
-                yield at_rows(model, card, rows, "warning", f"{name} is {values[at[0]]:g}, below 0")
+    severity: Severity = "warning" if asks_for_negative_stiffness(model) else "error"
+    for found in negative_stiffness(model):
+        yield at_rows(model, found.table.card, found.rows, severity, found.text)
+    for found in negative_springs(model):
+        yield at_rows(model, found.table.card, found.rows, "warning", f"{found.text}: taken as a negative stiffness")
+    for card in (c for c in _DENSITIES if c in model):
+        if (rows := np.flatnonzero(model[card]["RHO"] < 0)).size:
+            yield at_rows(model, card, rows, "warning", f"RHO is {model[card]['RHO'][rows[0]]:g}, below 0")
 
 
 def _membranes(model: Model) -> list[Finding]:
@@ -92,30 +82,11 @@ def _orthotropic(model: Model) -> list[Finding]:
     if "MAT8" not in model:
         return []
     t = model["MAT8"]
-    soft = np.flatnonzero((t["E1"] <= 0) | (t["E2"] <= 0))
+    soft = np.flatnonzero((t["E1"] == 0) | (t["E2"] == 0))
     wrong = np.flatnonzero((t["E1"] > 0) & (t["E2"] > 0) & (t["NU12"] ** 2 * t["E2"] >= t["E1"]))
-    found = [at_rows(model, "MAT8", soft, "error", "E1 and E2 must be over 0")] if soft.size else []
+    found = [at_rows(model, "MAT8", soft, "error", "E1 and E2 must not be 0")] if soft.size else []
     if wrong.size:
         limit = np.sqrt(t["E1"][wrong[0]] / t["E2"][wrong[0]])
         what = f"NU12 {t['NU12'][wrong[0]]:g} is not below sqrt(E1/E2) = {limit:g}"
         found.append(at_rows(model, "MAT8", wrong, "error", what))
     return found
-
-
-def _indefinite(model: Model, card: str, size: int) -> list[Finding]:
-    if card not in model:
-        return []
-    lam = np.linalg.eigvalsh(elasticity(model, card, size))
-    rows = np.flatnonzero(lam[:, 0] < -_ZERO * abs(lam).max(axis=1))
-    what = "its elasticity matrix has a negative eigenvalue"
-    return [at_rows(model, card, rows, "error", what)] if rows.size else []
-
-
-def elasticity(model: Model, card: str, size: int) -> Float:
-    """The symmetric matrices (n, size, size) of MAT2 (3) or MAT9 (6)."""
-    i, j = np.triu_indices(size)
-    values = model[card].stack(*(f"G{a + 1}{b + 1}" for a, b in zip(i.tolist(), j.tolist(), strict=True)))
-    out = np.zeros((len(values), size, size))
-    out[:, i, j] = values
-    out[:, j, i] = values
-    return out

@@ -2,38 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
-
 import numpy as np
 
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.core.arrays import Bool, Float
+from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.model.frames import extent
 from ringtrue.model.model import Model
 
-
-@dataclass(frozen=True, slots=True)
-class UnitSystem:
-    """One modulus, density and length of a system, in SI."""
-
-    modulus: float
-    density: float
-    length: float
-
-
-UNIT_SYSTEMS: Mapping[str, UnitSystem] = MappingProxyType(
-    {
-        "SI": UnitSystem(1.0, 1.0, 1.0),
-        "mm-t-s": UnitSystem(1e6, 1e12, 1e-3),
-        "mm-kg-s": UnitSystem(1e3, 1e9, 1e-3),  # mN and kPa, as Siemens NX writes decks
-        "mm-kg-ms": UnitSystem(1e9, 1e9, 1e-3),
-        "in-lbf-s": UnitSystem(6894.757, 1.0686896e7, 0.0254),
-        "ft-lbf-s": UnitSystem(47.880259, 515.37882, 0.3048),
-    }
-)
 MODULI = (1e6, 1.3e12)  # Pa: soft rubber to diamond
 DENSITIES = (10.0, 2.3e4)  # kg/m3: foam to osmium
 _MODULUS = {"MAT1": "E", "MAT2": "G11", "MAT8": "E1", "MAT9": "G11"}
@@ -50,7 +27,7 @@ def check_units(model: Model, units: str = "") -> list[Finding]:
     Parameters
     ----------
     units : str
-        One of `UNIT_SYSTEMS`; "" looks only for materials that fit none of them.
+        One of `UNIT_SYSTEMS`; "" looks only for materials that fit none of them, or not the same one.
 
     Raises
     ------
@@ -63,25 +40,42 @@ def check_units(model: Model, units: str = "") -> list[Finding]:
 
 
 def _materials(model: Model, units: str) -> list[Finding]:
-    return [f for card, name in _MODULUS.items() if card in model for f in _of_card(model, card, name, units)]
-
-
-def _of_card(model: Model, card: str, name: str, units: str) -> list[Finding]:
-    table = model[card]
-    modulus, density = table[name], table["RHO"] * model.param("WTMASS", 1.0)
-    fits = {system: _fits(modulus, density, s) for system, s in UNIT_SYSTEMS.items()}
-    nowhere = ~np.any(list(fits.values()), axis=0)
-    wrong = ~fits[units] if units else nowhere
-    found = []
-    for row in np.flatnonzero(wrong):
-        other = [system for system, f in fits.items() if f[row]]
-        hint = f"they would be in {' or '.join(other)}" if other else "they are so in no unit system"
-        what = (
-            f"{name} {modulus[row]:g} with RHO {density[row]:g} (WTMASS applied) are not plausible"
-            f"{f' in {units}' if units else ''}; {hint}"
-        )
-        found.append(at_rows(model, card, np.array([row]), "warning", what))
+    """What is not plausible of each material, and whether all of them fit one system."""
+    found = list[Finding]()
+    common, first = set(UNIT_SYSTEMS), dict[str, str]()  # systems that all fit; of each set of systems a material
+    for card, name in _MODULUS.items():
+        if card not in model:
+            continue
+        table = model[card]
+        modulus, density = table[name], table["RHO"] * _weight(model)
+        fits = {system: _fits(modulus, density, s) for system, s in UNIT_SYSTEMS.items()}
+        for row, number in enumerate(table.ids.tolist()):  # few beside the elements
+            mine = {system for system, f in fits.items() if f[row]}
+            if not mine or (units and units not in mine):
+                what = _not_plausible(name, modulus[row], density[row], units, mine)
+                found.append(at_rows(model, card, np.array([row]), "warning", what))
+            if mine:
+                first.setdefault(_words(mine), f"{card} {number}")
+                common &= mine
+    if not common:
+        each = "; ".join(f"{material} fits {systems}" for systems, material in first.items())
+        found.append(Finding("warning", f"the deck mixes unit systems, its materials fit no one of them: {each}"))
     return found
+
+
+def _weight(model: Model) -> float:
+    """PARAM,WTMASS of the deck, without its unit of time."""
+    return model.param("WTMASS", 1.0) / model.time**2
+
+
+def _words(systems: set[str]) -> str:
+    return " or ".join(s for s in UNIT_SYSTEMS if s in systems)
+
+
+def _not_plausible(name: str, modulus: float, density: float, units: str, systems: set[str]) -> str:
+    hint = f"they would be in {_words(systems)}" if systems else "they are so in no unit system"
+    where = f" in {units}" if units else ""
+    return f"{name} {modulus:g} with RHO {density:g} (WTMASS applied) are not plausible{where}; {hint}"
 
 
 def _fits(modulus: Float, density: Float, system: UnitSystem) -> Bool:

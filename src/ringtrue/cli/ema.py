@@ -43,6 +43,7 @@ from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.hits import HammerSettings, HitReport
+from ringtrue.signal.overloads import clipping_told
 from ringtrue.signal.setups import alike, join_frfs, setups_of
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
 from ringtrue.study.forced import Forced, forced_frfs
@@ -81,6 +82,7 @@ class _Measured:
     hits: tuple[HitReport, ...] = ()
     notes: tuple[str, ...] = ()
     batches: tuple[FrfSet, ...] = ()
+    clipped: tuple[str, ...] = ()
 
 
 def ema(
@@ -194,9 +196,11 @@ def ema(
         if frfs_to:
             write_frfs(frfs_to, frfs)
         if method is not FrfMethod.PLSCF:
-            other = identify_frfs_by(method.value, frfs, band, progress=show)
+            with clipping_told(measured.clipped):
+                other = identify_frfs_by(method.value, frfs, band, progress=show)
             return told(title, other, measured.notes, json)
-        found = identify_hammer(frfs, band, choice=by_hand, progress=show)
+        with clipping_told(measured.clipped):
+            found = identify_hammer(frfs, band, choice=by_hand, progress=show)
         if by_hand is None:
             batches = [_windowed(b, window_decay) for b in measured.batches or (frfs,)]
             found = told_apart(found, batches, band, progress=show)
@@ -218,7 +222,8 @@ def _at_levels(
     for k, path in enumerate(files):
         with progress(f"level {levels[k]:g}") as show, about(path):
             measured = _measured((path,), read.of(k), want, shaker, show)
-            result = identify_hammer(_windowed(measured.frfs, decay), band, progress=show)
+            with clipping_told(measured.clipped):
+                result = identify_hammer(_windowed(measured.frfs, decay), band, progress=show)
         notes += [f"{path}: {n}" for n in (*measured.notes, *result.notes)]
         found.append((result.modes, result.uncertainty))
     lowest = found[int(np.argmin(levels))]
@@ -268,8 +273,8 @@ def _measured(
     records, ranges, notes = read_blows(files, how)
     forced = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(forced.columns)
-    said = _said(frfs, forced) if forced.hits else forced.notes
-    return _Measured(frfs, forced.hits, (*notes, *said), setups_of(forced.columns))
+    said = _said(frfs, forced) if forced.hits else (*forced.notes, *forced.clipped)
+    return _Measured(frfs, forced.hits, (*notes, *said), setups_of(forced.columns), forced.clipped)
 
 
 def _said(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:

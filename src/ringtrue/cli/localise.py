@@ -8,11 +8,14 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.show import Json, Tolerance, Units, out, progress, rows, tell, unit_length, write_json
+from ringtrue.cli.show import Json, Tolerance, Units, out, progress, rows, tell, write_json
+from ringtrue.cli.stated import stated
 from ringtrue.core.progress import part
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlate.assign import NO_LOCKS
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import LocaliseSection, target_words
 from ringtrue.study.config_correlate import CorrelateSection
@@ -21,6 +24,8 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed
 from ringtrue.study.proposing import Proposed, directly_proposed
 from ringtrue.study.reference import measured_part
+from ringtrue.study.results import Seat
+from ringtrue.study.seats import seat_words, seats, seats_json
 from ringtrue.update.candidates import CandidateSettings
 from ringtrue.update.proposal import Proposed as Member
 
@@ -46,21 +51,24 @@ def localise(
 
     Example: ringtrue localise wing.bdf test.json --sensors sensors.csv --units mm-t-s
     """
-    metres = unit_length(units)
+    metres = UNIT_SYSTEMS[units].length
     with progress("localise") as show:
         show(0.0, f"reading {deck}")
-        opened, seen = Opened(read_deck(deck), metres), read_modes(test)
-        notes = tuple[str, ...]()
+        opened, seen = Opened(stated(read_deck(deck), units), metres), read_modes(test)
+        notes, places = tuple[str, ...](), tuple[Seat, ...]()
         if not seen.channels:
             given = lent(seen, opened, CorrelateSection().gates(), NO_LOCKS)
             bridge, notes = opened.observation(given.points, np.inf), given.notes
             seen = given.modes.take(measured_part(given.modes)[0])
         else:
             bridge = placed(opened, seen.channels, sensors, tolerance=tolerance)
+            places = seats(bridge, read_sensor_sheet(sensors).model) if sensors is not None else ()
+            notes = seat_words(places)
         settings = CandidateSettings(units=units)
         found = directly_proposed(opened, realise_modes(seen), bridge, settings, pool, most, part(show, 0.1, 1.0))
     if json:
-        write_json(_table(found) | {"notes": notes}, json)
+        sensed = {"sensors": seats_json(places)} if places else {}
+        write_json(_table(found) | {"notes": notes} | sensed, json)
     if json != "-":
         _print(deck, found)
         tell([*notes, *_tables(found)])

@@ -1,15 +1,20 @@
-"""The command line: parse, call, print. Exit status 0 good, 1 a result that failed its own check, 2 bad input."""
+"""The command line: parse, call, print; `cli.status` lists the exit statuses."""
 
 from __future__ import annotations
 
 import ast
+import platform
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from errno import EDQUOT, ENOSPC
+from functools import wraps
 from importlib import import_module
 from importlib.resources import files
+from pathlib import Path
 from signal import SIGTERM, default_int_handler, signal
+from tempfile import NamedTemporaryFile
+from traceback import format_exception
 from typing import Any, NoReturn
 
 import typer
@@ -19,9 +24,13 @@ from typer.main import get_command
 from ringtrue import __version__
 from ringtrue.cli import panels
 from ringtrue.cli.show import err
+from ringtrue.cli.status import ExitStatus, in_words
 from ringtrue.errors import InputError, RingtrueError, UnsupportedError
+from ringtrue.io.atomic import one_run, reads, writes
 
 COMMANDS = {name: place for panel in panels.COMMANDS.values() for name, place in panel.items()}
+
+STOPPED = "stopped: no file was left half written"
 
 
 def _version(show: bool) -> None:
@@ -40,6 +49,7 @@ def application(arguments: Sequence[str]) -> typer.Typer:
     """With the command that is asked for: the others take seconds to import, and show their words in the help only."""
     app = typer.Typer(
         help="Finite element model validation: from a deck and vibration signals to a model that rings true.",
+        epilog=in_words(),
         no_args_is_help=True,
         add_completion=False,
         rich_markup_mode="rich",
@@ -52,8 +62,22 @@ def application(arguments: Sequence[str]) -> typer.Typer:
         for name, (module, function) in commands.items():
             if name in known or not known:
                 body = getattr(import_module(f"ringtrue.cli.{module}"), function) if known else _nothing
-                app.command(name, help=_words(module, function), rich_help_panel=panel)(body)
+                app.command(name, help=_words(module, function), rich_help_panel=panel)(_interruptible(body))
     return app
+
+
+def _interruptible(body: Callable[..., int | None]) -> Callable[..., int | None]:
+    """The command, which says that it was stopped: typer turns a KeyboardInterrupt into a status without a word."""
+
+    @wraps(body)
+    def command(*given: Any, **named: Any) -> int | None:
+        try:
+            return body(*given, **named)
+        except KeyboardInterrupt:
+            err.print(STOPPED)
+            return ExitStatus.STOPPED
+
+    return command
 
 
 def _words(module: str, function: str) -> str:
@@ -70,7 +94,29 @@ def _command(arguments: Sequence[str]) -> Any:
         panel_of = {parameter: panel for panel, names in groups.items() for parameter in names}
         for parameter in command.commands[name].params if name in command.commands else ():
             parameter.rich_help_panel = panel_of.get(parameter.name)
+    for asked in command.commands.values():
+        asked.callback = _careful(asked.callback, asked.params)
     return command
+
+
+def _careful(body: Callable[..., Any], parameters: Sequence[Any]) -> Callable[..., Any]:
+    """A command that first names its files: none that it reads is replaced by what it writes."""
+    outputs = {p.name for p in parameters if panels.OUTPUTS & set(p.opts)}
+
+    @wraps(body)
+    def called(**given: Any) -> Any:
+        paths = {n: [Path(v) for v in _values(given[n]) if n in outputs or isinstance(v, Path)] for n in given}
+        reads(*(p for n, some in paths.items() if n not in outputs for p in some if p.is_file()))
+        writes(*(p for n in outputs for p in paths[n] if not p.is_dir()))
+        return body(**given)
+
+    return called
+
+
+def _values(given: Any) -> list[Any]:
+    if given is None:
+        return []
+    return list(given) if isinstance(given, list | tuple) else [given]
 
 
 def _nothing() -> None:
@@ -78,37 +124,60 @@ def _nothing() -> None:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run a command line; returns the exit status."""
+    """Run a command line; returns the exit status. A fault of ringtrue is raised: `main` reports it."""
     try:
         given = sys.argv[1:] if arguments is None else arguments
-        status = _command(given).main(args=given, standalone_mode=False, prog_name="ringtrue")
+        with one_run():
+            status = _command(given).main(args=given, standalone_mode=False, prog_name="ringtrue")
         return int(status or 0)
     except typer.Exit as e:
         return int(e.exit_code)
     except TyperException as e:
         show = getattr(e, "show", None)  # usage errors draw themselves
         show() if show else err.print(f"error: {e}")
-        return 2
+        return ExitStatus.REFUSED
     except (typer.Abort, KeyboardInterrupt):
-        err.print("stopped")
-        return 1
+        err.print(STOPPED)
+        return ExitStatus.STOPPED
     except (InputError, UnsupportedError) as e:
         err.print(f"error: {e}")
-        return 2
+        return ExitStatus.REFUSED
     except RingtrueError as e:
         err.print(f"error: {e}")
-        return 1
+        return ExitStatus.FAILED
     except OSError as e:  # a file that cannot be read or written
         if e.errno in (ENOSPC, EDQUOT):
             err.print(f"error: {e.strerror}: free some; what is stored is whole, the same command resumes")
-            return 1
+            return ExitStatus.FAILED
         if e.filename is None:
             raise
         err.print(f"error: {e.filename}: {e.strerror}")
-        return 2
+        return ExitStatus.REFUSED
+
+
+def report_fault(fault: Exception, arguments: Sequence[str]) -> int:
+    """Write the traceback of a fault of ringtrue to a file of its own, and say where."""
+    details = [
+        f"ringtrue {__version__}, Python {platform.python_version()}, {platform.platform()}",
+        f"ringtrue {' '.join(arguments)}",
+        "".join(format_exception(fault)),
+    ]
+    what = f"error: this is a fault of ringtrue, not of your input: {type(fault).__name__}: {fault}"
+    try:
+        with NamedTemporaryFile("w", prefix="ringtrue-fault-", suffix=".txt", delete=False, encoding="utf-8") as file:
+            file.write("\n".join(details))
+    except OSError:  # no room for the file: the details go to the screen
+        err.print("\n".join([what, *details]))
+        return ExitStatus.FAULT
+    err.print(f"{what}\nthe details were written to {file.name}: please report them, with the input if you can")
+    return ExitStatus.FAULT
 
 
 def main() -> NoReturn:
     """The console script; a batch system that ends it (SIGTERM) stops it as Ctrl-C does."""
     signal(SIGTERM, default_int_handler)
-    sys.exit(run())
+    try:
+        status = run()
+    except Exception as fault:  # the outermost border: whatever arrives here no one has foreseen
+        status = report_fault(fault, sys.argv[1:])
+    sys.exit(status)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -12,7 +13,6 @@ import numpy as np
 import typer
 
 from ringtrue.cli.show import (
-    IN_SECONDS,
     Json,
     Tolerance,
     listed,
@@ -21,14 +21,18 @@ from ringtrue.cli.show import (
     progress,
     rows,
     tell,
-    unit_length,
     write_json,
 )
+from ringtrue.cli.stated import stated
 from ringtrue.core.arrays import Float
+from ringtrue.core.channels import match_channels, split_label
 from ringtrue.core.modes import ModeSet, elastic
+from ringtrue.core.observation import Observation
 from ringtrue.core.progress import part
 from ringtrue.core.testmodel import TestModel
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
+from ringtrue.correlate.mounting import AXES, Readings, find_mendings, mendings_json, readings_by_name
 from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.correlate.pairing import Locks, pair_modes
 from ringtrue.correlate.table import correlation_table
@@ -41,8 +45,19 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.study.config_correlate import CorrelateSection, Tam
 from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass, gate
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import alignment, between_nodes, mesh_points, near_mesh, placed, shared_places, words
+from ringtrue.study.placing import (
+    alignment,
+    between_nodes,
+    mesh_points,
+    near_mesh,
+    placed,
+    readings,
+    shared_places,
+    words,
+)
 from ringtrue.study.reference import at_common, highest, positions
+from ringtrue.study.results import Seat
+from ringtrue.study.seats import seat_words, seats, seats_json
 from ringtrue.study.summary import correlation_json
 
 LOWEST = 26  # modes of a deck in the place of a test
@@ -52,11 +67,12 @@ BY_FREQUENCY = "no shapes: modes are paired by frequency alone; --lock and --for
 
 def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, ModeSet]:
     """Both sets on the channels that they share; on none where one tells frequencies alone."""
-    here = set(two.channels)
-    common = [c for c in one.channels if c in here]
-    if not common and one.channels and here:
+    index, sign = match_channels(one.channels, two.channels)
+    at = np.flatnonzero(index >= 0)
+    if not at.size and one.channels and two.channels:
         raise DataError(f"{a} and {b} have no channel in common: {one.channels[:5]} against {two.channels[:5]}")
-    return one.rows(common), two.rows(common)
+    common = tuple(one.channels[k] for k in at.tolist())
+    return one.rows(common), replace(two, shapes=two.shapes[index[at]] * sign[at, None], labels=common)
 
 
 def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[bool, bool]:
@@ -86,7 +102,7 @@ def _as_test(deck: Path, units: str) -> tuple[ModeSet, TestModel, str]:
     """The lowest elastic modes of a deck at its nodes, as of a test, and how they are numbered."""
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
-        opened = Opened(read_deck(deck), unit_length(units))
+        opened = Opened(stated(read_deck(deck), units), UNIT_SYSTEMS[units].length)
         found = opened.analysis.modes(ModesRequest(LOWEST)).modes
     at = np.flatnonzero(elastic(found.frequencies))
     if not at.size:
@@ -97,26 +113,52 @@ def _as_test(deck: Path, units: str) -> tuple[ModeSet, TestModel, str]:
     return there, points, f"mode 1 of A is mode {at[0] + 1} of {deck}" if at[0] else ""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OfDeck:
+    """What is held against a test.
+
+    Attributes
+    ----------
+    modes : ModeSet
+        At the channels of the test.
+    notes : tuple of str
+    mass : callable
+        Of a deck, at the channels.
+    seats : tuple of Seat
+        Where channels on a sheet are read.
+    readings : Readings, optional
+        To try other mountings of the sensors by.
+    """
+
+    modes: ModeSet
+    notes: tuple[str, ...] = ()
+    mass: Callable[[], ChannelMass] = ChannelMass
+    seats: tuple[Seat, ...] = ()
+    readings: Readings | None = None
+
+
 def _of_deck(
     deck: Path,
     test: ModeSet,
     sensors: Path | TestModel | None,
     units: str,
     asked: CorrelateSection,
-) -> tuple[ModeSet, tuple[str, ...], Callable[[], ChannelMass]]:
-    """The modes of a deck at the channels of a test, as far up as a partner may lie, notes, and the deck's mass."""
-    unit = unit_length(units)
+) -> OfDeck:
+    """The modes of a deck at the channels of a test, as far up as a partner may lie."""
+    unit = UNIT_SYSTEMS[units].length
     reach = highest(test.frequencies, asked.gates())
     notes: list[str] = []
+    places: tuple[Seat, ...] = ()
     with progress("correlate") as show:
         show(0.0, f"reading {deck}")
-        opened = Opened(read_deck(deck), unit)
+        opened = Opened(stated(read_deck(deck), units), unit)
         here, channels = sensors if isinstance(sensors, TestModel) else None, test.channels
         if isinstance(sensors, Path):
             sheet = read_sensor_sheet(sensors)
-            here, strain = sheet.model, set(sheet.strain)
-            if lost := [c for c in channels if c in strain]:
-                channels = tuple(c for c in channels if c not in strain)
+            here = sheet.model
+            names = dict(zip(channels, here.named(channels)[0], strict=True))
+            if lost := [c for c in channels if names[c] in sheet.strain]:
+                channels = tuple(c for c in channels if c not in lost)
                 notes.append(f"not compared, of strain: {' '.join(lost[:8])}{' ...' * (len(lost) > 8)}")
         if isinstance(sensors, TestModel):
             here, near = near_mesh(sensors, opened, asked.tolerance)
@@ -124,17 +166,39 @@ def _of_deck(
             count = np.unique(here.at).size
             notes.append(f"{count} of {sensors.points.size} nodes of A are within {near:.3g} m of one of B")
         with about(sensors) if isinstance(sensors, Path) else nullcontext():
-            if here is not None and asked.align:
-                found = alignment(here, opened, asked.align)
+            given = here
+            found = alignment(here, opened, asked.align) if here is not None and asked.align else None
+            if here is not None and found is not None:
                 here = found.move(here)
                 notes.append(words(found))
+
+            def bridge(there: TestModel) -> Observation:
+                on_deck = found.move(there) if found is not None else there
+                return placed(opened, there.channels, on_deck, tolerance=asked.tolerance, method=asked.match)
+
             look = placed(opened, channels, here, tolerance=asked.tolerance, method=asked.match)
         modes = opened.modes(reach, part(show, 0.3, 1.0)).modes
     there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
     if isinstance(sensors, Path) and here is not None:
         notes += shared_places(opened, here.pick(channels), modes) if asked.match == "nearest" else ()
         notes += between_nodes(opened, look, asked.match)
-    return there, tuple(notes), lambda: channel_mass(opened, look, channels, asked, reach)
+        places = seats(look, here)
+        notes += seat_words(places)
+    at_sensors = test.rows(channels)
+    if given is None:
+        tried = readings_by_name(at_sensors, _along_all(opened, modes, channels))
+    else:
+        tried = readings(at_sensors, modes, given, bridge)
+    return OfDeck(there, tuple(notes), lambda: channel_mass(opened, look, channels, asked, reach), places, tried)
+
+
+def _along_all(opened: Opened, modes: ModeSet, channels: Sequence[str]) -> ModeSet:
+    """The modes of a deck at channels that are its DOFs, and along the other axes of their nodes."""
+    labels = [split_label(c) for c in channels]
+    more = [f"{label[0]}+{axis}" for label in labels if label for axis in AXES]
+    names = tuple(dict.fromkeys((*channels, *more)))
+    shapes = at_dofs(names, opened.analysis.dofs, opened.length)(modes.shapes)
+    return ModeSet(modes.frequencies, modes.damping, shapes, names, modes.norm, modes.source)
 
 
 def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], ...]:
@@ -173,10 +237,11 @@ def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
             f"{p['frequency_fe_hz']:.4g}",
             f"{round(p['deviation_percent'], 2) + 0.0:+.2f}",
             "-" if p["mac_percent"] is None else f"{p['mac_percent']:.1f}",
+            "-" if p["subspace_mac_percent"] is None else f"{p['subspace_mac_percent']:.1f}",
         )
         for p in pairs
     ]
-    rows(title, ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]"), body)
+    rows(title, ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]", "subspace MAC [%]"), body)
 
 
 def _show_complete(c: CompleteCorrelation) -> None:
@@ -213,7 +278,7 @@ def correlate(
     sensors: Annotated[
         Path | None, typer.Option(help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z.")
     ] = None,
-    units: Annotated[str | None, one_of("--units", IN_SECONDS, "Unit system of decks", "SI")] = None,
+    units: Annotated[str | None, one_of("--units", UNIT_SYSTEMS, "Unit system of decks", "SI")] = None,
     tolerance: Tolerance = None,
     match: Annotated[
         str | None, one_of("--match", get_args(Method), "What a sensor off the nodes reads", "nearest")
@@ -309,9 +374,15 @@ def correlate(
     settings = asked.gates()
     test, points, first = _as_test(a, units) if both else (read_modes(a), sensors, "")
     test, gaps = at_common(test)
-    there, notes, held = _of_deck(b, test, points, units, asked) if deck else (*at_common(read_modes(b)), ChannelMass)
-    notes = (*(f"A: {g}" for g in gaps), *(notes if deck else (f"B: {g}" for g in notes)))
-    one, two = _common(test, there, a, b)
+    if deck:
+        held = _of_deck(b, test, points, units, asked)
+    else:
+        there, missing = at_common(read_modes(b))
+        held = OfDeck(there, tuple(f"B: {g}" for g in missing))
+    notes = (*(f"A: {g}" for g in gaps), *held.notes)
+    one, two = _common(test, held.modes, a, b)
+    tried = held.readings if deck else readings_by_name(one, held.modes)
+    mendings = find_mendings(tried, settings) if tried is not None and one.channels and not both else ()
     if not one.channels:
         if whole:
             raise ConfigError(f"--complete and --mass compare shapes; {a if not test.channels else b} has none")
@@ -320,9 +391,11 @@ def correlate(
     table = correlation_table(one, two, pair_modes(one, two, settings, names=names, locks=locks), names=names)
     notes = (*notes, *table.pairing.doubts(names), *table.pairing.far(names))
     value: dict[str, Any] = correlation_json(table)
+    value |= {"sensors": seats_json(held.seats)} if held.seats else {}
+    value |= {"mendings": mendings_json(mendings)} if mendings else {}
     full: CompleteCorrelation | None = None
     if whole:
-        weight = ChannelMass(_mass(mass, len(one.channels))) if mass is not None else held()
+        weight = ChannelMass(_mass(mass, len(one.channels))) if mass is not None else held.mass()
         full = complete(
             one,
             two,
@@ -341,7 +414,7 @@ def correlate(
         write_json(value, json)
     if json != "-":
         _show_pairs(f"{a} against {b}", value["pairs"])
-        tell([*_reasons(value["unpaired"]), *filter(None, [first]), *notes])
+        tell([*(m.text for m in mendings), *_reasons(value["unpaired"]), *filter(None, [first]), *notes])
         if full is not None:
             _show_complete(full)
     return 0 if value["pairs"] else 1

@@ -11,18 +11,19 @@ import numpy as np
 import typer
 
 from ringtrue.backends.embedded import EmbeddedAnalysis
-from ringtrue.backends.registry import EMBEDDED, solver
+from ringtrue.backends.registry import EMBEDDED, solver, time_limits
+from ringtrue.checks.autospc import autospc_findings
 from ringtrue.checks.deck import check_deck
 from ringtrue.checks.edges import free_edges_in_words, shell_edges
 from ringtrue.checks.findings import Finding
 from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
 from ringtrue.checks.mass import mass_properties, unconstrained
 from ringtrue.checks.mesh import MeshErrors, mesh_errors
-from ringtrue.checks.units import UNIT_SYSTEMS
 from ringtrue.cli.convert import writable
 from ringtrue.cli.show import Json, file_to, json_file, one_of, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import part
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes_json import WRITTEN, dump_modes, write_modes
@@ -34,6 +35,17 @@ ROUNDING = 1e-12  # of the largest value: below is 0
 
 Deck = Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")]
 
+TimeLimit = Annotated[
+    float | None,
+    typer.Option(
+        "--time-limit",
+        metavar="SECONDS",
+        help="Longest run of a --solver that is another program.",
+        min=1e-3,
+        show_default=", ".join(f"{name} {limit:g}" for name, limit in time_limits().items()),
+    ),
+]
+
 
 def modes(
     deck: Deck,
@@ -44,6 +56,7 @@ def modes(
     solver_name: Annotated[
         str, typer.Option("--solver", help="The engine: embedded, mystran, nastran, slepc or a plug-in.")
     ] = "embedded",
+    time_limit: TimeLimit = None,
     ranks: Annotated[int | None, typer.Option(help="Processes of the slepc engine.", min=1)] = None,
     damped: Annotated[
         bool, typer.Option("--complex", help="Complex modes, by the dashpots, GE, PARAM G and DMIG of the deck.")
@@ -65,7 +78,7 @@ def modes(
     if mesh and (damped or solver_name != EMBEDDED):
         raise ConfigError("--mesh-error is for natural modes of the embedded engine: leave out --complex and --solver")
     with progress("modes") as show:
-        engine = solver(solver_name, ranks=ranks, progress=part(show, 0.2, 0.6 if mesh else 1.0))
+        engine = solver(solver_name, ranks=ranks, timeout=time_limit, progress=part(show, 0.2, 0.6 if mesh else 1.0))
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
         show(0.2, "solving")
@@ -76,9 +89,12 @@ def modes(
             loose = analysis.system.loose().labels() if isinstance(analysis, EmbeddedAnalysis) else ()
         errors = mesh_errors(model, result.modes, solver(EMBEDDED, progress=part(show, 0.6, 1.0))) if mesh else None
     if json:
-        told = {"mesh_error": [None if np.isnan(e) else e for e in errors.relative.tolist()]} if errors else {}
+        told: dict[str, Any] = {"complete": result.complete, "proof": result.proof}
+        told["autospc"] = result.autospc.by_components()
+        if errors:
+            told["mesh_error"] = [None if np.isnan(e) else e for e in errors.relative.tolist()]
         with json_file(json) as file:
-            dump_modes(file, result.modes, more={"complete": result.complete, "proof": result.proof, **told})
+            dump_modes(file, result.modes, more=told)
     if target:
         write_modes(target, writable(result.modes, target))
     if json != "-":
@@ -157,7 +173,9 @@ def _lost(fault: DeckError) -> Finding:
 
 
 def _rigid(found: Survey, findings: list[Finding]) -> dict[str, Any]:
-    """Mass properties, ground check and free edges; what the ground check finds is added to the findings."""
+    """Mass properties, ground check, free edges and what AUTOSPC holds; findings of these are added to the findings."""
+    held = assemble(found.model)
+    findings += autospc_findings(held)
     system = assemble(unconstrained(found.model))
     ground = ground_check(system)
     findings += ground_findings(found.model, ground)
@@ -170,6 +188,7 @@ def _rigid(found: Survey, findings: list[Finding]) -> dict[str, Any]:
         "inertia": mass.inertia.tolist(),
         "ground_check": {"strain_energy": energy, "relative": ground.relative.tolist(), "ok": ground.ok},
         "free_edges": free,
+        "autospc": held.autospc.by_components(),
     }
 
 

@@ -25,6 +25,19 @@ COMMANDS = {  # panel -> command -> module of `ringtrue.cli` and function
     },
 }
 
+# What names a file or folder that a command writes (of `convert` the argument `target`); other paths are its inputs.
+OUTPUTS = {
+    "--json",
+    "--out",
+    "--csv",
+    "--plot",
+    "--diagram",
+    "--write-choice",
+    "--write-frfs",
+    "--checkpoint",
+    "target",
+}
+
 BY_HAND: dict[str, tuple[str, ...]] = {"Modes by hand": ("choice", "choice_to", "diagram")}
 
 OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parameters of its function
@@ -55,6 +68,14 @@ OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parame
     "update": {
         "What is compared": ("residuals", "frf", "static", "mass"),
         "How it is weighed": ("prior", "loss", "discrepancy", "frequency", "mac_percent"),
-        "How the best model is sought": ("method", "starts", "search", "seed", "checkpoint", "solver_name"),
+        "How the best model is sought": (
+            "method",
+            "starts",
+            "search",
+            "seed",
+            "checkpoint",
+            "solver_name",
+            "time_limit",
+        ),
     },
 }

@@ -14,17 +14,18 @@ import typer
 
 from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.show import Json, one_of, progress, rows, tell, write_json
+from ringtrue.cli.stated import stated
 from ringtrue.core.modes import elastic
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.atomic import atomic_write, writes
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plan.exciters import reciprocity_pairs
 from ringtrue.plan.rehearsal import Rehearsal, missed_words
-from ringtrue.plan.sheet import reach_of, write_test_sheet
+from ringtrue.plan.sheet import NAMES, reach_of, write_test_sheet
 from ringtrue.report.deliver import deliver
 from ringtrue.study.config_plan import Directions, Method, Strike
-from ringtrue.study.measured import LENGTH
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.summary import setups_json
@@ -96,7 +97,7 @@ def plan(
         typer.Option(metavar="N/√HZ", help="Virtual ambient tests, too, under such a force at each channel.", min=0),
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the virtual tests.", min=0)] = 0,
-    units: Annotated[str, one_of("--units", LENGTH, "Unit system of the deck")] = "SI",
+    units: Annotated[str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck")] = "SI",
     json: Json = None,
 ) -> int:
     """Plan a modal test of a deck: a test sheet as CSV, universal file and HTML.
@@ -106,6 +107,7 @@ def plan(
     folder = folder or deck.with_name(f"{deck.stem}-test")
     if (folder / "study.toml").exists():
         raise ConfigError(f"--out {folder}: holds a study.toml; name a folder for the plan alone")
+    writes(*(folder / name for name in ("plan.toml", *NAMES)))
     section: dict[str, Any] = {
         "sensors": points,
         "at_hand": at_hand,
@@ -140,7 +142,7 @@ def plan(
     section |= {} if background is None else {"background": background}
     with progress("test plan") as show:
         show(0.0, f"reading {deck}")
-        section |= _from_deck(deck, band, section["modes"])
+        section |= _from_deck(deck, units, band, section["modes"])
         study = _write_study(folder, deck, units, section, seed)
         run = run_study(study, out=folder, until="plan", progress=show)
         deliver(run)
@@ -213,11 +215,11 @@ def _box(option: str, text: str) -> list[float]:
     return values
 
 
-def _from_deck(deck: Path, band: tuple[float, float] | None, modes: list[int]) -> dict[str, float]:
+def _from_deck(deck: Path, units: str, band: tuple[float, float] | None, modes: list[int]) -> dict[str, float]:
     """The band, taken from the deck where it is not given."""
     if band is not None and not 0 <= band[0] < band[1]:
         raise ConfigError(f"--band {band[0]} {band[1]}: must be 0 <= F0 < F1")
-    model = read_deck(deck)
+    model = stated(read_deck(deck), units)
     if band is None:
         with EmbeddedSolver().open(model) as analysis:
             f = analysis.modes(ModesRequest(max([21, *(m + 1 for m in modes)]))).modes.frequencies

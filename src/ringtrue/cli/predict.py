@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from ringtrue.cli.show import Json, err, one_of, out, progress, rows, write_json
+from ringtrue.cli.stated import warn_of_units
 from ringtrue.errors import ConfigError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.study.config import PredictSection, StudyConfig, read_config
@@ -73,9 +74,12 @@ def run(
         )
     with progress("predict") as show:
         if chosen == config.predict and seed is None:
-            found = run_study(study, out=folder, until="predict", progress=show).results["predict"]
+            done = run_study(study, out=folder, until="predict", progress=show)
+            desk, found = done.desk, done.results["predict"]
         else:
-            found = stage.run(Workbench(_with(config, chosen, seed), study.parent, where, held), show)
+            desk = Workbench(_with(config, chosen, seed), study.parent, where, held)
+            found = stage.run(desk, show)
+    warn_of_units(desk.initial.model, desk.deck.units)
     if table is not None:
         _write(found.run_up, table)
     if json:

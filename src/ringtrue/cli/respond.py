@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from csv import writer
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,12 +13,14 @@ import typer
 from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.ema import Motion
 from ringtrue.cli.model import Deck
-from ringtrue.cli.show import Json, Units, err, file_to, progress, rows, unit_length, unit_mass, write_json
+from ringtrue.cli.show import Json, Units, err, file_to, progress, rows, write_json
+from ringtrue.cli.stated import stated, warn_of_units
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.motions import FRF_KIND, channel
 from ringtrue.core.progress import part
 from ringtrue.core.signals import Channel, FrfKind, FrfSet
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.frfs import write_frfs
@@ -78,10 +81,13 @@ def frf(
     if damping is not None and not 0 < damping < 1:
         raise ConfigError(f"--damping {damping:g}: must be a ratio between 0 and 1, such as 0.01")
     into, heard = points("--force", force), points("--at", at or force)
-    kilogram, metre, freqs = unit_mass(units), unit_length(units), np.linspace(lowest, fmax, lines)
+    unit, freqs = UNIT_SYSTEMS[units], np.linspace(lowest, fmax, lines)
     with progress("frf") as show:
         show(0.0, f"reading {deck}")
         model, modal = read_damped_deck(deck)
+        model = stated(model, units)
+        if modal:
+            modal = replace(modal, frequencies=modal.frequencies / unit.time)
         with EmbeddedSolver(progress=part(show, 0.2, 1.0)).open(responding(model)) as analysis:
             if damping is None and not (analysis.has_damping or (modal and not direct)):
                 own = "the deck has no damping of its own (dashpots, GE, PARAM G"
@@ -91,8 +97,8 @@ def frf(
                 err.print("warning: SDAMPING is of modes: --direct leaves it out, as SOL 108 does")
             _warn_of_held(analysis, heard, into)
             ratios = modal if damping is None else damping
-            h = _responses(analysis, (heard, into), freqs, ratios, FRF_KIND[quantity], direct) / kilogram
-            h = h * np.outer(heard.per_length(metre), into.per_length(metre))
+            h = _responses(analysis, (heard, into), freqs, ratios, FRF_KIND[quantity], direct) / unit.kilograms
+            h = h * np.outer(heard.per_length(unit.length), into.per_length(unit.length))
     found = FrfSet(
         h,
         freqs,
@@ -223,22 +229,23 @@ def static(
     given = dict(_load(text) for text in force or [])
     into, heard = points("--force", list(given)), points("--at", at or list(given))
     newtons = np.array(list(given.values()))
-    metres = unit_length(units)
+    unit = UNIT_SYSTEMS[units]
     with progress("static") as show:
         show(0.0, f"reading {deck}")
         model, cases = (read_deck(deck), ()) if force else read_loaded_deck(deck)
+        warn_of_units(model, units)
         show(0.3, "solving")
         with EmbeddedSolver().open(model) as analysis:
             if force:
                 refuse_displaced(model)
-                newton = into.per_length(metres) / (unit_mass(units) * metres)
+                newton = into.per_length(unit.length) / unit.force
                 acting, carried = _unit_loads(analysis, into) * (newtons * newton), np.zeros((len(analysis.dofs), 1))
             else:
                 drawn, carried = support_motions(model, analysis.dofs, cases)
                 acting = load_vectors(model, analysis.dofs, cases) + drawn
             _warn_of_held(analysis, heard, into, moved=carried)
             found = analysis.static(acting) + carried
-            moved = (_unit_loads(analysis, heard).T @ found).T * (metres * heard.per_length(metres))
+            moved = (_unit_loads(analysis, heard).T @ found).T * (unit.length * heard.per_length(unit.length))
     names = [f"{p}={n:g}" for p, n in zip(into.labels(), newtons, strict=True)] or [c.name for c in cases]
     if table:
         _write_static(table, list(zip(into.labels(), newtons.tolist(), moved.tolist(), strict=True)), heard.labels())

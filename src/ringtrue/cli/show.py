@@ -15,16 +15,14 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
 
-from ringtrue.checks.units import UNIT_SYSTEMS
 from ringtrue.core.progress import Progress
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 
 # names in brackets and lines like `wing.bdf:100:` stay as they are, lines are the terminal's to wrap
 out = Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
 err = Console(stderr=True, markup=False, emoji=False, highlight=False, soft_wrap=True)
-
-IN_SECONDS = tuple(u for u in UNIT_SYSTEMS if not u.endswith("-ms"))  # systems with frequencies in Hz
 
 
 @contextmanager
@@ -125,7 +123,7 @@ def one_of(option: str, allowed: Iterable[str], what: str, otherwise: str = "") 
     )
 
 
-Units = Annotated[str, one_of("--units", IN_SECONDS, "Unit system of the deck")]
+Units = Annotated[str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck")]
 Tolerance = Annotated[
     float | None,
     typer.Option(
@@ -152,14 +150,3 @@ def write_json(value: Any, target: str) -> None:
     text = json.dumps(value, indent=1, allow_nan=False) + "\n"
     with json_file(target) as file:
         file.write(text)
-
-
-def unit_mass(units: str) -> float:
-    """Kilograms a unit of mass of the system that `--units` names."""
-    one = UNIT_SYSTEMS[units]
-    return one.density * one.length**3
-
-
-def unit_length(units: str) -> float:
-    """Metres a unit of length of the system that `--units` names."""
-    return UNIT_SYSTEMS[units].length

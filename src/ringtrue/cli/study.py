@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from json import loads
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from ringtrue.cli.show import Json, err, out, progress, rows, tell, write_json
+from ringtrue.cli.stated import warn_of_units
+from ringtrue.cli.status import ExitStatus
+from ringtrue.core.outcome import Outcome
 from ringtrue.errors import ConfigError
+from ringtrue.io.foreign.texts import read_json
 from ringtrue.report.deliver import deliver, report_from_store
 from ringtrue.study.acceptance import Check, limits, missed_words
 from ringtrue.study.results import UpdateStage
@@ -33,7 +36,7 @@ def _status(checks: tuple[Check, ...]) -> int:
 
 
 def _summary(folder: Path) -> Any:
-    return loads((folder / "summary.json").read_text(encoding="utf-8"))
+    return read_json(folder / "summary.json")
 
 
 def demo(
@@ -71,7 +74,8 @@ def run(
 ) -> int:
     """Run a study: what is up to date is taken from study.h5, the rest is computed.
 
-    Exit status 1: the updating did not converge, or the final model misses a limit of \\[correlate] (accept_percent,
+    Exit status 1: the updating did not converge (one that stalled is judged by the limits, where there are any), or the
+    final model misses a limit of \\[correlate] (accept_percent,
     accept_hz, accept_mac, accept_pairs, accept_mean_percent, accept_mean_mac, accept_orthogonality,
     accept_off_diagonal) that study.toml sets.
 
@@ -83,7 +87,9 @@ def run(
             path = deliver(result)
     except KeyboardInterrupt:
         err.print("stopped: the stages that were finished are stored, the same command resumes")
-        return 1
+        return ExitStatus.STOPPED
+    if result.config.model is not None:
+        warn_of_units(result.desk.initial.model, result.config.model.units)
     outcome, stated = _outcome(result), limits(result.config, result.results)
     if json:
         write_json(_summary(result.folder), json)
@@ -98,16 +104,24 @@ def run(
         err.print(f"edited while the study ran, which took it as it was: {', '.join(result.altered)}; run it again")
     for line in missed_words(result.config, result.results):
         err.print(f"not accepted: {line}")
-    if outcome:
+    if outcome is not None and not outcome.ok:
         err.print(f"the updating did not converge: {outcome}")
-    return 1 if outcome else _status(stated)
+    return _status(stated) if settles(outcome, stated) else ExitStatus.FAILED
 
 
-def _outcome(result: StudyRun) -> str:
-    """Why the chosen updating is not to be trusted; empty where there is none or it converged."""
+def settles(outcome: Outcome | None, stated: tuple[Check, ...]) -> bool:
+    """Whether the end of an updating leaves it to the limits of the study whether its model is good.
+
+    Where no step lowers the objective any more the end is as good as it gets, and stated limits judge it; one that was
+    cut short is no result.
+    """
+    return outcome is None or outcome.ok or (outcome is Outcome.STALLED and bool(stated))
+
+
+def _outcome(result: StudyRun) -> Outcome | None:
+    """How the chosen updating ended; None where there is none."""
     done: UpdateStage | None = result.results.get("update")
-    outcome = done.sets[done.chosen].outcome if done else "converged"
-    return "" if outcome.startswith("converged") else outcome
+    return Outcome(done.sets[done.chosen].outcome) if done else None
 
 
 def report(

@@ -25,6 +25,8 @@ from ringtrue.identify.gains import with_equal_gains
 from ringtrue.identify.inertia import Followed, behind, thermal_lag
 from ringtrue.identify.tracking import ModeTrack, Stretch, Tracked, ticks, track_modes, unseen
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import existing, read_text
+from ringtrue.io.foreign.door import door
 from ringtrue.io.records import read_record, record_blocks, record_info
 from ringtrue.plots.tracking import tracking_page
 
@@ -239,13 +241,13 @@ class _Given:
 
 def _given(path: Path) -> _Given:
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            lines = [r for r in csv.reader(file) if r]
+        with door(path, "CSV table"):
+            lines = [r for r in csv.reader(io.StringIO(read_text(existing(path)), newline="")) if r]
         names = tuple(x.strip() for x in lines[0])
         values = np.array([[float(x) if x.strip() else math.nan for x in r] for r in lines[1:]])
-    except FileNotFoundError as e:
-        raise DataError(f"{path}: no such file") from e
-    except (ValueError, IndexError, UnicodeDecodeError) as e:
+    except DataError:
+        raise
+    except (ValueError, IndexError) as e:
         raise DataError(f"{path}: not a table of numbers under a line of names ({e})") from e
     if values.ndim != 2 or values.shape[1] != len(names) or len(names) < 2 or not (np.diff(values[:, 0]) > 0).all():
         raise DataError(f"{path}: needs a first column of rising hours and one more for each thing to regress on")

@@ -11,11 +11,14 @@ import numpy as np
 import typer
 
 from ringtrue.backends.registry import EMBEDDED, solver
+from ringtrue.cli.model import TimeLimit
 from ringtrue.cli.show import Json, err, one_of, progress, write_json
+from ringtrue.cli.stated import stated
 from ringtrue.cli.updated import show_summary, summary_of
 from ringtrue.core.progress import part
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.io.nastran.edit import edit_fields, refuse_unwritable
+from ringtrue.io.nastran.edit import edit_fields, refuse_copy, refuse_unwritable
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import field_changes
 from ringtrue.model.model import Model
@@ -29,11 +32,12 @@ from ringtrue.study.config_update import (
     StaticResidual,
     UpdateSection,
 )
-from ringtrue.study.direct import AGREE, direct_problem, read_target, solved
-from ringtrue.study.measured import LENGTH
+from ringtrue.study.direct import AGREE, direct_problem, not_told_apart, read_target, solved, unmoved_by
 from ringtrue.study.objective import KINDS as KINDS_OF_MODES
 from ringtrue.study.objective import LOSSES
 from ringtrue.study.opened import Opened
+from ringtrue.study.seats import seat_words, seats_json
+from ringtrue.study.words import stand_ins
 from ringtrue.update.trust import KINDS
 from ringtrue.update.verified import Verified
 from ringtrue.update.weights import RULES
@@ -88,6 +92,7 @@ def update(
             "--solver", help="That of the study, or embedded, mystran, nastran, slepc, a plug-in: solved at each point."
         ),
     ] = None,
+    time_limit: TimeLimit = None,
     json: Json = None,
 ) -> int:
     """Update a model to test modes: factors with their uncertainty, deviations before and after, the deck edited.
@@ -109,7 +114,9 @@ def update(
     solver_name = solver_name or (config.model.solver if config.model else EMBEDDED)
     anew = solver_name != EMBEDDED
     _check(config.update, checkpoint, anew)
-    engine = solver(solver_name) if anew else None
+    if time_limit is not None and not anew:
+        raise ConfigError("--time-limit is for a --solver that is another program")
+    engine = solver(solver_name, timeout=time_limit) if anew else None
     if config.model is None or not config.candidate:
         raise ConfigError(f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]")
     if anew and config.residual:
@@ -118,21 +125,30 @@ def update(
         )
     with progress("updating") as show:
         show(0.0, "reading")
-        opened = Opened(read_deck(study.parent / config.model.deck), LENGTH[config.model.units])
+        opened = Opened(
+            stated(read_deck(study.parent / config.model.deck), config.model.units),
+            UNIT_SYSTEMS[config.model.units].length,
+        )
         model = opened.model
         config, target, modes, notes = read_target(config, opened, test)
         target = replace(target, used=~np.isin(np.arange(len(modes)), _left_out(leave_out, len(modes))))
         if folder is not None:
             refuse_unwritable(model, config.candidates())
+            refuse_copy(model, folder)
         show(0.1, f"first runs of {solver_name}" if anew else "reduced basis")
-        problem, extra = direct_problem(opened, config, target, modes, study.parent, engine)
+        problem, extra, places = direct_problem(opened, config, target, modes, study.parent, None)
+        held = not_told_apart(problem)
+        config = config.model_copy(update={"candidate": [c for c in config.candidate if c.name not in held]})
+        if held or engine is not None:
+            problem, extra, places = direct_problem(opened, config, target, modes, study.parent, engine)
         seed = config.study.seed if seed is None else seed
         done = solved(problem, config.update, seed, checkpoint, part(show, 0.3, 1.0))
     written = _edited(model, config, done, folder)
     summary = summary_of(config, problem, done, extra, solver_name, not notes) | {
         "deck": [str(p) for p in written],
-        "notes": notes,
+        "notes": [*notes, *seat_words(places), *stand_ins(held)],
     }
+    summary |= {"sensors": seats_json(places)} if places else {}
     if json:
         write_json(summary, json)
     if json != "-":
@@ -197,6 +213,7 @@ def _edited(model: Model, config: StudyConfig, done: Verified, folder: Path | No
     if folder is None:
         return []
     folder.mkdir(parents=True, exist_ok=True)
-    parameters, factors = config.candidates(), done.solution.factors
+    parameters, end = config.candidates(), done.solution
+    factors = np.where(unmoved_by(done.solution), 1.0, end.factors)
     moved = [i for i, a in enumerate(factors.tolist()) if a != 1.0]
     return edit_fields(model, field_changes(model, parameters.take(moved), factors[moved]), folder)

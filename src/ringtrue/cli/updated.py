@@ -12,6 +12,7 @@ import numpy as np
 from ringtrue.backends.registry import EMBEDDED
 from ringtrue.cli.show import out, rows, tell
 from ringtrue.core.arrays import Float
+from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.measured import Data
 from ringtrue.study.words import weighed_by, worse
@@ -72,14 +73,15 @@ def _measured(data: Sequence[Data], sides: tuple[Evaluated, Evaluated]) -> dict[
 def _modes(target: Target, sides: tuple[Point, Point], seen: bool) -> list[dict[str, Any]]:
     """Deviation and MAC of each test mode, before and after; null without a partner, or shapes that were `seen`."""
     f, k = target.frequencies, target.frequencies.size
-    found: Float = np.full((4, k), np.nan)
+    found: Float = np.full((6, k), np.nan)
     for i, at in enumerate(sides):
         t, j = at.every.T
-        found[2 * i, t], found[2 * i + 1, t] = (
-            100 * (at.now.frequencies[j] / f[t] - 1),
-            100 * at.mac if seen else np.nan,
-        )
-    names = ("deviation_before_percent", "mac_before_percent", "deviation_percent", "mac_percent")
+        deviation, single, subspace = found[3 * i : 3 * i + 3]
+        deviation[t] = 100 * (at.now.frequencies[j] / f[t] - 1)
+        if seen:
+            single[t] = 100 * paired_mac(target.shapes[:, t], at.now.shapes[:, j])
+            subspace[t] = 100 * at.mac
+    names = tuple(f"{what}{when}_percent" for when in ("_before", "") for what in ("deviation", "mac", "subspace_mac"))
     return [
         {"frequency_hz": float(f[i]), "used": bool(target.used[i])}
         | dict(zip(names, map(_number, found[:, i].tolist()), strict=True))
@@ -98,7 +100,8 @@ def show_summary(study: Path, summary: dict[str, Any]) -> None:
         (i + 1, f"{m['frequency_hz']:.5g}", *(_cell(v) for v in list(m.values())[2:]), "" if m["used"] else "left out")
         for i, m in enumerate(summary["modes"])
     ]
-    rows("modes", ("#", "f test [Hz]", "Δf before [%]", "MAC", "Δf after [%]", "MAC", ""), body)
+    heads = ("#", "f test [Hz]", "Δf before [%]", "MAC", "subspace", "Δf after [%]", "MAC", "subspace", "")
+    rows("modes", heads, body)
     if summary.get("measured"):
         body = [(m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES)) for m in summary["measured"]]
         rows("beside the modes", ("", "what", "unit", *SIDES), body)

@@ -78,6 +78,19 @@ class DofSet:
         """The text forms, in order."""
         return tuple(map(_label, self.node.tolist(), self.direction.tolist()))
 
+    def by_components(self) -> dict[str, list[int]]:
+        """Nodes by the components that they have here, whatever their signs, as SPC1 lists them; 0 is a scalar point.
+
+        >>> DofSet.parse(["3+RX", "3+Z", "7+RX", "5+Z", "5+RX"]).by_components()
+        {'34': [3, 5], '4': [7]}
+        """
+        node, row = np.unique(self.node, return_inverse=True)
+        has = np.zeros((node.size, len(NAMES)), dtype=bool)
+        has[row, np.abs(self.direction)] = True
+        kinds, of = np.unique(has, axis=0, return_inverse=True)
+        names = ["".join(map(str, np.flatnonzero(kind).tolist())) for kind in kinds]
+        return {name: node[of == k].tolist() for k, name in sorted(enumerate(names), key=lambda x: x[1])}
+
     def find(self, node: Int, direction: Int) -> Int:
         """Positions of (node, |direction|) in this set, (k,) int64, -1 where absent."""
         key = self.key
@@ -119,6 +132,9 @@ class DofSet:
         Shapes of mass-normalised modes at translations hold no length, at rotations one over a length; so do loads.
         """
         return np.where(np.abs(self.direction) > 3, 1 / unit, 1.0)
+
+
+NO_DOFS = DofSet(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int8))
 
 
 def parsed(labels: Iterable[str]) -> tuple[Int, Int]:

@@ -66,7 +66,7 @@ class Alignment:
 
     def move(self, test: TestModel) -> TestModel:
         """The test model in the frame of the target."""
-        return replace(test, xyz=self(test.xyz), axes=self.turn(test.axes))
+        return replace(test, xyz=self(test.xyz), axes=self.turn(test.axes), force_axes=self.turn(test.force_axes))
 
 
 def _fit(source: Float, target: Float, weight: Float, scale: bool) -> tuple[Float, Float, float]:
@@ -212,7 +212,7 @@ def _distinct(places: list[Float], first: Float, tolerance: float) -> int:
 
 def _about(fit: Alignment, middle: Float) -> list[_Motion]:
     """The placement turned about the middle of the nodes in the 23 ways that lay the axes onto each other."""
-    turns = [q for q in _axis_turns() if not np.array_equal(q, np.eye(3))]
+    turns = [q for q in axis_turns() if not np.array_equal(q, np.eye(3))]
     return [(q @ fit.rotation, middle + q @ (fit.shift - middle)) for q in turns]
 
 
@@ -236,13 +236,13 @@ def _starts(source: Float, nodes: Float) -> list[_Motion]:
     out = [(np.eye(3), np.zeros(3))]
     cs, cn = _middle(source), _middle(nodes)
     us, un = (np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2] for x in (source, nodes))
-    for flip in _axis_turns():
+    for flip in axis_turns():
         both = (flip, _proper(un).T @ flip @ _proper(us))  # of the axes given, and of the principal ones
         out += [(rotation, cn - rotation @ cs) for rotation in both]
     return out
 
 
-def _axis_turns() -> list[Float]:
+def axis_turns() -> list[Float]:
     """The 24 rotations that lay the axes onto each other."""
     every = [
         np.eye(3)[list(order)] * np.array(signs)[:, None]

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import ConfigError
-from ringtrue.shapes.mac import mac, paired_mac, unit
+from ringtrue.shapes.mac import above_rounding, mac, paired_mac, unit
 from ringtrue.shapes.subspace import FADE, NIL, close_groups, fade, gaps, rotation, share_in
 
 TIE = 1e-3
@@ -47,7 +47,7 @@ class PairingSettings:
         Modes of B with a smaller share of motion where sensors sit are left unpaired (if the shares are passed).
     faint : float
         Mass-normalised modes of B whose largest component at the sensors is below this share of the median
-        mode's are not observable.
+        mode's are not observable: the correlation leaves them unpaired, the updating trusts them less.
     """
 
     mac_gate: float = 0.6
@@ -221,10 +221,10 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *,
 
 
 def peak_shares(shapes: Any_) -> Float:
-    """Largest component of each mass-normalised shape (n, m) over that of the median mode, (m,)."""
-    peak = np.abs(shapes).max(axis=0, initial=0.0)
-    typical = float(np.median(peak)) if peak.size else 0.0
-    return np.asarray(peak / typical if typical > 0 else np.ones_like(peak))
+    """Largest component of each mass-normalised shape (n, m) over that of the median of the modes seen at all, (m,)."""
+    peak = np.abs(above_rounding(shapes)).max(axis=0, initial=0.0)
+    seen = peak[peak > 0]
+    return np.asarray(peak / np.median(seen) if seen.size else np.ones_like(peak))
 
 
 def _mixed(single: Float, share: Float, near: Float, settings: PairingSettings) -> list[tuple[float, Int]]:
@@ -305,12 +305,22 @@ def within(
 
 
 def assign(
-    score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: Bool, locks: Locks = NO_LOCKS
+    score: Scores,
+    settings: PairingSettings,
+    usable_a: Bool,
+    usable_b: Bool,
+    locks: Locks = NO_LOCKS,
+    trust: Float | None = None,
 ) -> tuple[Int, Int]:
     """The one-to-one assignment of greatest total worth among the pairs inside both gates.
 
     The worth of a pair is log((1 − gate)/(1 − MAC)), lowered with the square of the frequency error: two poor pairs
     never outvote a good one, which a sum of MACs allows. Forced pairs come before all others, forbidden ones never.
+
+    Parameters
+    ----------
+    trust : (ma, mb) float64, optional
+        Factors 0..1 on the worth; a pair with 0 is none unless it is forced.
 
     Returns
     -------
@@ -320,6 +330,9 @@ def assign(
     worth = value * (1 - 0.5 * (score.error / settings.frequency_gate) ** 2)
     worth += TIE * score.mac  # decides between the members of a rotated group
     allowed, forced = within(score, settings, usable_a, usable_b, locks)
+    if trust is not None:
+        worth = trust * worth
+        allowed = (allowed & (trust > 0)) | forced
     worth = np.where(forced, LOCKED, np.where(allowed, worth, 0.0))
     rows, cols = linear_sum_assignment(-worth)
     keep = allowed[rows, cols]

@@ -21,7 +21,7 @@ from ringtrue.correlate.significance import Significance, significance
 from ringtrue.correlate.turning import paired_shapes, turning
 from ringtrue.errors import InputError
 from ringtrue.shapes.complexity import mcf, mpc, mpd
-from ringtrue.shapes.mac import auto_mac, unit, worst_off_diagonal
+from ringtrue.shapes.mac import above_rounding, auto_mac, unit, worst_off_diagonal
 from ringtrue.shapes.orthogonality import (
     cross_orthogonality,
     pseudo_inverse,
@@ -193,7 +193,7 @@ def complete(
         notes.append("deviations not judged: no standard deviation of a frequency is known")
     return CompleteCorrelation(
         a.channels,
-        np.array([worst_off_diagonal(auto_mac(m.shapes)) for m in (a, b)]),
+        np.array([worst_off_diagonal(auto_mac(above_rounding(m.shapes))) for m in (a, b)]),
         comac(left, right),
         ecomac(left, right),
         share.mean(axis=1) if len(pairing) else np.zeros(len(a.channels)),

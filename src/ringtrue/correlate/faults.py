@@ -142,7 +142,7 @@ def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[
     found: list[ChannelFault] = []
     gone: Int = np.zeros(0, dtype=np.int64)
     for _ in range(max(1, a.shape[0] // 3)):  # each fault changes what the others look like
-        y, expected = _scaled(mended(a, found), b)
+        y, expected = scaled_to(mended(a, found), b)
         best = _gravest(y, expected, np.setdiff1d(np.arange(a.shape[0]), gone), limits)
         if best is None:
             break
@@ -151,7 +151,7 @@ def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[
     return tuple(found)
 
 
-def _scaled(a: Any_, b: Any_) -> tuple[Float, Float]:
+def scaled_to(a: Any_, b: Any_) -> tuple[Float, Float]:
     """Readings and unit shapes, real, each mode of the readings scaled to the model by its weighted median ratio."""
     length = np.linalg.norm(b, axis=0)
     b = b / np.where(length > 0, length, 1.0)
@@ -288,7 +288,7 @@ def suspect_channels(
         then = _mac_without_fault(left, right, f)
         if then <= now:
             continue
-        out += _suspects(f, a.channels, now, then)
+        out += suspects_of(f, a.channels, now, then)
     return tuple(out)
 
 
@@ -297,7 +297,8 @@ def _mac_without_fault(left: Any_, right: Any_, fault: ChannelFault) -> float:
     return float(paired_mac(mended(left, [fault])[keep], right[keep]).mean())
 
 
-def _suspects(f: ChannelFault, channels: tuple[str, ...], now: float, then: float) -> list[Suspect]:
+def suspects_of(f: ChannelFault, channels: tuple[str, ...], now: float, then: float) -> list[Suspect]:
+    """A fault in words, a suspect for each channel; `now` and `then` are mean MACs, 0..1."""
     told = f"mean MAC {100 * now:.1f} % -> {100 * then:.1f} %"
     one = channels[f.i]
     if f.fault == "swapped":

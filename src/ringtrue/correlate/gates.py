@@ -34,6 +34,7 @@ class Gate:
 
 
 MOST_TOLD = 20  # failures
+DECIMALS = 9  # of an entry, by which failures are ordered
 TRADE = Gate()  # NASA-STD-5002 (1996): at least 0.9 on the diagonal and at most 0.1 off it for the target modes
 
 
@@ -106,7 +107,8 @@ def judge(matrix: Float, gate: Gate = TRADE, *, a: Any_ | None = None, b: Any_ |
         Failure(int(rows[i]), int(cols[j]), float(off[i, j]), gate.off_diagonal, False)
         for i, j in np.argwhere(off > gate.off_diagonal).tolist()
     ]
-    found.sort(key=lambda f: -abs(f.value - f.limit))
+    # the farthest beyond its limit first; the halves of a symmetric matrix differ in rounding, which orders nothing
+    found.sort(key=lambda f: (-round(abs(f.value - f.limit), DECIMALS), f.a, f.b))
     least = float(own.min()) if own.size else float("nan")
     return Verdict(gate, bool(own.size) and not found, least, float(off.max(initial=0.0)), tuple(found))
 

@@ -73,7 +73,7 @@ def observe(
     found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
     distance, nearest = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
     if tolerance is None:  # a test in another unit must not lie on one node
-        tolerance = min(default_tolerance(xyz), _OF_EXTENT * diagonal(at) or np.inf)
+        tolerance = min(default_tolerance(xyz), _OF_EXTENT * diagonal(test.xyz) / unit or np.inf)
     if k == 1:
         nearest = _by_number(test.at, at, np.asarray(node_ids), xyz, (distance, nearest), SAME * tolerance)
     _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids), xyz, nearest[:, 0], unit)

@@ -23,6 +23,7 @@ from ringtrue.correlate.assign import (
 )
 from ringtrue.correlate.beyond import uncontested
 from ringtrue.errors import InputError
+from ringtrue.shapes.mac import above_rounding
 
 __all__ = [
     "BEYOND_THE_GATE",
@@ -81,7 +82,10 @@ def pair_modes(
     if visible_b is not None and np.shape(visible_b) != (len(b),):
         raise InputError(f"visible_b {np.shape(visible_b)} for {len(b)} modes: one share a mode is needed")
     hidden = _hidden(b, settings, visible_b)
+    a, b = (replace(m, shapes=above_rounding(m.shapes)) for m in (a, b))
     sure = a.confidence >= settings.min_confidence
+    if a.channels:
+        sure &= a.shapes.any(axis=0)
     s = scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings)
     plain = np.array([not why for why in hidden], dtype=np.bool_)
     if a.channels:
@@ -122,13 +126,18 @@ def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
 
 
 def _unseen(a: ModeSet, i: int) -> str:
-    return "nothing was read of it at the channels that are compared" if a.channels and not a.shapes[:, i].any() else ""
+    if not a.channels or a.shapes[:, i].any():
+        return ""
+    return "not observable: it does not move the channels that are compared"
 
 
 def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> list[str]:
     """For each mode of B why no sensor sees it, or an empty text."""
     share, out = peak_shares(b.shapes), []
     for j in range(len(b)):
+        if b.channels and share[j] == 0:
+            out.append("not observable: it does not move the channels that are compared")
+            continue
         if visible is not None and visible[j] < settings.min_visible:
             out.append(f"moves where no sensor is: {100 * visible[j]:.2g} % of its motion is at sensors")
         elif b.norm is Norm.MASS and share[j] < settings.faint:

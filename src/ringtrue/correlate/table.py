@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.pairing import Pairing
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes.mac import above_rounding, mac
 from ringtrue.shapes.subspace import NIL
 
 __all__ = ["CorrelationRow", "CorrelationTable", "correlation_table"]
@@ -27,6 +27,7 @@ class CorrelationRow:
     deviation_percent: float
     deviation_hz: float
     mac_percent: float
+    subspace_mac_percent: float
     used: bool
     subspace: bool
     beyond: bool
@@ -46,7 +47,7 @@ class CorrelationTable:
     used : (k,) bool
         The pair takes part in updating (others are left out to check it).
     mac : (test, fe) float64, 0..1
-        All combinations of single shapes.
+        All combinations of single shapes; 0 for modes that do not move the channels.
     all_test_hz, all_fe_hz : (test,), (fe,) float64, Hz
     names : tuple of str
         What the two sets are called.
@@ -86,7 +87,18 @@ class CorrelationTable:
 
     @property
     def mac_percent(self) -> Float:
-        """MAC of the pairs (of the subspace where rotated), (k,) %."""
+        """MAC of the two single shapes of each pair, as in the matrix, (k,) %; NaN without shapes."""
+        if not self.mac.size:
+            return np.full(len(self), np.nan)
+        return np.asarray(100 * self.mac[self.pairing.a, self.pairing.b])
+
+    @property
+    def subspace_mac_percent(self) -> Float:
+        """The same with close modes rotated inside their subspace towards the test, (k,) %.
+
+        Close modes mix at the smallest change of the structure: their single shapes need not agree where their
+        subspaces do. Equal to `mac_percent` for pairs that belong to no such group.
+        """
         return 100 * self.pairing.mac
 
     @property
@@ -103,12 +115,20 @@ class CorrelationTable:
         return _over(np.max, np.abs(self.deviation_percent), which)
 
     def mean_mac(self, which: Bool | None = None) -> float:
-        """Mean MAC, %."""
+        """Mean MAC of single shapes, %."""
         return _over(np.mean, self.mac_percent, which)
 
     def min_mac(self, which: Bool | None = None) -> float:
-        """Smallest MAC, %."""
+        """Smallest MAC of single shapes, %."""
         return _over(np.min, self.mac_percent, which)
+
+    def mean_subspace_mac(self, which: Bool | None = None) -> float:
+        """Mean subspace MAC, %."""
+        return _over(np.mean, self.subspace_mac_percent, which)
+
+    def min_subspace_mac(self, which: Bool | None = None) -> float:
+        """Smallest subspace MAC, %."""
+        return _over(np.min, self.subspace_mac_percent, which)
 
     def rows(self) -> tuple[CorrelationRow, ...]:
         """The pairs in ascending test mode."""
@@ -120,6 +140,7 @@ class CorrelationTable:
             self.deviation_percent,
             self.deviation_hz,
             self.mac_percent,
+            self.subspace_mac_percent,
             self.used,
             self.pairing.subspace,
             self.pairing.beyond,
@@ -156,7 +177,9 @@ def correlation_table(
     """
     b = b.rows(a.channels)
     std = np.full(len(a), np.nan) if std_hz is None else np.asarray(std_hz, dtype=np.float64)
-    everything = mac(a.shapes, b.shapes) if a.channels else np.full((len(a), len(b)), np.nan)
+    everything: Float = np.full((len(a), len(b)), np.nan)
+    if a.channels:
+        everything = mac(above_rounding(a.shapes), above_rounding(b.shapes))
     return CorrelationTable(
         pairing,
         a.frequencies[pairing.a],

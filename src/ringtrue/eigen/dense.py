@@ -60,7 +60,7 @@ def spectrum(
     except linalg.LinAlgError:
         refuse_negative_mass(mass, labels)
         refuse_negative_motion(mass, _least(m), labels)
-        why = f"K - ({shift:.3g}) M is not positive definite: {HINT}"
+        why = f"K - ({shift:.3g}) M is not positive definite: a stiffness below 0 outweighs the others, or {HINT}"
         raise SingularModel(labels(_loose(a * scale, d)), why) from None
     moved = d[:, None] * y  # of unit energy: long where there is next to none
     refuse_negative_motion(mass, moved[:, 0], labels)

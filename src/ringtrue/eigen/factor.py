@@ -85,6 +85,7 @@ class Pencil:
         self._pattern = Pattern(self.stiffness, self.mass)
         self._m = self._pattern.entries(self.mass)
         self._factor: Engine | None = None
+        self._strengthened = False
         self.shift = np.nan
 
     @property
@@ -108,6 +109,7 @@ class Pencil:
         self._factor, self.shift = factor, shift
         error, moved = self._probe(factor, shift)
         if not (error < RESIDUAL_LIMIT and factor.negatives >= 0) and factor.strengthen(values):
+            self._strengthened = True
             error, moved = self._probe(factor, shift)
         if not error < RESIDUAL_LIMIT or (factor.negatives < 0 and moved.max(initial=0.0) > LOST):
             self._factor = None
@@ -122,6 +124,8 @@ class Pencil:
         return factor
 
     def _make(self, values: Float) -> Engine:
+        if self._strengthened:  # for one shift alone: a factor must not depend on those before it
+            self.close()
         if self._factor is None:
             return engine(self.method, self._pattern, values, self._limit)
         self._factor.refactor(values)
@@ -177,7 +181,7 @@ class Pencil:
         """Free the factorisation."""
         if self._factor is not None:
             self._factor.close()
-        self._factor, self.shift = None, np.nan
+        self._factor, self.shift, self._strengthened = None, np.nan, False
 
 
 def factorise(matrix: sparse.csr_array, *, method: Method = "auto") -> Factor:

@@ -1,9 +1,10 @@
 """Model to matrices, and their derivatives.
 
 Matrices: `kinds` the element cards, `mesh`, `place` and `rows` what elements need, `elements` their kernels,
-`assembly` the sum, `added_mass`; `algebra` and `isotropy` in small.
+`assembly` the sum, `added_mass`, `negative` stiffness refused; `algebra` and `isotropy` in small.
 
-Constraints: `equations`, `rigid`, `average`, `spins`, `constraints` all of them as one elimination.
+Constraints: `equations`, `rigid`, `average`, `constraints` all of them as one
+elimination; what nothing stiffens: `autospc`, `spins`.
 
 Parameters: `change` a model with other fields, `slopes` and `derivatives` of matrices.
 

@@ -13,10 +13,12 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
 from ringtrue.fem.algebra import arm
-from ringtrue.fem.constraints import EPZERO, eliminate, singular_dofs
+from ringtrue.fem.autospc import EPZERO, singular_dofs
+from ringtrue.fem.constraints import eliminate
 from ringtrue.fem.elements import dmig
 from ringtrue.fem.kinds import batches, refuse
 from ringtrue.fem.mesh import Matrices, Mesh, mesh
+from ringtrue.fem.negative import refuse_negative
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
@@ -178,24 +180,29 @@ def assemble(model: Model) -> System:
     Raises
     ------
     DeckError
-        On a card that refers to one that is absent, a distorted element, or contradictory constraints.
+        On a card that refers to one that is absent, a distorted element, contradictory constraints, or a field that
+        makes a negative stiffness (see `fem.negative`).
     UnsupportedCard
         On a card with stiffness, mass or constraint that is not assembled.
     """
     refuse(model)
+    refuse_negative(model)
     m = mesh(model)
     K, M, B, S = _totals(m)
     T_local, free = eliminate(m)
     rotation = turn(m)
-    if (direct := dmig.given(m)) is not None:
-        K, M, B = (sparse.csr_array(A + rotation @ D @ rotation.T) for A, D in zip((K, M, B), direct, strict=True))
+    direct = None
+    if (given := dmig.given(m)) is not None:
+        direct, more, damping = (sparse.csr_array(rotation @ D @ rotation.T) for D in given)
+        K, M, B = (sparse.csr_array(A + D) for A, D in ((K, direct), (M, more), (B, damping)))
     T = sparse.csr_array(rotation @ T_local)
     T.eliminate_zeros()
     stiffness = reduced(T, K)
     del K
     drop = np.zeros(free.size, dtype=bool)
     if str(model.params.get("AUTOSPC", "YES")).upper() != "NO":
-        drop = singular_dofs(stiffness, free, len(m.xyz), m.model.param("EPZERO", EPZERO))
+        epzero = m.model.param("EPZERO", EPZERO)
+        drop = singular_dofs(stiffness, free, len(m.xyz), T, pieces(m), direct, epzero)
     keep = np.flatnonzero(~drop)
     if drop.any():
         T, stiffness = T[:, keep], stiffness[keep][:, keep]

@@ -16,8 +16,6 @@ from ringtrue.model.choices import taken_sets
 from ringtrue.model.model import Table
 from ringtrue.model.places import called
 
-EPZERO = 1e-8  # AUTOSPC holds what is weaker than this share of its node's largest stiffness
-
 
 def _mpc(m: Mesh) -> Equations:
     t = m.model["MPC"]
@@ -133,31 +131,3 @@ def _contradiction(m: Mesh, eq: Equations, rows: Int, message: str) -> DeckError
     cards = list(dict.fromkeys(eq.owner[i] for i in rows.tolist()))
     table, row = cards[-1]
     return error(m.model, table, row, message.format(called(m.model, cards)))
-
-
-def singular_dofs(K: sparse.csr_array, free: Int, nodes: int, tolerance: float = EPZERO) -> Bool:
-    """DOFs (k,) of K (k, k) that have no stiffness: AUTOSPC.
-
-    Each node's 3 x 3 block of translations, or of rotations, is examined; for each direction in which it is
-    singular (relative to its largest term) the DOF nearest to it is named.
-    """
-    group, place = np.where(free < 6 * nodes, free // 3, free - 4 * nodes), np.where(free < 6 * nodes, free % 3, 0)
-    coo = K.tocoo()
-    inside = group[coo.row] == group[coo.col]
-    blocks = np.zeros((int(group.max(initial=-1)) + 1, 3, 3))
-    r, c = coo.row[inside], coo.col[inside]
-    blocks[group[r], place[r], place[c]] = coo.data[inside]
-    there = np.zeros(blocks.shape[:2], dtype=bool)
-    there[group, place] = True
-    size = np.abs(blocks).max(axis=(1, 2), initial=0.0)
-    out = there & (size == 0)[:, None]
-    for _ in range(3):  # a block has three directions
-        live = there & ~out
-        A = np.where(live[:, :, None] & live[:, None, :], blocks, 0.0) / np.where(size == 0, 1.0, size)[:, None, None]
-        A[~live[:, :, None] & np.eye(3, dtype=bool)] = 4.0
-        values, vectors = np.linalg.eigh(A)
-        weak = np.flatnonzero((values[:, 0] < tolerance) & live.any(axis=1))
-        if not weak.size:
-            break
-        out[weak, np.abs(vectors[weak, :, 0]).argmax(axis=1)] = True
-    return np.asarray(out[group, place])

@@ -19,6 +19,6 @@ than the data tell, `mixing` shapes of close modes; `choice` and `choice_hammer`
 
 What is no mode, or no steady one: `forced`, `struck`, `wander`, `ripples` of echoes.
 
-Several records: `setups` as one, `merge` one by one, `common` their channels; `tracking` through time,
-`gains` of replaced sensors, `environment` and `inertia` (of heat) why frequencies change.
+Several records: `same_setup` of their sensors, `setups` as one, `merge` one by one, `common` their channels;
+`tracking` through time, `gains` of replaced sensors, `environment` and `inertia` (of heat) why frequencies change.
 """

@@ -55,6 +55,7 @@ from ringtrue.identify.ripples import rippled
 from ringtrue.identify.ssi import SsiCov
 from ringtrue.identify.stretches import (
     SHORTEST,
+    events_of,
     gathered,
     steady_sines,
     with_more_lags,
@@ -62,12 +63,17 @@ from ringtrue.identify.stretches import (
 )
 from ringtrue.signal.gaps import bridged
 from ringtrue.signal.harmonics import steady_amplitudes
+from ringtrue.signal.levels import levelled, scaled, unit_factor
 from ringtrue.signal.lines import with_feet, without_lines
 from ringtrue.signal.locked import locked
 from ringtrue.signal.preprocess import Band, Harmonic, harmonics, uncut, usable
 from ringtrue.signal.threads import abreast
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
+LEAST_FALL = 0.1  # of the logarithm of the amplitude, from one impact to the next
+HARDLY_FALLS = (
+    "it hardly decays between impacts at equal intervals: a line of these; a longer time between them would show a mode"
+)
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 BLOCKS_EACH = 4  # of one stretch of a long record
 HIDES = "; it may hide a mode beside it, which a record without the machine shows"
@@ -132,6 +138,11 @@ class AmbientResult:
     notes: tuple[str, ...]
 
 
+def lowest(duration: float, settings: AmbientSettings) -> float:
+    """The lowest frequency of interest, Hz: 50 cycles in the record, unless one is given."""
+    return settings.fmin if settings.fmin is not None else 50.0 / duration
+
+
 def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[Band, ...]:
     """The pyramid, from the highest band.
 
@@ -140,7 +151,7 @@ def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[
     ConfigError
         If the band of interest is empty at this rate and length.
     """
-    low = settings.fmin if settings.fmin is not None else 50.0 / duration
+    low = lowest(duration, settings)
     high = min(settings.fmax or np.inf, 0.49 * rate)
     if not low < high:
         raise ConfigError(
@@ -222,23 +233,29 @@ def identify_stretches(
     coming = (x for x in coming if x.duration >= SHORTEST * first.duration)
     second = next(coming, None)
     part, gaps = bridged(first)
-    good, states = usable(part)
-    good, late = in_phase(good, mend=second is None)
+    raw, states = usable(part)
+    kept = uncut(raw, states)  # of raw samples: they tell what is cut off
+    good = levelled(raw, lowest(raw.duration, settings))
+    factor = unit_factor(good)
+    good, late = in_phase(scaled(good, factor), mend=second is None)
     refs = references(good, settings.references)
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
     tell(0.0, "filtering into bands")
     # an amplitude that is cut off looks steady
-    good, whole, swept, echo = without_strokes_sweeps_and_echoes(good, uncut(good, states))
-    sines = steady_sines(good, whole, bands, leave, once=second is not None)
+    whole = good if kept is raw else kept and good.pick([c.id for c in kept.channels])
+    impacts, lags = events_of(good, gaps), 2 * settings.block_rows / bands[0].rate
+    good, whole, swept, echo = without_strokes_sweeps_and_echoes(good, whole, impacts, lags)
+    sines = steady_sines(good, whole, bands, leave, impacts, once=second is not None)
     places = [h.frequency for h in sines]
     clean = without_lines(good, places)
     whole, good = clean if whole is good else whole and without_lines(whole, places), clean
-    lines = tuple(h for h in harmonics(whole, low=bands[-1].low) if h.frequency < bands[0].high) if whole else ()
+    shown = harmonics(whole, low=bands[-1].low) if whole and not impacts.driven else ()
+    lines = tuple(h for h in shown if h.frequency < bands[0].high)
     ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH)
-    more_to_come = chain(() if second is None else (second,), coming)
+    more_to_come = (scaled(x, factor) for x in chain(() if second is None else (second,), coming))
     sums, heard = gathered(good, gaps, more_to_come, bands, ssi, refs, places, tell)
     found, motion = [], one_motion(good.channels)
-    known = Heard(response_slope(good), choice, any(e.driven for e in heard), motion)
+    known = Heard(response_slope(good), choice, max(heard, key=lambda e: e.share), motion)
     for k, modes_of in enumerate(abreast(lambda x: modes_of_band(x, settings.confidence_min, known), sums)):
         tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
         found.append(modes_of)
@@ -287,11 +304,11 @@ def _assemble(
     rows = select(found, settings.confidence_min)
     f_all, z_all = (np.array([getattr(found[b].table, x)[i] for b, i in rows]) for x in ("frequencies", "damping"))
     known = [h.frequency for h in lines]
-    machines = steady_amplitudes(whole, f_all, z_all, known) if whole else ("",) * len(rows)
+    machines = steady_amplitudes(whole, f_all, z_all, known, heard.interval) if whole else ("",) * len(rows)
     edges = filter_edges(history, f_all, z_all)
     standing = [machine(f, z, lines, resolution, history.duration) for f, z in zip(f_all, z_all, strict=True)]
     running = [bool(h or why) for h, why in zip(standing, machines, strict=True)]
-    if whole:
+    if whole and not heard.driven:
         every, wide = np.append(f_all, known), np.append(z_all, np.zeros(len(known)))
         kin = locked(whole, every, wide, running + [True] * len(known))
         machines = tuple(x or y for x, y in zip(machines, kin[: len(rows)], strict=True))
@@ -301,6 +318,8 @@ def _assemble(
             left_out.append(f"pole at {f:.4g} Hz left out: {h.why}{BESIDE}")
         elif z < LEAST_DAMPING:
             left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")
+        elif heard.interval and heard.impacts.lines_near(f) and 2 * np.pi * z * f * heard.interval < LEAST_FALL:
+            left_out.append(f"pole at {f:.4g} Hz left out: {HARDLY_FALLS}")
         elif foot:
             left_out.append(
                 f"pole at {f:.4g} Hz left out: what the line at {foot:.5g} Hz left whose phase wanders{HIDES}"

@@ -13,7 +13,7 @@ from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.identify.ambient import AmbientSettings, bands_for
+from ringtrue.identify.ambient import AmbientSettings, bands_for, lowest
 from ringtrue.identify.ambient_record import AT_EDGE, filter_edges, long_enough
 from ringtrue.identify.bayes import bayes_fft
 from ringtrue.identify.era import next_era
@@ -27,6 +27,7 @@ from ringtrue.identify.ssi import MAX_REFERENCES, SsiCov
 from ringtrue.identify.ssi_data import ssi_data
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.gaps import bridged
+from ringtrue.signal.levels import levelled, scaled, unit_factor
 from ringtrue.signal.preprocess import Band, band_signals, usable
 
 Method = Literal["plscf", "era", "ssi-data", "fdd", "efdd", "fsdd", "random-decrement", "bayes"]
@@ -89,6 +90,8 @@ def identify_ambient_by(
     s, tell = settings or AmbientSettings(), progress or quiet
     whole, gaps = bridged(history)
     good, states = usable(whole)
+    good = levelled(good, lowest(good.duration, s))
+    good = scaled(good, unit_factor(good))
     notes = gaps.notes + tuple(c.note for c in states)
     tell(0.0, NAMES[method])
     if method == "bayes":

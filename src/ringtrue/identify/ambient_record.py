@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import maximum_filter1d
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.choice import Choice
@@ -23,6 +25,8 @@ EDGE, LAST = 0.35, 0.49  # of the rate: where filters of recorders begin to end 
 AT_EDGE = "left out: the spectrum ends there: the filter of the recorder"
 BROAD = 0.02  # damping that the edge of a filter may have
 FALL = 0.4  # of the fall of a mode
+EYES, AVERAGES, BESIDE = 8, 64, 12  # channels and segments of the spectrum in which peaks are looked for; lines beside
+SURE, SHOWN = 8.0, 3  # standard deviations that a peak stands out by, as of its averages; how many are named
 UNSURE, WORSE = 0.2, 5.0  # of the RMS of the shapes; times the median channel
 ORDER: dict[str, int] = {**DERIVATIVE, **{ANGULAR[motion]: n for motion, n in DERIVATIVE.items()}, "strain": 0}
 
@@ -83,15 +87,25 @@ class Heard:
     slope : tuple of float
         Of `response_slope`.
     choice : Choice, optional
-    driven : bool
-        By events: its spectra are not those of stationary noise.
+    impacts : Events
+        Of the stretch in which they are most of the motion.
     motion : Motion, optional
     """
 
     slope: tuple[float, float]
     choice: Choice | None
-    driven: bool
+    impacts: Events
     motion: Motion | None
+
+    @property
+    def driven(self) -> bool:
+        """By events: its spectra are not those of stationary noise."""
+        return self.impacts.driven
+
+    @property
+    def interval(self) -> float:
+        """Between the events whose decays are most of the motion, s; 0 where it is under forces that last."""
+        return self.impacts.interval if self.driven else 0.0
 
     @property
     def turn(self) -> Complex | None:
@@ -164,7 +178,27 @@ def with_nothing_found(history: TimeHistory, left_out: list[str], modes: int, ba
     if modes:
         return left_out
     slower = f"; modes below {50 / history.duration:.3g} Hz need a longer record (50 cycles)"
-    return [*left_out, f"no mode found in {span}: {history.duration:.4g} s look like noise{slower}"]
+    found = highest_peaks(history, bands[-1].low, bands[0].high)
+    seen = f"peaks at {', '.join(found)} stay without a mode" if found else f"{history.duration:.4g} s look like noise"
+    return [*left_out, f"no mode found in {span}: {seen}{slower}"]
+
+
+def highest_peaks(history: TimeHistory, low: float, high: float) -> tuple[str, ...]:
+    """The highest peaks of the spectrum between two frequencies, Hz, that noise does not make, with their heights."""
+    psd = csd(history.pick([c.id for c in history.channels[:EYES]]), Welch(AVERAGES / history.duration))
+    if psd.freqs.size < 4 * BESIDE:
+        return ()
+    auto = np.real(np.einsum("fii->fi", psd.data))
+    level = (auto / np.maximum(auto.mean(axis=0), np.finfo(np.float64).tiny)).mean(axis=1)
+    sides = np.median(sliding_window_view(level, BESIDE), axis=1)
+    height = np.zeros(level.size)
+    around = np.maximum(sides[: -BESIDE - 1], sides[BESIDE + 1 :])  # a slope is no peak
+    height[BESIDE:-BESIDE] = level[BESIDE:-BESIDE] / np.maximum(around, np.finfo(np.float64).tiny)
+    top = height >= maximum_filter1d(height, 2 * BESIDE + 1)
+    top &= (height > 1 + SURE / np.sqrt(AVERAGES)) & (psd.freqs > low) & (psd.freqs < high)
+    at = np.flatnonzero(top)
+    at = np.sort(at[np.argsort(-height[at])[:SHOWN]])
+    return tuple(f"{psd.freqs[i]:.4g} Hz ({10 * np.log10(height[i]):.0f} dB)" for i in at.tolist())
 
 
 def struck(heard: list[Events]) -> tuple[str, ...]:

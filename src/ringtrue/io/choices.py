@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
@@ -13,6 +12,7 @@ from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing
+from ringtrue.io.foreign.texts import read_json, read_toml
 
 _KINDS = {"pick": Pick, "reject": Reject, "merge": Merge}
 _HEAD = """\
@@ -35,11 +35,8 @@ def read_choice(path: str | Path) -> Choice:
         If it is no TOML or JSON, or an entry has a key or value that is not allowed.
     """
     path = existing(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        table = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, ValueError) as exc:
-        raise ConfigError(f"{path}: not {'JSON' if path.suffix.lower() == '.json' else 'TOML'}: {exc}") from exc
+    read = read_json if path.suffix.lower() == ".json" else read_toml
+    table = read(path, ConfigError)
     if not isinstance(table, dict):
         raise ConfigError(f"{path}: not a choice; it must have `pick`, `reject` or `merge`")
     return _choice(table, str(path))

@@ -3,6 +3,8 @@
 An object becomes a group. Its attribute `kind` says what it is (`dataclass`, `tuple`, `list`, `dict`, `sparse`,
 `value`); arrays are data sets named after their fields, things that hold arrays are groups, and all else stands
 in one JSON text, the data set `_plain`. A class is stored as `module:name` and only loaded from `ringtrue.*`.
+Every data set that holds anything has HDF5's Fletcher-32 checksum. Text has a fixed length: that of variable length
+would stand in a heap of the file that no checksum covers.
 """
 
 from __future__ import annotations
@@ -19,8 +21,11 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.errors import DataError
+from ringtrue.io.foreign.arrays import check_compressed
+from ringtrue.io.foreign.texts import json_value
 
 PLAIN = "_plain"
+SCALAR = "scalar"  # marks an array without axes
 LARGE = 1 << 16  # bytes from which on an array is compressed: a fifth of noise, most of meshes and tables
 _SPARSE = {name: getattr(sparse, name) for name in ("csr_array", "csc_array", "csr_matrix", "csc_matrix")}
 
@@ -43,9 +48,9 @@ def save(group: h5py.Group, obj: object) -> None:
     if len(group):
         raise DataError(f"{group.name}: the group is not empty; delete it first")
     kind, parts = _parts(obj, group.name or "/")
-    group.attrs["kind"] = kind
+    group.attrs["kind"] = np.bytes_(kind)
     if dataclasses.is_dataclass(obj):
-        group.attrs["class"] = _class_name(type(obj))
+        group.attrs["class"] = np.bytes_(_class_name(type(obj)))
     plain = {}
     for name, value in parts.items():
         where = f"{group.name}/{name}"
@@ -55,7 +60,7 @@ def save(group: h5py.Group, obj: object) -> None:
             save(group.create_group(name), value)
         else:
             plain[name] = _encode(value, where)
-    group.create_dataset(PLAIN, data=json.dumps(plain, allow_nan=False), dtype=h5py.string_dtype())
+    _put_array(group, PLAIN, np.frombuffer(json.dumps(plain, allow_nan=False).encode(), dtype=np.uint8))
 
 
 def load(group: h5py.Group) -> Any:
@@ -69,11 +74,21 @@ def load(group: h5py.Group) -> Any:
     kind = group.attrs.get("kind")
     if kind is None or PLAIN not in group:
         raise DataError(f"{group.file.filename}:{group.name}: not an object stored by ringtrue")
-    parts = {k: _decode(v) for k, v in json.loads(group[PLAIN].asstr()[()]).items()}
+    parts = {k: _decode(v) for k, v in json_value(_plain(group[PLAIN]), group.file.filename).items()}
     for name, item in group.items():
         if name != PLAIN:
             parts[name] = load(item) if isinstance(item, h5py.Group) else _get_array(item)
-    return _build(str(kind), parts, group)
+    return _build(text_of(kind), parts, group)
+
+
+def text_of(attribute: Any) -> str:
+    """The text of an attribute, of fixed or of variable length."""
+    return attribute.decode() if isinstance(attribute, bytes) else str(attribute)
+
+
+def _plain(item: h5py.Dataset) -> str:
+    """The JSON text; files of earlier versions have it as one of variable length."""
+    return str(item.asstr()[()]) if h5py.check_string_dtype(item.dtype) else bytes(item[()]).decode()
 
 
 def _parts(obj: object, where: str) -> tuple[str, dict[str, Any]]:
@@ -108,14 +123,16 @@ def _sparse_parts(matrix: Any, where: str) -> dict[str, Any]:
 
 def _build(kind: str, parts: dict[str, Any], group: h5py.Group) -> Any:
     if kind == "dataclass":
-        return _make(_class(str(group.attrs["class"])), parts)
+        return _make(_class(text_of(group.attrs["class"])), parts)
     if kind in ("tuple", "list"):
         values = [parts[str(i)] for i in range(len(parts))]
         return tuple(values) if kind == "tuple" else values
     if kind == "dict":
         return {k: parts[str(i)] for i, k in enumerate(parts["keys"])}
     if kind == "sparse":
-        return _SPARSE[parts["format"]]((parts["data"], parts["indices"], parts["indptr"]), shape=parts["shape"])
+        arrays = (parts["data"], parts["indices"], parts["indptr"])
+        check_compressed(parts["format"][:3], *arrays, parts["shape"])
+        return _SPARSE[parts["format"]](arrays, shape=parts["shape"])
     if kind == "value":
         return parts["value"]
     raise DataError(f"{group.file.filename}:{group.name}: unknown kind {kind!r}")
@@ -139,17 +156,28 @@ def _put_array(group: h5py.Group, name: str, a: np.ndarray[Any, Any]) -> None:
     if a.dtype.kind in "UO":
         if not all(isinstance(x, str) for x in a.ravel().tolist()):
             raise DataError(f"{group.name}/{name}: an array of objects that are not text cannot be stored")
-        group.create_dataset(name, data=a.astype(object), dtype=h5py.string_dtype())
-    elif a.nbytes >= LARGE:
-        group.create_dataset(name, data=a, compression="gzip", compression_opts=1, shuffle=True)
+        text = np.char.encode(a.astype(np.str_), "utf-8")
+        fixed = h5py.string_dtype("utf-8", max(text.dtype.itemsize, 1))
+        _put_checked(group, name, text.astype(fixed))
     else:
+        _put_checked(group, name, a)
+
+
+def _put_checked(group: h5py.Group, name: str, a: np.ndarray[Any, Any]) -> None:
+    """A data set with a checksum, which needs an axis and at least one entry."""
+    if not a.size:
         group.create_dataset(name, data=a)
+        return
+    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if a.nbytes >= LARGE else {}
+    made = group.create_dataset(name, data=np.atleast_1d(a), fletcher32=True, **packed)
+    if not a.ndim:
+        made.attrs[SCALAR] = True
 
 
 def _get_array(item: h5py.Dataset) -> np.ndarray[Any, Any]:
-    if h5py.check_string_dtype(item.dtype):
-        return np.asarray(item.asstr()[()], dtype=np.str_)
-    return np.asarray(item[()])
+    text = h5py.check_string_dtype(item.dtype)
+    a = np.asarray(item.asstr()[()], dtype=np.str_) if text else np.asarray(item[()])
+    return a.reshape(()) if SCALAR in item.attrs else a
 
 
 def _holds_arrays(value: object) -> bool:

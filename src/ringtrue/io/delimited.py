@@ -18,8 +18,9 @@ from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.clock import is_clock, seconds
 from ringtrue.io.complex_cells import parted
+from ringtrue.io.files import read_text
 from ringtrue.io.logger_lines import header_cells, is_lacking, without_headers, without_words
-from ringtrue.io.plain import TIME_NAMES, RawTable, numbered, read_text
+from ringtrue.io.plain import TIME_NAMES, RawTable, numbered
 from ringtrue.io.si import known
 from ringtrue.io.times import even_grid, in_seconds, without_repeated
 
@@ -39,7 +40,8 @@ _SECONDS = {
     "min": 60.0,
     "h": 3600.0,
 }
-_AXES = ("hz", "khz", "rad/s", "db", "deg", "°", "rad")  # of FRFs
+_OF_FREQUENCY = ("hz", "khz", "rad/s", "rpm")
+_AXES = (*_OF_FREQUENCY, "db", "deg", "°", "rad")  # of FRFs
 _UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
 _NUMBER = r"(?P<x>\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
 _RATE = re.compile(
@@ -90,11 +92,22 @@ def read_columns(path: Path) -> tuple[list[str], Float]:
     DataError
         If the file is empty, binary or has a cell that is no number.
     """
+    names, rows, delimiter, comma = _titled(path)
+    return names, numbers(rows, delimiter, comma, path)
+
+
+def read_titles(path: Path) -> list[str]:
+    """Titles of the columns of a delimited text, as `read_columns` gives them; the numbers are not read."""
+    return _titled(path)[0]
+
+
+def _titled(path: Path) -> tuple[list[str], list[str], str, bool]:
+    """Titles, rows of numbers, the delimiter and whether commas are decimal."""
     _, lines, delimiter, comma = _opened(path)
     width = len(_cells(lines[-1], delimiter))
     top = _head_rows(lines, delimiter, comma, width)
     names = _titles([_cells(x, delimiter) for x in lines[:top]], width, path)
-    return names, numbers(lines[top:], delimiter, comma, path)
+    return names, lines[top:], delimiter, comma
 
 
 def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
@@ -153,9 +166,9 @@ def _dialect(line: str) -> tuple[str, bool]:
 
 def _cells(line: str, delimiter: str) -> list[str]:
     if delimiter == " ":
-        return line.split()
+        return line.split() or [""]
     try:
-        return next(csv.reader([line], delimiter=delimiter))
+        return next(csv.reader([line], delimiter=delimiter)) or [""]
     except (csv.Error, StopIteration):
         return line.split(delimiter)
 
@@ -203,11 +216,25 @@ def _titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
     if len(head) == 1 and len(rows[0]) != width:
         raise DataError(f"{path}: {len(rows[0])} names in the header, {width} columns")
     fit = [r for r in rows if len(r) == width and width > 1] or [r for r in rows[-1:] if len(r) == width]
-    if len(fit) < 2 or not all(_is_unit(u.strip("[]()")) for u in fit[-1][1:]):
+    units = [_unbracketed(u) for u in fit[-1]] if len(fit) > 1 else []
+    # a unit of frequency stands first, whatever is beside it: analysers and their users write many units
+    if not units or not (units[0].lower() in _OF_FREQUENCY or all(_is_unit(u) for u in units[1:])):
         return fit[-1] if fit else []
-    units = [u.strip("[]()").strip("-") if _is_unit(u.strip("[]()")) else "" for u in fit[-1]]
     told = [(m := _UNIT.match(n)) is not None and _is_unit(m[2]) for n in fit[-2]]
+    units = [u.strip("-") for u in units]
     return [n if t or not u else f"{n} [{u}]" for n, u, t in zip(fit[-2], units, told, strict=True)]
+
+
+def _unbracketed(cell: str) -> str:
+    """A cell without brackets around all of it: `[g/N]`, `((m/s^2)/N)`."""
+    text = cell.strip()
+    while text[:1] in ("[", "(") and text[-1:] in ("]", ")"):
+        inside = text[1:-1]
+        depth = np.cumsum([(c in "[(") - (c in "])") for c in inside] or [0])
+        if depth.min() < 0:  # two pairs: `(m/s^2)/(N)`
+            break
+        text = inside.strip()
+    return text
 
 
 def _commented(told: Sequence[str], delimiter: str, width: int) -> list[str]:
@@ -217,7 +244,7 @@ def _commented(told: Sequence[str], delimiter: str, width: int) -> list[str]:
 
 
 def _is_unit(text: str) -> bool:
-    over, _, under = text.rpartition("/")
+    over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
     return text.lower() in ("", "-", *_SECONDS, *_AXES) or bool(known(text) or (over and known(over) and known(under)))
 
 

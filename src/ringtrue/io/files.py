@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ringtrue.errors import DataError
+from ringtrue.io.atomic import reads
 
 
 def absence(path: Path) -> str:
@@ -13,7 +14,7 @@ def absence(path: Path) -> str:
 
 
 def existing(path: str | Path) -> Path:
-    """`path` as a Path.
+    """`path` as a Path; it is an input of the run from now on.
 
     Raises
     ------
@@ -23,4 +24,24 @@ def existing(path: str | Path) -> Path:
     path = Path(path)
     if not path.is_file():
         raise DataError(f"{path}: {absence(path)}")
+    reads(path)
     return path
+
+
+def read_text(path: Path) -> str:
+    """Text in UTF-8, UTF-16 with its mark, or Latin-1, as editors and instruments write it.
+
+    Raises
+    ------
+    DataError
+        If there are zero bytes: a binary file.
+    """
+    raw = path.read_bytes()
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", "replace")
+    if b"\x00" in raw:
+        raise DataError(f"{path}: has zero bytes; this is not a text file")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")

@@ -16,7 +16,7 @@ from ringtrue.core.motions import BASE, FORCES, FRF_KIND, LINEAR, Motion, as_mot
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
-from ringtrue.io.delimited import read_columns
+from ringtrue.io.delimited import read_columns, read_titles
 from ringtrue.io.frf_lines import known_lines, say_accelerances
 from ringtrue.io.si import hertz, known, to_si
 
@@ -53,7 +53,7 @@ class _Title:
 def is_frf_table(path: Path) -> bool:
     """Whether the first column of a delimited text is named a frequency and others are parts of complex numbers."""
     try:
-        names = read_columns(path)[0]
+        names = read_titles(path)
     except DataError:
         return False
     return len(names) > 2 and bool(_FREQUENCY.match(names[0])) and any(_title(n) is not None for n in names[1:])
@@ -77,6 +77,8 @@ def read_frf_table(path: Path) -> FrfSet:
     if len(names) != len(data) or not names or not _FREQUENCY.match(names[0]):
         raise DataError(f"{path}: the first column must be named a frequency; it is {names[:1]}")
     parts, units = _columns(names, path)
+    if not parts:
+        raise DataError(f"{path}: no column is a part of an FRF, such as `1+Z/2+Z real`; there are {names[1:9]}")
     freqs, order = np.unique(data[0] * hertz(names[0]), return_index=True)
     if freqs.size != data.shape[1]:
         raise DataError(f"{path}: {data.shape[1] - freqs.size} frequencies occur twice")

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import logging
-import struct
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from tokenize import TokenError
 from typing import get_args
 
 import h5py
@@ -17,13 +13,17 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_
 from ringtrue.core.signals import Channel, FrfKind, FrfSet
-from ringtrue.errors import DataError, did_you_mean
+from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.contents import ending_means
 from ringtrue.io.files import existing
+from ringtrue.io.foreign.arrays import read_npz
+from ringtrue.io.foreign.hdf5 import open_hdf5
 from ringtrue.io.frf_arrays import holds_frf_arrays, read_frf_arrays
 from ringtrue.io.frf_lines import known_lines
 from ringtrue.io.frf_tables import is_frf_table, read_frf_table, write_frf_table
+from ringtrue.io.magnitudes import refuse_large
 from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY
 from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions
 from ringtrue.io.uff.write_functions import write_frf_sets
@@ -31,21 +31,11 @@ from ringtrue.io.uff.write_functions import write_frf_sets
 log = logging.getLogger(__name__)
 
 GROUP = "frfs"
+_ROUNDED = 1e-3  # that a coherence of three digits may be beyond 1
 _CLEAR, _MOST = 6.0, 0.9  # standard deviations, of noise, that a phase rises by; share of the FRFs in which it does
 _UFF = (".uff", ".unv", ".58")
 _HDF5 = (".h5", ".hdf5")
 _TEXT = (".csv", ".txt")
-_DAMAGED = (
-    zlib.error,
-    struct.error,
-    EOFError,
-    KeyError,
-    SyntaxError,
-    TypeError,
-    OverflowError,
-    MemoryError,
-    RuntimeError,
-)
 
 
 def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
@@ -80,7 +70,8 @@ def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     elif ext in _TEXT:
         frfs = read_frf_table(path)
     else:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, ['.npz', *_HDF5, *_UFF, *_TEXT])}")
+        known = did_you_mean(ext, [".npz", *_HDF5, *_UFF, *_TEXT])
+        raise DataError(f"{path}: no FRFs{ending_means(path) or f': format {ext!r}{known}'}")
     _check(frfs, path)
     frfs = _forward(frfs, path)
     there = {c.id for c in (*frfs.outputs, *frfs.inputs)}
@@ -120,9 +111,9 @@ def holds_frfs(path: str | Path) -> bool:
 def _own(path: Path) -> bool:
     """Whether an HDF5 file holds FRFs in ringtrue's layout."""
     try:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             return GROUP in file or "averages" in file
-    except (OSError, RuntimeError):
+    except DataError:
         return True  # what is wrong with it `read_frfs` tells
 
 
@@ -154,6 +145,17 @@ def _check(frfs: FrfSet, path: Path) -> None:
         raise DataError(f"{path}: kind {frfs.kind!r}{did_you_mean(frfs.kind, kinds)}")
     if frfs.freqs[0] < 0:
         raise DataError(f"{path}: the lines begin at {frfs.freqs[0]:g} Hz; they must be 0 or more")
+    with about(path):
+        refuse_large(frfs.freqs, "frequency")
+        refuse_large(frfs.data, "FRF")
+    lines, outs, ins = np.nonzero((frfs.coherence < -_ROUNDED) | (frfs.coherence > 1 + _ROUNDED))
+    if lines.size:
+        at = int(lines[0]), int(outs[0]), int(ins[0])
+        where = f"{frfs.outputs[at[1]].id}/{frfs.inputs[at[2]].id} at {frfs.freqs[at[0]]:g} Hz"
+        raise DataError(
+            f"{path}: coherence {frfs.coherence[at]:g} of {where}, and {lines.size - 1} more beyond 0 to 1: not a "
+            "coherence, or in per cent; mend it or leave it out of the file"
+        )
     step = np.diff(frfs.freqs)
     if not np.isfinite(step).all() or step.min() <= 0:
         raise DataError(
@@ -173,23 +175,15 @@ def _forward(frfs: FrfSet, path: Path) -> FrfSet:
 
 
 def _read_h5(path: Path) -> FrfSet:
-    try:
-        with h5py.File(path, "r") as file:
-            group = file.get(GROUP, file)
-            frfs = codec.load(group)
-    except (OSError, RuntimeError, KeyError, TypeError, AttributeError, MemoryError) as exc:
-        raise DataError(f"{path}: not a readable HDF5 file of FRFs ({exc})") from exc
+    with open_hdf5(path, "HDF5 file of FRFs") as file:
+        frfs = codec.load(file.get(GROUP, file))
     if not isinstance(frfs, FrfSet):
         raise DataError(f"{path}: holds a {type(frfs).__name__}, not FRFs")
     return frfs
 
 
 def _read_npz(path: Path) -> FrfSet:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            data = {k: archive[k] for k in archive.files}
-    except (ValueError, OSError, zipfile.BadZipFile, TokenError, *_DAMAGED) as exc:
-        raise DataError(f"{path}: not a readable .npz file ({exc})") from exc
+    data = read_npz(path)
     names = ("freq", "H1")
     if lost := [n for n in names if n not in data]:
         raise DataError(f"{path}: {' and '.join(lost)} missing; there are {', '.join(data) or 'no arrays'}")

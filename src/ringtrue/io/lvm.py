@@ -11,7 +11,8 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DataError
 from ringtrue.io.delimited import numbers, read_csv
-from ringtrue.io.plain import RawTable, read_text
+from ringtrue.io.files import read_text
+from ringtrue.io.plain import RawTable
 
 _END = "***End_of_Header***"
 _SPECIAL = ("***Start_of_Special***", "***End_of_Special***")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,22 +10,21 @@ from typing import Any
 
 import h5py
 import numpy as np
-from scipy.io import loadmat, savemat
-from scipy.io.matlab import MatReadError
+from scipy import sparse
+from scipy.io import savemat
 
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
-from ringtrue.io.mat5 import is_mat5, read_mat5
+from ringtrue.io.foreign.hdf5 import is_hdf5
+from ringtrue.io.foreign.process import read_apart
 from ringtrue.io.plain import RawTable, columns_first, h5_values, is_time, named_rate, numbered, time_grid, without_time
 from ringtrue.io.si import known
 
-_SIZE_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of level 4, by its precision
 _PEEK = 1 << 16
 _NAMES = ("channels", "names", "labels", "channel_names", "ids", "name")
 _UNITS = ("units", "unit")
 _NAME, _UNIT = ("name", "signalname", "channelname"), ("unit", "unit_string", "label")  # of one channel
-_BROKEN = (MatReadError, ValueError, OSError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
 
 
 def read_mat(path: Path) -> RawTable:
@@ -71,7 +69,7 @@ def mat_values(path: Path) -> dict[str, Any]:
     DataError
         If the file is damaged.
     """
-    return _singly(h5_values(path, _value_73, "MATLAB 7.3") if h5py.is_hdf5(path) else _flat(_read_5(path)))
+    return _singly(h5_values(path, _value_73, "MATLAB 7.3") if is_hdf5(path) else _flat(_read_5(path)))
 
 
 def _singly(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -128,34 +126,9 @@ def _text_73(item: h5py.Dataset) -> str:
 
 
 def _read_5(path: Path) -> dict[str, Any]:
-    """Level 5 by ringtrue's own reader, as scipy's ends the process on damaged files; level 4 by scipy."""
-    with path.open("rb") as file:
-        head = file.read(128)
-    if is_mat5(head):
-        return read_mat5(path)
-    _check_4(path)
-    try:
-        found = loadmat(path, spmatrix=False)
-    except _BROKEN as exc:
-        raise DataError(f"{path}: not a readable MATLAB file ({type(exc).__name__}: {exc})") from exc
-    return {k: v for k, v in found.items() if not k.startswith("__")}
-
-
-def _check_4(path: Path) -> None:
-    """The matrices of a level 4 file must lie within it: type, rows, columns, imaginary part, length of the name."""
-    raw = path.read_bytes()
-    at = 0
-    order = "<" if raw[:4] and 0 <= struct.unpack("<i", raw[:4].ljust(4, b"\0"))[0] < 5000 else ">"
-    while at < len(raw):
-        if at + 20 > len(raw):
-            raise DataError(f"{path}: not a readable MATLAB file: it is cut or damaged")
-        kind, rows, columns, imaginary, name = struct.unpack_from(f"{order}5i", raw, at)
-        size = _SIZE_4.get(kind % 100 // 10, 0)
-        if not 0 <= kind < 5000 or not size or min(rows, columns) < 0 or imaginary not in (0, 1) or not 0 < name < 1024:
-            raise DataError(f"{path}: not a readable MATLAB file: no matrix at byte {at}")
-        at += 20 + name + rows * columns * size * (1 + imaginary)
-        if at > len(raw):
-            raise DataError(f"{path}: not a readable MATLAB file: a matrix of {rows} x {columns} passes its end")
+    """Variables of levels 4 and 5; sparse matrices are no samples."""
+    found = read_apart("matlab", path, "MATLAB file")
+    return {name: value for name, value in found.items() if not sparse.issparse(value)}
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -13,15 +13,20 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from scipy import io as scipy_io
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_
+from ringtrue.core.arrays import Any_, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.errors import DataError, did_you_mean
+from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io.files import existing
+from ringtrue.io.foreign.arrays import compressed_matrix, read_npz, triplet_matrix
+from ringtrue.io.foreign.door import door
+from ringtrue.io.foreign.hdf5 import is_hdf5, open_hdf5
+from ringtrue.io.foreign.process import read_apart
 from ringtrue.io.op4 import read_op4
+from ringtrue.io.plain import check_stored
 
+_WIDEST = 80  # characters of a number in a Harwell-Boeing file: its lines have 80
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _FORTRAN = re.compile(r"\((?:\d*P,?)?(\d*)\s*[IEDFG](\d+)(?:\.\d+)?(?:E\d+)?\)", re.IGNORECASE)
 
@@ -96,15 +101,15 @@ def read_matrices(path: str | Path) -> MatrixFile:
     path = existing(path)
     with path.open("rb") as f:
         start = f.read(8)
-    if start == _HDF5 or (path.suffix.lower() == ".mat" and h5py.is_hdf5(path)):
+    if start == _HDF5 or (path.suffix.lower() == ".mat" and is_hdf5(path)):
         return _hdf5(path)
     if start.startswith(b"%%Matri"):
-        return _one(path, sparse.csr_array(sparse.coo_array(scipy_io.mmread(path, spmatrix=False))))
+        return _one(path, read_apart("matrix market", path, "MatrixMarket file"))
     kinds: dict[str, Callable[[Path], MatrixFile]] = {
         ".mat": _matlab,
         ".op4": lambda p: MatrixFile(read_op4(p), {}),
         ".mtx": _abaqus,
-        ".npz": lambda p: _one(p, sparse.csr_array(sparse.load_npz(p))),
+        ".npz": _scipy,
         **dict.fromkeys((".hb", ".rb", ".rsa", ".rua", ".matrix", ".full"), _harwell_boeing),
     }
     kind = kinds.get(path.suffix.lower())
@@ -121,22 +126,37 @@ def _one(path: Path, matrix: sparse.csr_array, dofs: DofSet | None = None) -> Ma
 
 
 def _matlab(path: Path) -> MatrixFile:
-    try:
-        found = scipy_io.loadmat(path, spmatrix=False)
-    except (ValueError, TypeError, OSError) as e:
-        raise DataError(f"{path}: not a MATLAB file: {e}") from e
     matrices: dict[str, sparse.csr_array] = {}
     arrays: dict[str, Any_] = {}
-    todo = [(name, value) for name, value in found.items() if not name.startswith("__")]
+    todo = list(read_apart("matlab", path, "MATLAB file").items())
     while todo:
         name, value = todo.pop(0)
-        if isinstance(value, (sparse.coo_array, sparse.csc_array)):
-            matrices[name] = sparse.csr_array(value)
+        if isinstance(value, sparse.csr_array):
+            matrices[name] = value
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fciu":
             _sort(name, value, matrices, arrays)
-        elif isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:  # a structure
-            todo += [(f"{name}.{key}", value[key].reshape(-1)[0]) for key in value.dtype.names]
+        elif isinstance(value, dict):  # a structure
+            todo += [(f"{name}.{key}", part) for key, part in value.items()]
     return MatrixFile(matrices, arrays)
+
+
+def _scipy(path: Path) -> MatrixFile:
+    """What `scipy.sparse.save_npz` writes."""
+    parts = read_npz(path)
+    with about(path), door(path, "sparse matrix of scipy"):
+        kind = parts["format"].item()
+        kind = kind.decode("ascii") if isinstance(kind, bytes) else str(kind)
+        shape = _two(parts["shape"])
+        if kind == "coo":
+            return _one(path, triplet_matrix(parts["data"], parts["row"], parts["col"], shape))
+        if kind not in ("csr", "csc"):
+            raise DataError(f"a sparse matrix of kind {kind!r}{did_you_mean(kind, ('csr', 'csc', 'coo'))}")
+        return _one(path, compressed_matrix(kind, parts["data"], parts["indices"], parts["indptr"], shape))
+
+
+def _two(shape: Any_) -> tuple[int, int]:
+    rows, columns = (int(n) for n in np.ravel(shape))
+    return rows, columns
 
 
 def _sort(name: str, value: Any_, matrices: dict[str, sparse.csr_array], arrays: dict[str, Any_]) -> None:
@@ -150,7 +170,7 @@ def _sort(name: str, value: Any_, matrices: dict[str, sparse.csr_array], arrays:
 def _hdf5(path: Path) -> MatrixFile:
     matrices: dict[str, sparse.csr_array] = {}
     arrays: dict[str, Any_] = {}
-    with h5py.File(path) as f:
+    with open_hdf5(path) as f, about(path):
         turned = path.suffix.lower() == ".mat"  # MATLAB stores columns first
 
         def visit(name: str, item: h5py.Group | h5py.Dataset) -> None:
@@ -158,7 +178,7 @@ def _hdf5(path: Path) -> MatrixFile:
                 if (made := _sparse_group(item)) is not None:
                     matrices[name] = made
             elif item.dtype.kind in "fciu" and _sparse_group(item.parent) is None:
-                value = item[()]
+                value = _stored(item)
                 _sort(name, np.asarray(value.T if turned and np.ndim(value) == 2 else value), matrices, arrays)
 
         f.visititems(visit)
@@ -168,18 +188,28 @@ def _hdf5(path: Path) -> MatrixFile:
 def _sparse_group(g: h5py.Group) -> sparse.csr_array | None:
     """MATLAB's data, ir, jc; scipy's and AnnData's data, indices, indptr; triplets data, row, col."""
     if {"data", "ir", "jc"} <= set(g) and "MATLAB_sparse" in g.attrs:
-        n = int(g.attrs["MATLAB_sparse"])
-        parts = (g["data"][()], g["ir"][()].astype(np.int64), g["jc"][()].astype(np.int64))
-        return sparse.csr_array(sparse.csc_array(parts, shape=(n, parts[2].size - 1)))
+        starts = _stored(g["jc"])
+        size = (int(g.attrs["MATLAB_sparse"]), starts.size - 1)
+        return compressed_matrix("csc", _stored(g["data"]), _stored(g["ir"]), starts, size)
     shape = g.attrs["shape"] if "shape" in g.attrs else g["shape"][()] if "shape" in g else None
-    size = None if shape is None else (int(shape[0]), int(shape[1]))
     if {"data", "indices", "indptr"} <= set(g):
         text = g.attrs.get("encoding-type", g.attrs.get("format", "csr"))
-        made = sparse.csc_array if "csc" in str(text) else sparse.csr_array
-        return sparse.csr_array(made((g["data"][()], g["indices"][()], g["indptr"][()]), shape=size))
+        kind = "csc" if "csc" in str(text) else "csr"
+        data, indices, starts = (_stored(g[name]) for name in ("data", "indices", "indptr"))
+        lines, across = starts.size - 1, int(indices.max(initial=-1)) + 1
+        size = _two(shape) if shape is not None else (lines, across) if kind == "csr" else (across, lines)
+        return compressed_matrix(kind, data, indices, starts, size)
     if {"data", "row", "col"} <= set(g):
-        return sparse.csr_array((g["data"][()], (g["row"][()], g["col"][()])), shape=size)
+        data, row, column = (_stored(g[name]) for name in ("data", "row", "col"))
+        return triplet_matrix(data, row, column, None if shape is None else _two(shape))
     return None
+
+
+def _stored(data: h5py.Dataset) -> Any_:
+    """The numbers of a data set; MATLAB's complex ones have two fields."""
+    check_stored(data, data.file.filename)
+    values: Any_ = data[()]
+    return values["real"] + 1j * values["imag"] if values.dtype.names == ("real", "imag") else values
 
 
 def _abaqus(path: Path) -> MatrixFile:
@@ -187,15 +217,17 @@ def _abaqus(path: Path) -> MatrixFile:
     try:
         text = path.read_text(encoding="ascii").replace(",", " ")
         rows = np.array([x.split() for x in text.splitlines() if x.strip() and x.strip()[0] not in "*#%"])
+        if rows.ndim != 2 or rows.shape[1] not in (3, 5):
+            raise ValueError(f"lines of {rows.shape[-1]} numbers; 3 or 5 are known")
         numbers = np.char.replace(np.char.upper(rows), "D", "E").astype(np.float64)
-        if numbers.ndim != 2 or numbers.shape[1] not in (3, 5):
-            raise ValueError(f"lines of {numbers.shape[-1]} numbers; 3 or 5 are known")
+        places = _whole_numbers(numbers[:, :-1])
     except ValueError as e:
         raise DataError(f"{path}: not a matrix of Abaqus: {e}") from e
     if numbers.shape[1] == 3:
-        i, j = (numbers[:, :2].astype(np.int64) - 1).T
-        return _one(path, _whole(numbers[:, 2], i, j, int(max(i.max(), j.max())) + 1))
-    ends = numbers[:, :4].astype(np.int64)
+        i, j = (places - 1).T
+        with about(path):
+            return _one(path, _whole(numbers[:, 2], i, j, int(max(i.max(), j.max())) + 1))
+    ends = places
     if ends[:, 1::2].min() < 0 or ends[:, 1::2].max() > 6:
         raise DataError(f"{path}: degree of freedom {ends[:, 1::2].max()}; known are 1 to 6")
     every, place = np.unique(np.concatenate([ends[:, :2], ends[:, 2:]]), axis=0, return_inverse=True)
@@ -206,7 +238,7 @@ def _abaqus(path: Path) -> MatrixFile:
 
 def _whole(values: Any_, i: Any_, j: Any_, n: int) -> sparse.csr_array:
     """The matrix; if only one triangle is there, the other one too."""
-    a = sparse.csr_array((values, (i, j)), shape=(n, n))
+    a = triplet_matrix(values, i, j, (n, n))
     if (i >= j).all() or (i <= j).all():
         a = sparse.csr_array(a + a.T - sparse.diags_array(a.diagonal(), format="csr"))
     return a
@@ -220,18 +252,20 @@ def _harwell_boeing(path: Path) -> MatrixFile:
         kind, (n_rows, n_columns, nonzero) = lines[2][:3].upper(), (int(x) for x in lines[2][3:].split()[:3])
         pointer, index, value = _formats(lines[3])
         at = 4 + (len(counts) > 4 and counts[4] > 0)
-        indptr, at = _fixed(lines, at, n_columns + 1, *pointer)
-        indices, at = _fixed(lines, at, nonzero, *index)
+        indptr, at = _integers(lines, at, n_columns + 1, pointer)
+        indices, at = _integers(lines, at, nonzero, index)
         per = 2 if kind[0] == "C" else 1
         data, _ = _fixed(lines, at, per * nonzero, *value) if kind[0] != "P" else (np.ones(nonzero), at)
     except (ValueError, IndexError, UnicodeDecodeError) as e:
         raise DataError(f"{path}: not a Harwell-Boeing file: {e}") from e
     if kind[2] != "A" or kind[1] not in "SUR":
         raise DataError(f"{path}: matrix type {kind}; known are assembled ones, symmetric or not (RSA, RUA)")
+    if kind[1] == "S" and n_rows != n_columns:
+        raise DataError(f"{path}: matrix type {kind} is symmetric, but it has {n_rows} rows and {n_columns} columns")
     if per == 2:
         data = data.view(np.complex128)
-    shape = (n_rows, n_columns)
-    a = sparse.csr_array(sparse.csc_array((data, indices.astype(np.int64) - 1, indptr.astype(np.int64) - 1), shape))
+    with about(path):
+        a = compressed_matrix("csc", data, indices - 1, indptr - 1, (n_rows, n_columns))
     if kind[1] == "S":
         a = sparse.csr_array(a + a.T - sparse.diags_array(a.diagonal(), format="csr"))
     return _one(path, a)
@@ -245,11 +279,25 @@ def _formats(line: str) -> list[tuple[int, int]]:
     return [*found, (1, 1)][:3]
 
 
+def _integers(lines: list[str], at: int, count: int, form: tuple[int, int]) -> tuple[Int, int]:
+    values, at = _fixed(lines, at, count, *form)
+    return _whole_numbers(values), at
+
+
+def _whole_numbers(values: Any_) -> Int:
+    if not (np.abs(values) < 2.0**53).all() or (values != np.round(values)).any():
+        raise ValueError("a pointer, index or number of a node is no integer")
+    return values.astype(np.int64)
+
+
 def _fixed(lines: list[str], at: int, count: int, per: int, width: int) -> tuple[Any_, int]:
     """`count` numbers of fixed width, `per` a line, from line `at`; and the line after them."""
+    if count < 0 or per < 1 or not 0 < width <= _WIDEST:
+        raise ValueError(f"{count} numbers, {per} a line, of {width} characters")
     used = -(-count // per)
     if at + used > len(lines):
         raise ValueError(f"it ends at line {len(lines)}, before line {at + used}")
-    joined = "".join(x[: per * width].ljust(per * width) for x in lines[at : at + used])
+    row = min(per, count) * width
+    joined = "".join(x[:row].ljust(row) for x in lines[at : at + used])
     parts = [joined[i : i + width].upper().replace("D", "E") for i in range(0, count * width, width)]
     return np.array(parts, dtype=np.float64), at + used

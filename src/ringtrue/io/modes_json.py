@@ -14,10 +14,13 @@ import numpy as np
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.errors import DataError, did_you_mean
+from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing
+from ringtrue.io.foreign.hdf5 import open_hdf5
+from ringtrue.io.foreign.texts import read_json
+from ringtrue.io.magnitudes import refuse_large
 from ringtrue.io.mode_tables import read_mode_table, write_mode_table
 from ringtrue.io.uff.modes import read_mode_sets, write_mode_sets
 
@@ -98,6 +101,9 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
     """
     try:
         rows, channels = table["modes"], tuple(str(c) for c in table.get("channels", ()))
+        for k, row in enumerate(rows, start=1):
+            if not isinstance(row, Mapping):
+                raise TypeError(f"mode {k} is {row!r}; it must be a table with frequency_hz")
         shapes = np.array([_shape(row) for row in rows], dtype=np.complex128)
         frequency, damping = (_column(rows, key) for key in ("frequency_hz", "damping"))
         confidence = _column(rows, "confidence", 1.0)
@@ -163,12 +169,17 @@ def read_modes(path: str | Path) -> ModeSet:
         If the file is missing, unreadable or holds no modes.
     """
     path = existing(path)
+    modes = _read(path)
+    with about(path):
+        for what, values in (("frequency", modes.frequencies), ("damping", modes.damping), ("shape", modes.shapes)):
+            refuse_large(values, what)
+    return modes
+
+
+def _read(path: Path) -> ModeSet:
     ext = path.suffix.lower()
     if ext == ".json":
-        try:
-            table = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as exc:
-            raise DataError(f"{path}: not a JSON file ({exc})") from exc
+        table = read_json(path)
         if not isinstance(table, dict):
             raise DataError(f"{path}: not a table of modes; it must have `modes` and `channels`")
         return modes_from_json(table, str(path))
@@ -182,11 +193,8 @@ def read_modes(path: str | Path) -> ModeSet:
 
 
 def _read_h5(path: Path) -> ModeSet:
-    try:
-        with h5py.File(path, "r") as file:
-            modes = codec.load(file.get(GROUP, file))
-    except OSError as exc:
-        raise DataError(f"{path}: not a readable HDF5 file ({exc})") from exc
+    with open_hdf5(path) as file:
+        modes = codec.load(file.get(GROUP, file))
     if not isinstance(modes, ModeSet):
         raise DataError(f"{path}: holds a {type(modes).__name__}, not modes")
     return modes
@@ -205,13 +213,13 @@ def read_std(path: str | Path) -> tuple[Float, Float]:
         return read_mode_table(path)[1:]
     modes = read_modes(path)
     if path.suffix.lower() == ".json":
-        rows = json.loads(path.read_text(encoding="utf-8"))["modes"]
+        rows = read_json(path)["modes"]
         try:
             return _column(rows, "std_frequency_hz"), _column(rows, "std_damping")
         except ValueError as exc:
             raise DataError(f"{path}: {exc}") from exc
     if path.suffix.lower() in _HDF5:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             found = codec.load(file["uncertainty"]) if "uncertainty" in file else None
         if isinstance(found, Uncertainty) and found.frequency.size == len(modes):
             return found.frequency, found.damping

@@ -15,6 +15,8 @@ from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DataError
 
 BIG = 65536  # rows from which strings carry their length and row in two words
+MOST = 100_000_000  # rows and columns of all matrices of a file: 0.8 GB of pointers
+_LINE = 1024  # characters of the numbers of a line
 _FORMAT = re.compile(r"(?:1P,?)?(\d+)[ED](\d+)\.")
 
 
@@ -45,7 +47,7 @@ def read_op4(path: Path) -> dict[str, sparse.csr_array]:
         raise DataError(f"{path}: the file is empty")
     try:
         return dict(_binary(raw) if _is_binary(raw) else _ascii(raw.decode("ascii")))
-    except (ValueError, IndexError, UnicodeDecodeError) as e:
+    except (ValueError, IndexError, OverflowError) as e:
         raise DataError(f"{path}: not an OUTPUT4 file, or cut short: {e}") from e
 
 
@@ -104,6 +106,8 @@ class _Lines:
     def reals(self, words: int) -> Any_:
         count = words // self.share
         used = -(-count // self.per)
+        if self.at + used > len(self.lines):
+            raise ValueError(f"{count} numbers pass the end of the file")
         row = self.per * self.width
         joined = "".join(x[:row].ljust(row) for x in self.lines[self.at : self.at + used]).upper().replace("D", "E")
         self.at += used
@@ -135,6 +139,8 @@ class _Record:
 def _column(header: _Header, found: _Strings, column: int, row: int, words: int, source: _Source) -> None:
     """The runs of one column: dense from `row` on, or strings if `row` is 0 (a loop: each string tells where the next
     one stands)."""
+    if column < 1 or words < 0:
+        raise ValueError(f"column {column} of {words} words")
     if row > 0:
         found.add(column, row, source.reals(words))
         return
@@ -146,22 +152,31 @@ def _column(header: _Header, found: _Strings, column: int, row: int, words: int,
             mark = int(source.integers(1)[0])
             length, first = (mark >> 16) - 1, mark & 0xFFFF
             used = length + 1
+        if length < 1:
+            raise ValueError(f"a string of {length} words in column {column}")
         found.add(column, first, source.reals(length))
         words -= used
 
 
-def _header(columns: int, rows: int, kind: int, name: str) -> _Header:
+def _header(columns: int, rows: int, kind: int, name: str, room: int) -> _Header:
+    """The header of a matrix; `room` is how many rows and columns are left of `MOST`."""
+    if kind not in (1, 2, 3, 4) or columns < 0 or abs(rows) + columns > room:
+        raise ValueError(f"a matrix of type {kind}, {abs(rows)} x {columns}; allowed are types 1 to 4, {MOST} in all")
     return _Header(columns, abs(rows), rows < 0 or rows >= BIG, kind, name.replace("\0", "").strip().upper())
 
 
 def _ascii(text: str) -> Iterator[tuple[str, sparse.csr_array]]:
     lines, at = text.splitlines(), 0
+    room = MOST
     while at < len(lines) and lines[at].strip():
         head = lines[at]
         columns, rows, _, kind = (int(head[i : i + 8]) for i in range(0, 32, 8))
-        header = _header(columns, rows, kind, head[32:40])
+        header = _header(columns, rows, kind, head[32:40], room)
+        room -= header.rows + header.columns
         given = _FORMAT.match(head[40:].strip().upper())
         per, width = (int(given[1]), int(given[2])) if given else (5, 16)
+        if not 0 < per * width <= _LINE:
+            raise ValueError(f"{per} numbers of {width} characters a line")
         found, at = _Strings(header), at + 1
         while True:
             column, row, words = (int(lines[at][i : i + 8]) for i in range(0, 24, 8))
@@ -178,10 +193,12 @@ def _binary(raw: bytes) -> Iterator[tuple[str, sparse.csr_array]]:
     order, wide = "<" if raw[0] else ">", 0x30 in (raw[0], raw[3])
     integer = np.dtype(f"{order}i{8 if wide else 4}")
     at = 0
+    room = MOST
     while at < len(raw):
         record, at = _record(raw, at, order)
         columns, rows, _, kind = np.frombuffer(record, integer, 4).tolist()
-        header = _header(columns, rows, kind, record[4 * integer.itemsize :].decode("ascii"))
+        header = _header(columns, rows, kind, record[4 * integer.itemsize :].decode("ascii"), room)
+        room -= header.rows + header.columns
         number = np.dtype(f"{order}f{8 if wide else 4 * header.words}")
         found = _Strings(header)
         while True:

@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any
 
 import h5py
@@ -14,6 +13,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.foreign.arrays import read_npy as read_array
+from ringtrue.io.foreign.hdf5 import open_hdf5
 from ringtrue.io.si import known
 from ringtrue.io.times import LONG, THIN, even_grid, in_seconds, uneven
 
@@ -21,7 +22,6 @@ _RATE_NAMES = ("rate", "fs", "samplingrate", "samplerate", "fsamp", "fsample", "
 _RATE_WORDS = ("samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq")
 _STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep", "ts")
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
-_BAD_HEADER = (SyntaxError, TokenError, RecursionError)  # of the Python text in a .npy file
 _SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times
 _CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
 
@@ -105,10 +105,7 @@ def columns_first(a: Any_, path: Path) -> Any_:
 
 def read_npy(path: Path) -> RawTable:
     """A NumPy array (sample, channel), or (sample,); more channels than samples are taken for (channel, sample)."""
-    try:
-        a = np.load(path, mmap_mode="r", allow_pickle=False)  # a damaged shape cannot ask for memory
-    except (ValueError, EOFError, OSError, TypeError, OverflowError, MemoryError, *_BAD_HEADER) as exc:
-        raise DataError(f"{path}: not a readable .npy file ({exc})") from exc
+    a = read_array(path)
     if a.ndim not in (1, 2) or a.dtype.kind not in "fiu":
         raise DataError(f"{path}: array {a.shape} {a.dtype}; it must be (sample, channel) and real")
     a = a.T if a.ndim == 2 and a.shape[1] > a.shape[0] > 0 else a
@@ -227,11 +224,8 @@ def h5_values(path: Path, value: Callable[[str, h5py.Dataset], Any], kind: str =
         if isinstance(item, h5py.Dataset) and (kept := value(name, item)) is not None:
             found[name.replace("/", ".")] = kept
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(keep)
-    except (OSError, RuntimeError, KeyError, ValueError, MemoryError, TypeError) as exc:
-        raise DataError(f"{path}: not a readable {kind} file ({exc})") from exc
+    with open_hdf5(path, f"{kind} file") as file:
+        file.visititems(keep)
     return found
 
 
@@ -255,25 +249,6 @@ def named_rate(values: Mapping[str, Any]) -> float | None:
 
 def _is_real(value: Any) -> bool:
     return getattr(value, "dtype", np.asarray(value).dtype if np.isscalar(value) else np.dtype(object)).kind in "fiu"
-
-
-def read_text(path: Path) -> str:
-    """Text in UTF-8, UTF-16 with its mark, or Latin-1, as instruments write it.
-
-    Raises
-    ------
-    DataError
-        If there are zero bytes: a binary file.
-    """
-    raw = path.read_bytes()
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return raw.decode("utf-16", "replace")
-    if b"\x00" in raw:
-        raise DataError(f"{path}: has zero bytes; this is not a text file")
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
 
 
 def without_time(table: RawTable, path: Path) -> RawTable:

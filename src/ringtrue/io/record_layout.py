@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,20 +11,10 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.signals import Channel, Quantity, TimeHistory
-from ringtrue.errors import DataError, InputError
+from ringtrue.errors import DataError
 from ringtrue.io.si import to_si
 
 FORMAT = "ringtrue-record"
-_DAMAGED = (
-    OSError,
-    RuntimeError,
-    ValueError,
-    KeyError,
-    TypeError,
-    AttributeError,
-    MemoryError,
-    OverflowError,
-)  # what h5py raises on damage
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,25 +99,6 @@ TABLE = {
     "sensor": str,
     "calibration": str,
 }
-
-
-def open_hdf5(path: str | Path) -> h5py.File:
-    """The file for reading; `DataError` where it is no HDF5 file."""
-    try:
-        return h5py.File(path, "r")
-    except OSError as exc:
-        raise DataError(f"{path}: not a readable HDF5 file ({exc})") from exc
-
-
-@contextmanager
-def intact(path: str | Path) -> Iterator[None]:
-    """What h5py raises on a damaged file becomes a `DataError` that names it."""
-    try:
-        yield
-    except InputError:
-        raise
-    except _DAMAGED as exc:
-        raise DataError(f"{path}: damaged ({type(exc).__name__}: {exc})") from exc
 
 
 def find_record(file: h5py.File) -> h5py.Group | None:

@@ -13,11 +13,14 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.contents import ending_means
 from ringtrue.io.delimited import read_csv, write_csv
-from ringtrue.io.files import existing
+from ringtrue.io.files import existing, read_text
+from ringtrue.io.foreign.hdf5 import open_hdf5
+from ringtrue.io.frfs import holds_frfs
 from ringtrue.io.lvm import read_lvm, read_lvm_segments
 from ringtrue.io.matfile import read_mat, write_mat
-from ringtrue.io.plain import RawTable, check_stored, joined, read_h5_table, read_npy, read_text
+from ringtrue.io.plain import RawTable, check_stored, joined, read_h5_table, read_npy
 from ringtrue.io.record_layout import (
     FORMAT,
     TABLE,
@@ -25,8 +28,6 @@ from ringtrue.io.record_layout import (
     RecordInfo,
     channel_positions,
     find_record,
-    intact,
-    open_hdf5,
     record_group,
     stored_info,
     stored_samples,
@@ -47,7 +48,9 @@ _READERS = {
 }
 _HDF5 = (".h5", ".hdf5")
 _SLOWEST, _FASTEST = 1e-5, 1e9  # Hz: a sample a day, and what no recorder of vibration reaches
+_LARGEST = 1e70  # fourth powers stay finite
 _UFF = (".uff", ".unv", ".58")
+_MAY_HOLD_FRFS = (".csv", ".txt", ".mat", *_HDF5)  # universal files say what they hold where they are read
 _WRITERS = {".csv": write_csv, ".mat": write_mat, ".uff": write_time, ".unv": write_time}
 
 
@@ -126,7 +129,7 @@ def record_info(path: str | Path) -> RecordInfo:
     DataError
         If the file has another layout, or its table or rate is wrong.
     """
-    with open_hdf5(path) as file, intact(path):
+    with open_hdf5(path) as file:
         return stored_info(record_group(file, path), path)
 
 
@@ -249,10 +252,9 @@ def record_blocks(
     if not samples > overlap >= 0:
         raise DataError(f"{path}: blocks of {samples} samples must be longer than their overlap {overlap} >= 0")
     with open_hdf5(path) as file:
-        with intact(path):
-            group = record_group(file, path)
-            info = stored_info(group, path)
-            at = channel_positions(info, channels, path)
+        group = record_group(file, path)
+        info = stored_info(group, path)
+        at = channel_positions(info, channels, path)
         for start in range(0, max(info.samples - overlap, 1), samples - overlap):
             yield stored_samples(group, info, at, slice(start, start + samples))
 
@@ -261,10 +263,12 @@ def _read(
     path: Path, rate: float | None, channels: Sequence[str] | None, samples: slice, group: str, gaps: bool
 ) -> TimeHistory:
     ext = path.suffix.lower()
+    if not group:
+        _refuse_frfs(path, ext)
     if group and ext not in (*_HDF5, ".tdms"):
         raise DataError(f"{path}: group {group!r}: only .tdms and HDF5 files have groups")
     if ext in _HDF5:
-        with open_hdf5(path) as file, intact(path):
+        with open_hdf5(path) as file:
             own = find_record(file)
             if own is not None and not group:
                 return _read_own(own, path, rate, channels, samples)
@@ -278,10 +282,21 @@ def _read(
     elif ext in _READERS:
         table = _READERS[ext](path)
     else:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, [*_HDF5, *_UFF, *_READERS, '.tdms'])}")
+        known = did_you_mean(ext, [*_HDF5, *_UFF, *_READERS, ".tdms"])
+        raise DataError(f"{path}: no record{ending_means(path) or f': format {ext!r}{known}'}")
     history = _from_table(table.evened() if gaps else table, path, rate)
     history = history if channels is None else history.pick(channels)
     return replace(history, data=history.data[:, samples])
+
+
+def _refuse_frfs(path: Path, ext: str) -> None:
+    """A `DataError` where a file whose ending may be of both holds FRFs."""
+    if ext in _HDF5:
+        with open_hdf5(path) as file:
+            if find_record(file) is not None:
+                return
+    if ext in _MAY_HOLD_FRFS and holds_frfs(path):
+        raise DataError(f"{path}: holds FRFs, no time record; `ringtrue ema` takes FRFs")
 
 
 def _joined(path: Path, ext: str) -> RawTable | None:
@@ -337,7 +352,11 @@ def refuse_bad_samples(history: TimeHistory, path: Path, check: bool = True, gap
         raise DataError(f"{path}: {history.data.shape[1]} samples; a record needs at least 2")
     if not check:
         return
-    low, high = history.data.min(axis=1), history.data.max(axis=1)
+    low, high = (x.astype(np.float64) for x in (history.data.min(axis=1), history.data.max(axis=1)))
+    for i in np.flatnonzero(np.isfinite(low) & np.isfinite(high) & (np.maximum(-low, high) > _LARGEST))[:1].tolist():
+        raise DataError(
+            f"{path}: channel {history.channels[i].id} reaches {max(-low[i], high[i]):.2g}: no unit makes that"
+        )
     bad = ~(np.isfinite(low) & np.isfinite(high))
     for i in np.flatnonzero(bad) if gaps else ():
         known = history.data[i, np.isfinite(history.data[i])]

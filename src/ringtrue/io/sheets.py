@@ -9,15 +9,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import openpyxl
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.channels import input_id, other_names
 from ringtrue.core.motions import LINEAR
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import existing
-from ringtrue.io.plain import read_text
+from ringtrue.io.files import existing, read_text
+from ringtrue.io.foreign.door import door
+from ringtrue.io.foreign.workbooks import read_sheet, sheet_names
+from ringtrue.io.magnitudes import refuse_large
 from ringtrue.io.record_layout import RecordChannel
 from ringtrue.io.si import to_si
 
@@ -37,6 +39,7 @@ COLUMNS = (
     "calibration",
 )
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+_LAST_POINT = 9_999_999_999  # ten columns of a universal file
 _PARALLEL = np.cos(np.radians(1.0))
 _SQUARE = np.sin(np.radians(2.0))
 
@@ -68,6 +71,7 @@ class SensorSheet:
     def scaled(self, history: TimeHistory) -> tuple[TimeHistory, tuple[str, ...]]:
         """A record with what it does not tell itself taken from the sheet, and what is to be said of it.
 
+        A channel has the name of the sheet; where this is that of the opposite sign, its samples change sign.
         A channel without a unit, or in volts, is divided by its sensitivity and becomes SI of its unit; units that a
         record tells stand. The type of a sensor is that of the sheet where the record has none. A record without names,
         of as many channels as the sheet has motions, has those in their order.
@@ -78,6 +82,7 @@ class SensorSheet:
             scaled, notes = self.scaled(replace(history, channels=named))
             said = f"channels without names are the motions of the sensor sheet in its order: {_some(names)}"
             return scaled, (said, *notes)
+        history, turned = self._named(history)
         lost = [c.id for c in history.channels if c.id not in rows and c.quantity == "unknown"]
         notes = (f"without a unit, and not on the sensor sheet: {_some(lost)}",) if lost else ()
         channels, factors = list[Channel](), np.ones(len(history.channels))
@@ -86,12 +91,23 @@ class SensorSheet:
             if row is not None and c.quantity == "unknown" and row.tells:
                 factors[k], c = row.to_si, row.channel()
             channels.append(replace(c, sensor=c.sensor or (row.sensor if row else "")))
+        notes = (*turned, *notes)
         if tuple(channels) == history.channels:
             return history, notes
         told = [new.id for old, new in zip(history.channels, channels, strict=True) if old.quantity != new.quantity]
         note = f"{len(told)} channels without a unit taken as the sensor sheet says: {_some(told)}"
         data = history.data if (factors == 1).all() else history.data * factors[:, None]
         return replace(history, data=data, channels=tuple(channels)), (note, *notes) if told else notes
+
+    def _named(self, history: TimeHistory) -> tuple[TimeHistory, tuple[str, ...]]:
+        """A record with the sheet's names of its motions, those of opposite sign turned, and which were."""
+        ids = [c.id for c in history.channels]
+        named, sign = self.model.named(ids)
+        if list(named) == ids:
+            return history, ()
+        channels = tuple(replace(c, id=name) for c, name in zip(history.channels, named, strict=True))
+        data = history.data if (sign > 0).all() else history.data * sign[:, None].astype(history.data.dtype)
+        return replace(history, data=data, channels=channels), other_names(ids, named, sign)
 
     def _in_order(self, ids: Sequence[str]) -> tuple[str, ...]:
         """The motions for a record without names; empty where it has names or another number of channels.
@@ -136,10 +152,19 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> Sens
     if lost := sorted({p for pair in pairs for p in pair} - set(points.tolist())):
         raise DataError(f"{path}: lines name points that are not there: {lost[:8]}")
     at = np.array([c.point for c in channels], dtype=np.int64)
-    motion = np.flatnonzero([c.quantity != "force" for c in channels])
-    here = tuple(ids[i] for i in motion)
+    moving = np.array([c.quantity != "force" for c in channels], dtype=np.bool_)
+    motion, force = np.flatnonzero(moving), np.flatnonzero(~moving)
     model = TestModel(
-        points, xyz, here, at[motion], axes[motion], np.array(pairs, dtype=np.int64).reshape(-1, 2), groups
+        points,
+        xyz,
+        tuple(ids[i] for i in motion),
+        at[motion],
+        axes[motion],
+        np.array(pairs, dtype=np.int64).reshape(-1, 2),
+        groups,
+        tuple(input_id(ids[i]) for i in force),
+        at[force],
+        axes[force],
     )
     return SensorSheet(model, channels, orientation_notes(model))
 
@@ -198,17 +223,14 @@ def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
     """
     path = existing(path)
     if path.suffix.lower() in (".xlsx", ".xlsm"):
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        page = book[sheet] if sheet else book.worksheets[0]
-        table = [[_text(v) for v in row] for row in page.iter_rows(values_only=True)]
-        book.close()
-        return table
+        return [[_text(v) for v in row] for row in read_sheet(path, sheet)]
     if path.suffix.lower() not in (".csv", ".txt"):
         raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.csv', '.xlsx'])}")
     lines = read_text(path).splitlines()
     first = next((x for x in lines if x.strip() and not x.startswith("#")), "")
     delimiter = max(";\t,", key=first.count)  # commas may be decimal: not more of them than of others
-    return [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
+    with door(path, "CSV table"):
+        return [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
 
 
 def _text(value: object) -> str:
@@ -230,13 +252,14 @@ def _number(row: Row, name: str, where: str, default: float | None = None) -> fl
         raise DataError(f"{where}: {name} is {text!r}; it must be a number") from exc
     if not np.isfinite(value):
         raise DataError(f"{where}: {name} is {text!r}; it must be finite")
+    refuse_large(np.array(value), f"{where}: {name}")
     return value
 
 
 def _point(row: Row, where: str) -> int:
     value = _number(row, "point", where)
-    if value != int(value) or value < 0:
-        raise DataError(f"{where}: point {row['point']!r} must be a whole number >= 0")
+    if value != int(value) or not 0 <= value <= _LAST_POINT:
+        raise DataError(f"{where}: point {row['point']!r} must be a whole number from 0 to {_LAST_POINT}")
     return int(value)
 
 
@@ -318,7 +341,7 @@ def _line_rows(path: Path, lines: str | Path | None) -> list[tuple[int, int]]:
     table: list[list[str]] = []
     if lines is not None:
         table = cells(Path(lines), None)
-    elif path.suffix.lower() in (".xlsx", ".xlsm") and "lines" in _sheet_names(path):
+    elif path.suffix.lower() in (".xlsx", ".xlsm") and "lines" in sheet_names(path):
         table = cells(path, "lines")
     pairs = []
     for i, row in enumerate(table, start=1):
@@ -328,10 +351,3 @@ def _line_rows(path: Path, lines: str | Path | None) -> list[tuple[int, int]]:
             raise DataError(f"{lines or path} lines row {i}: {row[:2]} must be two point numbers")
         pairs.append((int(row[0]), int(row[1])))
     return pairs
-
-
-def _sheet_names(path: Path) -> list[str]:
-    book = openpyxl.load_workbook(path, read_only=True)
-    names = list(book.sheetnames)
-    book.close()
-    return names

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import existing
+from ringtrue.io.files import existing, read_text
+from ringtrue.io.foreign.door import door
+from ringtrue.io.magnitudes import refuse_large
 
 COLUMNS = ("case", "channel", "load", "deflection")
 
@@ -52,12 +55,14 @@ def read_statics(path: str | Path) -> StaticTests:
         without a load or without a deflection; file and line are named.
     """
     path = existing(path)
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        reader = csv.DictReader(file)
+    with door(path, "CSV table"):
+        reader = csv.DictReader(StringIO(read_text(path), newline=""))
         heads = [h.strip().lower() for h in reader.fieldnames or ()]
         for h in heads:
             if h not in COLUMNS:
                 raise DataError(f"{path}: column {h!r}{did_you_mean(h, COLUMNS)}")
+        if twice := sorted({h for h in heads if heads.count(h) > 1}):
+            raise DataError(f"{path}: column {twice[0]!r} stands there twice")
         if lost := [c for c in COLUMNS if c not in heads]:
             raise DataError(f"{path}: no column {lost[0]!r}; a table of static tests has {', '.join(COLUMNS)}")
         rows = [
@@ -94,4 +99,5 @@ def _number(path: Path, line: int, name: str, text: str, empty: float) -> float:
         value = np.inf
     if np.isinf(value):
         raise DataError(f"{path}:{line}: {name} {text!r} is not a number")
+    refuse_large(np.array(value), f"{path}:{line}: {name}")
     return value

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nptdms import TdmsFile
 
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.foreign.tdms import open_tdms
 from ringtrue.io.plain import RawTable, is_time, named_rate, time_grid
 from ringtrue.io.si import known
 
-_TAGS = (b"TDSm", b"TDSh")
-_LEAD_IN = struct.Struct("<4sIIQQ")
 _UNIT = ("unit_string", "NI_UnitDescription", "Unit", "unit")
-_TOO_MANY = 1 << 20  # objects or properties: a damaged count, not a file
 
 
 def read_tdms(path: Path, group: str = "") -> RawTable:
@@ -35,7 +28,7 @@ def read_tdms(path: Path, group: str = "") -> RawTable:
     DataError
         If it is no TDMS file, it is damaged, holds no numbers or no such group, or rates or lengths differ.
     """
-    with _opened(path) as file:
+    with open_tdms(path) as file:
         found = _signals(file, path)
         told = named_rate(file.properties)
         if group:
@@ -50,7 +43,7 @@ def read_tdms(path: Path, group: str = "") -> RawTable:
 
 def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
     """A table for each group where all hold the same channels of one rate: triggered blows; else one table of all."""
-    with _opened(path) as file:
+    with open_tdms(path) as file:
         found = _signals(file, path)
         groups = [[c for c in found if c.group_name == g] for g in dict.fromkeys(c.group_name for c in found)]
         shown = {(tuple(c.name for c in g), _rate(g[0])) for g in groups}
@@ -59,7 +52,7 @@ def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
 
 def read_tdms_pieces(path: Path) -> tuple[tuple[float, RawTable], ...]:
     """Each group with its start (s), where all have one (`wf_start_time`); else none."""
-    with _opened(path) as file:
+    with open_tdms(path) as file:
         found = _signals(file, path)
         groups = [[c for c in found if c.group_name == g] for g in dict.fromkeys(c.group_name for c in found)]
         starts = [_start(g[0]) for g in groups]
@@ -79,7 +72,7 @@ def _start(channel: Any) -> float:
     )
 
 
-def _signals(file: TdmsFile, path: Path) -> list[Any]:
+def _signals(file: Any, path: Path) -> list[Any]:
     found = [c for g in file.groups() for c in g.channels() if len(c) and c.dtype.kind in "fiu"]
     if not found:
         raise DataError(f"{path}: no channel with numbers in the file")
@@ -117,43 +110,6 @@ def _check_alike(found: list[Any], path: Path) -> None:
             f"{path}: channels of {lengths[0]} to {lengths[-1]} samples; they must be equal: split the file"
         )
     raise DataError(f"{path}: rates from {min(known):g} to {max(known):g} Hz; split the file")
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[TdmsFile]:
-    raw = path.read_bytes()
-    _check_segments(raw, path)
-    try:
-        with TdmsFile.open(BytesIO(raw)) as file:  # in memory a damaged length cannot ask for more than there is
-            yield file
-    except DataError:
-        raise
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, OverflowError) as exc:
-        raise DataError(f"{path}: not a readable TDMS file ({type(exc).__name__}: {exc})") from exc
-    except (MemoryError, RuntimeError, UnicodeError, ArithmeticError, AssertionError, struct.error) as exc:
-        raise DataError(f"{path}: a damaged TDMS file ({type(exc).__name__}: {exc})") from exc
-
-
-def _check_segments(raw: bytes, path: Path) -> None:
-    """The chain of segments and their counts of objects, before nptdms believes them."""
-    at, seen = 0, 0
-    while at + _LEAD_IN.size <= len(raw):
-        tag, mask, _, after, data_at = _LEAD_IN.unpack_from(raw, at)
-        if tag not in _TAGS:
-            break
-        seen += 1
-        order = ">" if mask & 64 else "<"
-        if order == ">":
-            after, data_at = struct.unpack_from(">QQ", raw, at + 12)
-        if after != 2**64 - 1 and (data_at > after or at + _LEAD_IN.size + data_at > len(raw)):
-            raise DataError(f"{path}: segment {seen} has its samples {data_at} bytes on, past its end: the file is cut")
-        if mask & 2 and at + _LEAD_IN.size + 4 <= len(raw):
-            (objects,) = struct.unpack_from(f"{order}I", raw, at + _LEAD_IN.size)
-            if objects > min(_TOO_MANY, len(raw)):
-                raise DataError(f"{path}: segment {seen} announces {objects} objects: the file is damaged")
-        at = at + _LEAD_IN.size + after if after != 2**64 - 1 else len(raw)
-    if not seen:
-        raise DataError(f"{path}: not a TDMS file")
 
 
 def _values(channel: Any) -> Float:

@@ -52,7 +52,9 @@ def resolve_target(model: Model, target: Target | FieldChange) -> Int:
     rows = np.flatnonzero(table.ids == target.id)
     if not rows.size:
         near = table.ids[np.argsort(abs(table.ids - target.id), kind="stable")[:3]].tolist()
-        raise InputError(f"{target.card} {target.id} is not in the model; the nearest ids are {near}")
+        raise InputError(
+            f"{target.card} {target.id} is not in the model; did you mean {near[0]}? The nearest ids are {near}"
+        )
     ply = ply_field(target.field)
     if ply and target.field not in table.columns:
         count = int(table.ragged(ply[0]).sizes[rows].min())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,8 +34,7 @@ class AskedModes:
             f = found.modes.frequencies
             at = np.flatnonzero((f >= self.low) & (f <= self.high))[: self.count]
             if at.size == self.count or (f > self.high).any() or f.size < wanted:
-                modes, residuals = found.modes.take(at), found.residuals[at]
-                return ModesResult(modes, residuals, found.complete, found.proof, found.orthogonality)
+                return replace(found, modes=found.modes.take(at), residuals=found.residuals[at])
             wanted = min(2 * wanted, wanted + self.count - at.size)
 
 

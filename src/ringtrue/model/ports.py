@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
 from ringtrue.core.arrays import Any_, Float
-from ringtrue.core.dofs import DofSet
+from ringtrue.core.dofs import NO_DOFS, DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.model.model import Model
@@ -38,6 +38,9 @@ class ModesResult:
         What was counted, in words.
     orthogonality : float
         max |ΦᵀMΦ − I|; NaN where the solver does not tell.
+    autospc : DofSet
+        DOFs that were held because nothing stiffens them, in the displacement frames; empty where the solver does not
+        tell.
     """
 
     modes: ModeSet
@@ -45,6 +48,7 @@ class ModesResult:
     complete: bool
     proof: str
     orthogonality: float = float("nan")
+    autospc: DofSet = NO_DOFS
 
 
 @runtime_checkable

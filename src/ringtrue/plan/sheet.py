@@ -17,6 +17,8 @@ from ringtrue.plan.setups import Setups
 from ringtrue.virtual.logbook import direction, write_lines, write_sheet
 from ringtrue.virtual.sensors import Sensor
 
+NAMES = ("sensors.csv", "lines.csv", "excitation.csv", "modes.csv", "geometry.uff", "setups.csv")  # of a test sheet
+
 
 def write_test_sheet(
     folder: Path,
@@ -63,8 +65,7 @@ def write_test_sheet(
         raise InputError(f"reach {reach.shape}: must be (reference, mode) = {(len(references), frequencies.size)}")
     struck = test.pick(references)
     folder.mkdir(parents=True, exist_ok=True)
-    names = ("sensors.csv", "lines.csv", "excitation.csv", "modes.csv", "geometry.uff")
-    sensors, lines, excitation, modes, geometry = (folder / n for n in names)
+    sensors, lines, excitation, modes, geometry, roving = (folder / n for n in NAMES)
     write_sheet(sensors, test, test.channels, [sensor] * len(test.channels) if sensor else None)
     write_lines(lines, test)
     _table(
@@ -84,8 +85,8 @@ def write_test_sheet(
     files = sensors, lines, excitation, modes, geometry
     if setups is None:
         return files
-    _table(folder / "setups.csv", ("setup", "sensor", "point", "channels", "stays"), _places(test, setups))
-    return *files, folder / "setups.csv"
+    _table(roving, ("setup", "sensor", "point", "channels", "stays"), _places(test, setups))
+    return *files, roving
 
 
 def _places(test: TestModel, setups: Setups) -> list[tuple[object, ...]]:

@@ -250,7 +250,12 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         if alone:
             continue
         fig.add_scatter(y=f32(table.mac_percent), xaxis="x2", yaxis="y2", showlegend=False, **drawn)
-        fig.data[-1].hovertemplate = f"{name}, %{{text}}: MAC %{{y:.1f}} %<extra>%{{x}} Hz</extra>"
+        fig.data[-1].customdata = f32(table.subspace_mac_percent)
+        fig.data[
+            -1
+        ].hovertemplate = (
+            f"{name}, %{{text}}: MAC %{{y:.1f}} %, subspace MAC %{{customdata:.1f}} %<extra>%{{x}} Hz</extra>"
+        )
     for a in (fig.layout.xaxis, fig.layout.xaxis2):
         a.update(categoryorder="array", categoryarray=list(names.values()))
     if alone:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
+from ringtrue.plots.embedded import script_json
 from ringtrue.plots.style import FONT, INK
 
 _STYLE = (
@@ -41,10 +42,5 @@ def figure_page(
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title><style>{_STYLE}</style>'
         f"<script>{get_plotlyjs()}</script></head><body><h1>{name}</h1>{before}{divs}{after}"
-        f"<script>const figures = {_safe(specs)};{_DRAW}{script}</script></body></html>\n"
+        f"<script>const figures = {script_json(specs)};{_DRAW}{script}</script></body></html>\n"
     )
-
-
-def _safe(text: str) -> str:
-    """JSON inside a script element."""
-    return text.replace("</", "<\\/")

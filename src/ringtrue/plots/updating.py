@@ -43,10 +43,10 @@ def _whole(count: int, most: int) -> dict[str, object]:
 
 
 def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
-    """Objective, mean |Δf| and mean MAC by iteration for every set."""
-    seen = any(np.isfinite(s.mac).any() for s in sets)
+    """Objective, mean |Δf| and mean subspace MAC by iteration for every set."""
+    seen = any(np.isfinite(s.subspace_mac).any() for s in sets)
     thirds = ([0, 0.25], [0.375, 0.625], [0.75, 1.0]) if seen else ([0, 0.44], [0.56, 1.0])
-    titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean MAC, %")[: len(thirds)]
+    titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean subspace MAC, %")[: len(thirds)]
     fig = figure(300)
     longest = max((s.objective.size for s in sets), default=1)
     for k, (domain, title) in enumerate(zip(thirds, titles, strict=True), start=1):
@@ -58,7 +58,7 @@ def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
         look = {"color": QUALITATIVE[i % 8], "width": 2.6 if i == chosen else 1.4}
         name = s.name + (" (chosen)" if i == chosen else "")
         start = s.objective[0] if s.objective.size and s.objective[0] > 0 else 1.0
-        for k, y in enumerate((s.objective / start, s.deviation, s.mac)[: len(thirds)], start=1):
+        for k, y in enumerate((s.objective / start, s.deviation, s.subspace_mac)[: len(thirds)], start=1):
             n = "" if k == 1 else str(k)
             x = np.arange(y.size)
             fig.add_scatter(x=x, y=f32(y), line=look, mode="lines+markers", marker={"size": 5}, name=name)

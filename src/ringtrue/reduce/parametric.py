@@ -323,6 +323,7 @@ def reduced_model(
     points: Sequence[Float] = (),
     pencil: Pencil | None = None,
     modes: EigenModes | None = None,
+    shift: float | None = None,
     progress: Progress | None = None,
 ) -> ReducedModel:
     """Build the basis: modes at x = 0, static sensitivities to every parameter, modes at further points.
@@ -339,13 +340,14 @@ def reduced_model(
         Of the nominal K and M, if there is one already.
     modes : EigenModes, optional
         The lowest of the nominal model, if they are there already: `modes_of(count, options)` or more.
+    shift : float, optional
+        A good negative shift (rad/s)² to find them from; sought if not given.
     """
     options = options or BasisOptions()
     pencil = pencil or Pencil(system.stiffness, system.mass)
     wanted = modes_of(count, options)
     if modes is None or modes.values.size < wanted:
-        known = pencil.shift if pencil.shift < 0 else None  # that of a solution before, whose factor may still be there
-        modes = solve_modes(pencil, wanted, shift=known, progress=part(progress, 0.0, SOLVED))
+        modes = solve_modes(pencil, wanted, shift=shift, progress=part(progress, 0.0, SOLVED))
     n = min(count, modes.values.size)
     energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
     most = (options.size or max(USUAL, 3 * modes.values.size // 2)) - modes.values.size

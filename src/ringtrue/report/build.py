@@ -15,6 +15,7 @@ from plotly.offline import get_plotlyjs
 from ringtrue import __version__
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
+from ringtrue.plots.embedded import script_json
 from ringtrue.report.pack import figure_json
 from ringtrue.report.parts import Acceptance, Photo, Picture, Plot, Scene3D, Section
 from ringtrue.report.sections import (
@@ -151,9 +152,9 @@ class _Figures:
     def add(self, block: Plot | Scene3D) -> int:
         """The position of the figure's data in its list."""
         if isinstance(block, Plot):
-            self.plots.append(_safe(figure_json(block.figure)))
+            self.plots.append(figure_json(block.figure))
             return len(self.plots) - 1
-        self.views.append(_safe(_json(self._shared(block.view.payload))))
+        self.views.append(_json(self._shared(block.view.payload)))
         return len(self.views) - 1
 
     def _shared(self, payload: dict[str, Any]) -> dict[str, Any]:
@@ -169,10 +170,6 @@ class _Figures:
 
 def _json(value: object) -> str:
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
-
-
-def _safe(text: str) -> str:
-    return text.replace("</", "<\\/").replace("<!--", "<\\!--")
 
 
 def _data_url(photo: Photo) -> str:
@@ -194,7 +191,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    env.filters |= {"data_url": _data_url, "diff_lines": _diff_lines}
+    env.filters |= {"data_url": _data_url, "diff_lines": _diff_lines, "script_json": script_json}
     return env
 
 

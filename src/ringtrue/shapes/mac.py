@@ -24,6 +24,17 @@ def unit(shapes: Any_) -> Any_:
     return np.asarray(shapes / np.where(length > 0, length, 1.0))
 
 
+def above_rounding(shapes: Any_) -> Any_:
+    """Shapes (n, m) with those columns at zero that are rounding beside the others.
+
+    A mode that does not move the channels still has values of rounding there, and a MAC of these is chance. The
+    eigenvector of an eigenvalue that is exact to rounding ε is exact to √ε, relative to the largest of the set.
+    """
+    peak = np.abs(shapes).max(axis=0, initial=0.0)
+    visible = peak > np.sqrt(np.finfo(np.float64).eps) * peak.max(initial=0.0)
+    return np.asarray(np.where(visible, shapes, 0.0))
+
+
 def mac(a: Any_, b: Any_) -> Float:
     """MAC = |aᴴb|² / (aᴴa · bᴴb) of each column of `a` with each of `b` (Allemang and Brown, 1982).
 

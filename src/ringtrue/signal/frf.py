@@ -11,6 +11,7 @@ from scipy.special import bdtr
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.blows import Blows, joined
+from ringtrue.core.channels import input_id
 from ringtrue.core.motions import ANGULAR, DERIVATIVE, FRF_KIND, LINEAR, UNIT, channel
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
@@ -24,7 +25,6 @@ from ringtrue.signal.hits import (
     check_hits,
     find_hits,
     force_channel,
-    input_id,
     pulse_width,
 )
 from ringtrue.signal.setups import join_frfs

@@ -20,6 +20,7 @@ _BETWEEN = 2.1  # kurtosis: the geometric mean of 1.5 of a sine and 3 of random 
 _WIDEST = 0.05  # apparent damping of a machine that still has a speed
 _NEAR = 0.4  # share of the power of a band that lies near its pole
 _INSTANTS = 1 << 14  # of an envelope that tell its moments
+_FALLEN = 2.0  # of the logarithm of an amplitude between impacts, whose kurtosis is then that of random response
 _LOUD, _ALIKE, _CHANCE = 0.05, 1.4, 1e-3  # share of the time; its peak power over its least; of a mode to be so steady
 
 
@@ -90,7 +91,11 @@ def _narrow(
 
 
 def steady_amplitudes(
-    history: TimeHistory, frequencies: ArrayLike, damping: ArrayLike, lines: Sequence[float] = ()
+    history: TimeHistory,
+    frequencies: ArrayLike,
+    damping: ArrayLike,
+    lines: Sequence[float] = (),
+    interval: float = 0.0,
 ) -> tuple[str, ...]:
     """Why a pole is taken for a machine by its steady amplitude, always or while it runs; empty where it is not.
 
@@ -112,6 +117,9 @@ def steady_amplitudes(
     damping : (k,) float
     lines : sequence of float, Hz
         Lines known already: they make any band steady.
+    interval : float, s
+        Between impacts that drive the record; 0: none. Amplitudes that do not fall between them are steady, and their
+        largest are alike where the impacts are. Only poles that would fall far are tried.
     """
     f, z = np.asarray(frequencies, dtype=np.float64), np.asarray(damping, dtype=np.float64)
     samples = min(history.data.shape[1], LONGEST)
@@ -121,18 +129,21 @@ def steady_amplitudes(
     apart = np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf) - 120 / duration
     edge = 0.9 * np.minimum(f, history.rate / 2 - f)
     out = [""] * f.size
-    if not ((z < _WIDEST) & (cycles > 40) & (width < np.minimum(edge, apart / 0.75))).any():
+    tried = (z < _WIDEST) & (cycles > 40)
+    if interval:
+        tried &= 2 * np.pi * z * f * interval > _FALLEN
+    if not (tried & (width < np.minimum(edge, apart / 0.75))).any():
         return tuple(out)
     spectrum, n = listened_spectrum(history)
     for k in np.argsort(z, kind="stable").tolist():  # a few poles, sharp lines first
         room = min(edge[k], apart[k] / 0.75)
-        if not (z[k] < _WIDEST and cycles[k] > 40 and width[k] < room):
+        if not (tried[k] and width[k] < room):
             continue
         widths = [float(w) for w in width[k] * np.array([1.0, 2.0, 4.0]) if w < room]
         bands = [_narrow(spectrum, n, samples, history.rate, float(f[k]), w) for w in widths]
         near = [band for band in bands if band[1] < bands[0][1] / _NEAR]
         kurtosis, top = min(x[0] for x in near), min(x[2] for x in near)
-        alike = top < _ALIKE and (1 - _LOUD**top) ** (2 * cycles[k]) < _CHANCE
+        alike = not interval and top < _ALIKE and (1 - _LOUD**top) ** (2 * cycles[k]) < _CHANCE
         if kurtosis < _BETWEEN and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
             out[k] = (
                 f"a machine of unsteady speed: steady amplitude (kurtosis {kurtosis:.2f}, a mode has 3, a sine 1.5)"

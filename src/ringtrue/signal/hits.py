@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.channels import input_id
 from ringtrue.core.motions import FORCES
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -135,15 +136,9 @@ def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
             f"{record.source}: {len(at)} force channels ({' '.join(ids[i] for i in at) or 'none'}) of "
             f"{' '.join(ids[:20])}; there must be one, or name it: HammerSettings.force, --force, "
             "`force_channel` of a log (of a shaken base the accelerometer on it); several are those of "
-            "shakers that run all the time"
+            f"shakers that run all the time{'' if at else '; `ringtrue oma` takes records without a force'}"
         )
     return at[0]
-
-
-def input_id(channel: str) -> str:
-    """The point and direction of a force channel: its id without a leading `F:` or `force:`."""
-    head, _, tail = channel.partition(":")
-    return tail.strip() if tail and head.strip().lower() in ("f", "force") else channel
 
 
 def pulses(force: Float, rate: float, level: float) -> tuple[Int, Int]:

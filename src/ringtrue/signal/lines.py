@@ -34,10 +34,12 @@ AROUND = 40  # lines to each side
 LOBE = 5  # lines to each side of a sine that the window holds
 SLOW = 4  # polynomials of amplitude and phase
 BLOCK = 1 << 16  # samples that are fitted at a time
+MOST = 256  # lines of machines, the strongest: a shop's mains hum and shafts have no more
+TOGETHER = 32  # lines that are fitted at a time: a fit of all would cost the square of their number
 
 
 def steady_lines(history: TimeHistory, *, low: float = 0.0, high: float = np.inf) -> tuple[Harmonic, ...]:
-    """Sines of constant frequency between `low` and `high` Hz.
+    """Sines of constant frequency between `low` and `high` Hz, the strongest where there are more than `MOST`.
 
     Parameters
     ----------
@@ -57,7 +59,9 @@ def steady_lines(history: TimeHistory, *, low: float = 0.0, high: float = np.inf
     k = k[power[k] > ABOVE * np.median(power[k + np.arange(-AROUND, AROUND + 1)[:, None]], axis=0)]
     bend = np.log(np.maximum(power[k + np.arange(-1, 2)[:, None]], 1e-300))
     f = step * (k + 0.5 * (bend[0] - bend[2]) / (bend[0] - 2 * bend[1] + bend[2]))
-    f = f[(f > low) & (f < high)]
+    inside = (f > low) & (f < high)
+    k, f = k[inside], f[inside]
+    f = f[np.sort(np.argsort(-power[k], kind="stable")[:MOST])]
     why = "steady frequency, taken out before modes are sought"
     names = [line_name(float(x), 2 * step, f[:i].tolist()) for i, x in enumerate(f)]
     return tuple(Harmonic(float(x), f"{name}: {why}") for x, name in zip(f, names, strict=True))
@@ -114,23 +118,31 @@ def without_lines(history: TimeHistory, frequencies: Sequence[float]) -> TimeHis
     """
     if not len(frequencies):
         return history
-    samples = history.data.shape[1]
-    taper = window("hann", samples)
-    columns = 2 * SLOW * len(frequencies)
-    gram, right = np.zeros((columns, columns)), np.zeros((columns, len(history.data)))
-    for start in range(0, samples, BLOCK):  # a basis of the whole record would not fit in memory
-        a = _basis(history.rate, samples, frequencies, start)
-        weighted = a * taper[start : start + BLOCK, None]
-        gram += weighted.T @ a
-        right += weighted.T @ history.data[:, start : start + BLOCK].T.astype(np.float64)
-    x = np.linalg.lstsq(gram, right)[0]
     data = np.array(history.data)
-    for start in range(0, samples, BLOCK):
-        data[:, start : start + BLOCK] -= (_basis(history.rate, samples, frequencies, start) @ x).T.astype(data.dtype)
+    parts = [frequencies[k : k + TOGETHER] for k in range(0, len(frequencies), TOGETHER)]
+    sweeps = 1 if len(parts) == 1 else 2  # the second mends what neighbours in two parts took of each other
+    for part in parts * sweeps:
+        _take_out(data, history.rate, part)
     if (data.std(axis=1, dtype=np.float64) <= EMPTY * history.data.std(axis=1, dtype=np.float64)).all():
         told = " ".join(f"{f:.5g}" for f in frequencies[:8])
         raise DataError(f"{history.source}: nothing but steady lines at {told} Hz: a machine or a generator, no mode")
     return replace(history, data=data)
+
+
+def _take_out(data: Any_, rate: float, frequencies: Sequence[float]) -> None:
+    """Fit some lines to the signals (ch, sample) and take them out, in place."""
+    samples = data.shape[1]
+    taper = window("hann", samples)
+    columns = 2 * SLOW * len(frequencies)
+    gram, right = np.zeros((columns, columns)), np.zeros((columns, len(data)))
+    for start in range(0, samples, BLOCK):  # a basis of the whole record would not fit in memory
+        a = _basis(rate, samples, frequencies, start)
+        weighted = a * taper[start : start + BLOCK, None]
+        gram += weighted.T @ a
+        right += weighted.T @ data[:, start : start + BLOCK].T.astype(np.float64)
+    x = np.linalg.lstsq(gram, right)[0]
+    for start in range(0, samples, BLOCK):
+        data[:, start : start + BLOCK] -= (_basis(rate, samples, frequencies, start) @ x).T.astype(data.dtype)
 
 
 def _basis(rate: float, samples: int, frequencies: Sequence[float], start: int) -> Float:

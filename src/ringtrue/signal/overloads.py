@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
+from contextlib import contextmanager
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.signal.preprocess import channel_states
 
 _NEAR_FULL = 0.985  # of the range counts as an overload
 _ALIKE, _UNLIKE, _FINE = 3, 1e-3, 1e-4  # peaks that are one; how unlike what is around them; resolution of a peak
@@ -25,6 +28,31 @@ def ceilings(record: TimeHistory) -> dict[str, float]:
             if peak and at.size >= _ALIKE and _clipped(x, at, abs(peak)):
                 out[channel.id] = abs(peak)
     return out
+
+
+def clipping(record: TimeHistory) -> tuple[str, ...]:
+    """A line for each channel that is clipped: at what value, and in how many of its samples."""
+    cut = {s.id for s in channel_states(record) if s.why.startswith("clipped")}
+    out = []
+    for channel, x in zip(record.channels, record.data, strict=True):
+        if channel.id not in cut:
+            continue
+        low, high = float(x.min()), float(x.max())
+        count = np.count_nonzero((x == low) | (x == high))
+        ends = f"±{high:.4g}" if abs(high + low) < 1e-3 * high else f"{low:.4g} and {high:.4g}"
+        out.append(f"channel {channel.id}: clipped at {ends} {channel.unit} in {count:,} of {x.size:,} samples")
+    return tuple(out)
+
+
+@contextmanager
+def clipping_told(lines: Sequence[str]) -> Iterator[None]:
+    """What goes wrong inside with records that are clipped is said to be of that, by the `lines` of `clipping`."""
+    try:
+        yield
+    except DataError as exc:
+        if lines:
+            raise DataError(f"{'; '.join(lines[:4])}: measure again with a larger range ({exc})") from exc
+        raise
 
 
 def _clipped(x: Any_, at: Int, peak: float) -> bool:

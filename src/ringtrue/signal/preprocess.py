@@ -13,9 +13,10 @@ from scipy.ndimage import median_filter
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.signal.prediction import unforeseen
 from ringtrue.signal.windows import step, window
 
-_LARGEST = 1e70  # fourth powers stay finite
+_LARGEST, _SMALLEST = 1e70, 1e-70  # fourth powers stay finite, and above nothing
 _LINES = 32  # channels that show the lines of machines, at most
 _BATCH = 8  # segments that are transformed together
 _CLEAR = 30.0, 10.0, 1.35  # times the power beside a steady line and around it, and its moment
@@ -25,6 +26,8 @@ _STILL = 5000  # samples to a change of the value: of slower ones nothing is to 
 _LOOK, _LEVELS = 1 << 16, 32  # samples looked at for different values, and how few are a coarse recorder
 _ODD = 100.0  # times the typical level of the channels of a quantity
 _PILE, _BESIDE, _HEAP = 30, 0.01, 5  # samples at an extreme; part of the range beside it; times those there
+_FEW_WRAPS, _LIKE_STEPS = 8, 2.0  # steps over half of the range; what is left of them, over the RMS of all others
+_FORESEEN = 0.7  # of the variance of the error of a prediction, without wraps
 _CUT = 2e-3  # share of the samples at an extreme that changes the statistics of the amplitude
 
 
@@ -130,22 +133,20 @@ def _runs(flag: Bool) -> int:
 
 
 def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
-    """What is wrong with the channels: dead, a straight line, not finite (left out), clipped, coarse, of an odd level,
-    the same as another one (kept, but said).
+    """What is wrong with the channels: dead, a straight line, not finite, wrapping (left out); clipped, coarse, of an
+    odd level, the same as another one (kept, but said).
 
     Raises
     ------
     DataError
-        If values are so large that their squares overflow.
+        If values are so large that their squares overflow, or so small that these vanish.
     """
     data, ids = history.data, [c.id for c in history.channels]
     ends = np.stack([data.max(1), data.min(1)]).astype(np.float64)  # not finite where a sample is not
     finite: Bool = np.asarray(np.isfinite(ends).all(0))
     top = np.where(finite, np.abs(ends).max(0), 0.0)
-    if (top > _LARGEST).any():
-        raise DataError(
-            f"{history.source}: channel {ids[int(top.argmax())]} reaches {top.max():.2g}: no unit makes that"
-        )
+    for i in np.flatnonzero((top > _LARGEST) | ((top > 0) & (top < _SMALLEST)))[:1].tolist():
+        raise DataError(f"{history.source}: channel {ids[i]} reaches {top[i]:.2g}: no unit makes that")
     std = np.array([_std(x) if ok else np.nan for x, ok in zip(data, finite, strict=True)])
     lively = finite & (std > 0)
     typical = float(np.median(std[lively])) if lively.any() else 0.0
@@ -160,6 +161,9 @@ def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
             out.append(ChannelState(ids[i], False, why))
         elif _straight(x, s):
             out.append(ChannelState(ids[i], False, "a straight line: no signal"))
+        elif wraps := _wraps(x, ends[:, i]):
+            why = f"wraps {wraps} times from one end of its range to the other: too few bits, or an overflow"
+            out.append(ChannelState(ids[i], False, why))
         else:
             peers = [std[k] for k, c in enumerate(history.channels) if lively[k] and _alike(c, history.channels[i])]
             said = (_ends(x, ends[:, i]), _level(s, peers), _twin(data, i, ids))
@@ -213,6 +217,27 @@ def _ends(x: Any_, ends: Float) -> str:
         return f"coarse: {levels} different values only"
     stuck = _stuck(x, ends)
     return f"clipped: {stuck} samples stand at its largest value" if stuck > max(4, x.size // 50000) else ""
+
+
+def _wraps(x: Any_, ends: Float) -> int:
+    """How often a signal leaves one end of its range and comes back at the other.
+
+    A step over more than half of the range is one where, less the range, it is like the steps between, and where the
+    signal can be predicted better without such steps; 0 of others, such as noise, telegraphs and clipped signals.
+    """
+    top = float(ends[0] - ends[1])
+    steps = np.diff(x.astype(np.float64))
+    over = np.abs(steps) > 0.5 * top
+    count = int(np.count_nonzero(over))
+    if count <= max(_FEW_WRAPS, x.size // 50000) or np.abs(np.sign(steps[over]).sum()) > 0.5 * count:
+        return 0
+    left = float(np.median(top - np.abs(steps[over])))
+    between = steps[~over]
+    if not between.any() or _ends(x, ends) or left > _LIKE_STEPS * np.sqrt(between @ between / between.size):
+        return 0
+    steps[over] -= np.sign(steps[over]) * top
+    error, without = (unforeseen(detrend(y[None])[0]) for y in (x, np.cumsum(steps)))
+    return count if without @ without < _FORESEEN * (error @ error) else 0
 
 
 def _level(std: float, peers: Sequence[float]) -> str:

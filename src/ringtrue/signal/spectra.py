@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.channels import input_id
 from ringtrue.core.motions import FORCES, FRF_KIND, LINEAR, MOTIONS
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.signal.hits import input_id
 from ringtrue.signal.psd import Welch, csd
 from ringtrue.signal.windows import window
 

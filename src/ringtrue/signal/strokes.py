@@ -17,10 +17,9 @@ from scipy.ndimage import maximum_filter1d
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import TimeHistory
+from ringtrue.signal.prediction import unforeseen
 from ringtrue.signal.sweeps import mixes
 
-FRAME = 1024  # samples: longer transforms leave the cache
-ORDER = 60  # of the prediction: what it does not foresee is the force of the moment
 WINDOW = 4  # samples
 ABOVE = 10.0  # times the median power of the error: of a normal one none of a million windows
 FAINT = 4.0  # times the same, where a blow is due
@@ -63,7 +62,7 @@ def _regular(at: Int) -> bool:
 
 def _strokes(some: Any_) -> Int:
     """(k,) samples at which the signals (ch, sample) are struck."""
-    error = np.stack([_unforeseen(x) ** 2 for x in some])
+    error = np.stack([unforeseen(x) ** 2 for x in some])
     n = error.shape[1] // WINDOW * WINDOW
     power = error[:, :n].reshape(len(error), -1, WINDOW) @ np.full(WINDOW, 1 / WINDOW, dtype=error.dtype)
     typical = np.median(power, axis=1, keepdims=True)
@@ -89,21 +88,6 @@ def _with_faint(top: Int, power: Any_) -> Int:
             at = middle - reach + int(power[middle - reach : middle + reach + 1].argmax())
             faint += [at] if power[at] > FAINT else []
     return np.union1d(top, np.array(faint, dtype=np.int64))
-
-
-def _unforeseen(x: Any_) -> Any_:
-    """Error (sample,) of the linear prediction of a signal (sample,) from what went before (Yule and Walker)."""
-    from scipy.signal import oaconvolve  # slow to import, and few commands need it
-
-    frames = x[: x.size // FRAME * FRAME].reshape(-1, FRAME)
-    spectra = rfft(frames, 2 * FRAME, axis=1)
-    r = irfft((spectra.real**2 + spectra.imag**2).sum(axis=0, dtype=np.float64))[: ORDER + 1]
-    if not r[0] > 0:
-        return np.zeros_like(x)
-    r[0] *= 1 + 1e-6
-    filter_ = np.concatenate([[1.0], -solve_toeplitz(r[:-1], r[1:])]).astype(x.dtype)
-    foreseen: Any_ = oaconvolve(x, filter_)
-    return foreseen[: x.size]
 
 
 def _left(data: Any_, at: Int, taps: int) -> Any_:

@@ -46,7 +46,7 @@ class Acceptance:
     hz : float or None
         Largest |frequency deviation|, Hz; with `percent` given too, one of the two is enough.
     mac : float or None
-        Smallest MAC, %.
+        Smallest subspace MAC, %: close modes are compared as subspaces, all others one to one.
     """
 
     percent: float | None = 5.0
@@ -58,25 +58,27 @@ class Acceptance:
         """As the study asks for it."""
         return cls(config.accept_percent, config.accept_hz, config.accept_mac)
 
-    def holds(self, deviation_percent: float, deviation_hz: float, mac_percent: float) -> bool:
+    def holds(self, deviation_percent: float, deviation_hz: float, subspace_mac_percent: float) -> bool:
         """Whether a pair is accepted."""
         limits = [
             abs(value) <= limit
             for value, limit in ((deviation_percent, self.percent), (deviation_hz, self.hz))
             if limit is not None
         ]
-        return (any(limits) if limits else True) and (self.mac is None or mac_percent >= self.mac)
+        return (any(limits) if limits else True) and (self.mac is None or subspace_mac_percent >= self.mac)
 
     def missed(self, table: CorrelationTable) -> tuple[CorrelationRow, ...]:
         """The pairs of a table that are not accepted."""
-        return tuple(r for r in table.rows() if not self.holds(r.deviation_percent, r.deviation_hz, r.mac_percent))
+        return tuple(
+            r for r in table.rows() if not self.holds(r.deviation_percent, r.deviation_hz, r.subspace_mac_percent)
+        )
 
     def words(self) -> str:
         """The rule in words."""
         limit = " or ".join(
             f"|Δf| ≤ {value:.4g} {unit}" for value, unit in ((self.percent, "%"), (self.hz, "Hz")) if value is not None
         )
-        mac = f"MAC ≥ {self.mac:.4g} %" if self.mac is not None else ""
+        mac = f"subspace MAC ≥ {self.mac:.4g} %" if self.mac is not None else ""
         return " and ".join(x for x in (limit, mac) if x) or "every pair"
 
 
@@ -115,7 +117,8 @@ def missed_words(config: StudyConfig, results: Mapping[str, Any]) -> tuple[str, 
     rule = Acceptance.of(config.correlate)
     return tuple(
         f"{kind}test mode {r.test} ({r.test_hz:.4g} Hz) and FE mode {r.fe} ({r.fe_hz:.4g} Hz): "
-        f"Δf {round(r.deviation_percent, 2) + 0.0:+.2f} % ({r.deviation_hz:+.3g} Hz), MAC {r.mac_percent:.1f} %"
+        f"Δf {round(r.deviation_percent, 2) + 0.0:+.2f} % ({r.deviation_hz:+.3g} Hz), "
+        f"MAC {r.mac_percent:.1f} %, subspace MAC {r.subspace_mac_percent:.1f} %"
         for kind, table in model.tables
         for r in rule.missed(table)
     )
@@ -140,8 +143,9 @@ def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]
         mean, most = table.mean_deviation(), c.accept_mean_percent
         out.append(Check(f"{model.name}: mean |Δf|", f"≤ {most:g} %", f"{mean:.2f} %", bool(mean <= most)))
     if c.accept_mean_mac is not None:
-        mac, least = table.mean_mac(), c.accept_mean_mac
-        out.append(Check(f"{model.name}: mean MAC", f"≥ {least:g} %", f"{mac:.2f} %", bool(mac >= least)))
+        mac = table.mean_subspace_mac()
+        least = c.accept_mean_mac
+        out.append(Check(f"{model.name}: mean subspace MAC", f"≥ {least:g} %", f"{mac:.2f} %", bool(mac >= least)))
     if ORTHOGONALITY & c.model_fields_set:
         out.append(_orthogonal(model, c))
     return tuple(out)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -12,7 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from ringtrue.backends.registry import EMBEDDED
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
-from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.core.units import UnitName
+from ringtrue.errors import ConfigError, DataError, did_you_mean
+from ringtrue.io.files import read_text
+from ringtrue.io.foreign.texts import toml_value
 from ringtrue.model.halves import NODES
 from ringtrue.study.config_correlate import OF_SHAPES, CorrelateSection
 from ringtrue.study.config_errors import explain
@@ -47,7 +49,7 @@ class ModelSection(_Section):
     """The deck."""
 
     deck: str
-    units: Literal["SI", "mm-t-s"] = "SI"
+    units: UnitName = "SI"
     fmax: float | None = Field(default=None, gt=0)  # Hz, modes are computed up to here; None: as high as a pair may be
     solver: str = EMBEDDED  # of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in
     refine: int = Field(default=0, ge=0, le=3)  # how often the mesh is refined before anything is computed
@@ -373,13 +375,13 @@ def read_config(path: Path) -> StudyConfig:
         On a file that is not there, is not TOML, or has a key or value that is not allowed.
     """
     try:
-        return parse_config(path.read_text(encoding="utf-8"), path)
+        return parse_config(read_text(path), path)
     except FileNotFoundError as e:
         raise ConfigError(f"{path}: no such file") from e
     except IsADirectoryError as e:
         raise ConfigError(f"{path}: a folder; name the study.toml in it") from e
-    except UnicodeDecodeError as e:
-        raise ConfigError(f"{path}: not UTF-8: {e}") from e
+    except DataError as e:
+        raise ConfigError(str(e)) from e
 
 
 def parse_config(text: str, path: Path) -> StudyConfig:
@@ -390,10 +392,7 @@ def parse_config(text: str, path: Path) -> StudyConfig:
     ConfigError
         If it is not TOML, or has a key or value that is not allowed.
     """
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as e:
-        raise ConfigError(f"{path}: not TOML: {e}") from e
+    raw = toml_value(text, path, ConfigError)
     try:
         return StudyConfig.model_validate(raw).compared()
     except ValidationError as e:

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.backends.observed import PRINTED, UNTOLD, FullModel, reduced
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
-from ringtrue.correlate.observe import at_dofs
-from ringtrue.errors import DataError, NumericalError
+from ringtrue.core.testmodel import TestModel
+from ringtrue.errors import DataError, NumericalError, about
 from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig
@@ -23,7 +24,9 @@ from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import course_of, further, settled
 from ringtrue.study.lent import lent
 from ringtrue.study.measured import (
+    NO_FRFS,
     Data,
+    Measured,
     channels_of,
     check_moving,
     excited,
@@ -32,16 +35,21 @@ from ringtrue.study.measured import (
     residual_data,
     rigid_mass,
 )
+from ringtrue.study.naming import supplied_frfs, without_channels
 from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.placing import placed
 from ringtrue.study.reference import highest, locks, measured_part, settings
+from ringtrue.study.results import Seat
+from ringtrue.study.seats import seats
+from ringtrue.update.identifiable import stood_for
 from ringtrue.update.objective import Target, Weights
 from ringtrue.update.residuals import Weighted
 from ringtrue.update.settle import displaced, whole_cost
 from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.trust import Solution
+from ringtrue.update.unmoved import unmoved
 from ringtrue.update.verified import Verified, solve_verified
 
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
@@ -71,8 +79,8 @@ def read_target(
         found = lent(whole, opened, settings(config), locks(config))
         whole, notes = found.modes, found.notes
         config = config.model_copy(update={"test": None, "update": config.update.alone()})
-    if config.test and config.test.leave_out:
-        whole = whole.rows([c for c in whole.channels if c not in config.test.leave_out])
+    if config.test:
+        whole = without_channels(whole, config.test.leave_out)
     kept, channels = measured_part(whole)
     modes: ModeSet = realise_modes(whole.take(kept).rows(channels))
     if not len(modes) or not modes.channels:
@@ -88,31 +96,53 @@ def read_target(
 
 def direct_problem(
     opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, base: Path, engine: ModalSolver | None
-) -> tuple[Problem, tuple[Data, ...]]:
-    """The objective on a deck, and what was measured beside the modes.
+) -> tuple[Problem, tuple[Data, ...], tuple[Seat, ...]]:
+    """The objective on a deck, what was measured beside the modes, and where the channels on a sheet are read.
 
     On a reduced model, or on the modes that `engine` finds anew at each point; `base` is the folder of the study.
     """
     if engine is None:
-        problem, data = _reduced(opened, config, target, modes, base)
+        problem, data, seen = _reduced(opened, config, target, modes, base)
     else:
-        problem, data = _by_runs(opened, config, target, modes, engine, base), ()
-    return replace(problem, loss=LOSSES[config.update.loss]), data
+        problem, seen = _by_runs(opened, config, target, modes, engine, base)
+        data = ()
+    sheet = _sheet(config, base)
+    places = seats(seen, sheet) if sheet is not None else ()
+    return replace(problem, loss=LOSSES[config.update.loss]), data, places
+
+
+def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
+    """Candidates that are held at the deck's values, with those that stand for them (`identifiable.stood_for`).
+
+    Those of the largest effect stand for others.
+    """
+    parameters = problem.parameters
+    weighted = problem.evaluate(np.zeros(problem.size)).slope * parameters.std()
+    return stood_for(weighted, parameters.names)
+
+
+def unmoved_by(solution: Solution) -> Bool:
+    """Parameters (p,) whose change is not worth a new value in the deck (`update.unmoved`)."""
+    at = solution.end.points[0]
+    fe = at.every[:, 1]
+    slopes = 0.5 * at.now.d_lambda[fe] / (2 * np.pi * at.now.frequencies[fe, None]) ** 2
+    return unmoved(solution.x, solution.std, slopes)
 
 
 def _reduced(
     opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, base: Path
-) -> tuple[Problem, tuple[Data, ...]]:
-    """The objective on the reduced model of the deck, and what was measured beside the modes."""
+) -> tuple[Problem, tuple[Data, ...], Observation]:
+    """The objective on the reduced model of the deck, what was measured beside the modes, and the channels of both."""
     assert config.model is not None
     model, parameters, units = opened.model, config.candidates(), config.model.units
-    found = [measured(s, base, modes) for s in config.residual]
+    found = _measured(config, modes, base)
     named = tuple(dict.fromkeys((*modes.channels, *channels_of(found))))
     at = {c: i for i, c in enumerate(named)}
     loaded = excited(found, at)
-    dofs, more = opened.analysis.dofs, named[len(modes.channels) :]
     observation = _observation(opened, config, modes.channels, base)
-    observation = observation.and_also(at_dofs(more, dofs, opened.length)) if more else observation
+    if more := named[len(modes.channels) :]:
+        with about("[[residual]]"):
+            observation = observation.and_also(_observation(opened, config, more, base))
     top = highest(target.frequencies, target.pairing)
     count = len(opened.modes(top).modes)
     basis = reduced(model, parameters, observation, count)
@@ -123,7 +153,26 @@ def _reduced(
     modal = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
     terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
     rows, limits = constraints(config, parameters)
-    return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data
+    return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data, observation
+
+
+def _measured(config: StudyConfig, modes: ModeSet, base: Path) -> list[Measured]:
+    """What was measured beside the modes; FRFs without a file are those of [test] frfs."""
+    frfs, why = None, NO_FRFS
+    if config.test is not None and any(s.kind == "frf" and s.file is None for s in config.residual):
+        files = [base / f for f in config.test.frfs]
+        if (sheet := _sheet(config, base)) is not None:
+            frfs, _ = supplied_frfs(files, sheet, config.test.leave_out)
+        if config.test.log and not files:
+            why = (
+                f"`ringtrue run` makes FRFs of the hammer records of {config.test.log}, an updating by itself does not"
+            )
+    return [measured(s, base, modes, frfs, why) for s in config.residual]
+
+
+def _sheet(config: StudyConfig, base: Path) -> TestModel | None:
+    """The sensor sheet of the study, if it has one."""
+    return read_sensor_sheet(base / config.test.sheet).model if config.test and config.test.sheet else None
 
 
 def _observation(
@@ -136,8 +185,8 @@ def _observation(
 
 def _by_runs(
     opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, engine: ModalSolver, base: Path
-) -> Problem:
-    """The objective on the modes that a solver finds anew at each point."""
+) -> tuple[Problem, Observation]:
+    """The objective on the modes that a solver finds anew at each point, and the channels."""
     model, parameters = opened.model, config.candidates()
     with engine.open(model) as analysis:
         observation = _observation(opened, config, modes.channels, base, analysis.dofs)
@@ -146,7 +195,7 @@ def _by_runs(
     full = full.reaching(top)
     terms = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
     rows, limits = constraints(config, parameters)
-    return Problem((Configuration(full, target, terms),), rows=rows, limits=limits)
+    return Problem((Configuration(full, target, terms),), rows=rows, limits=limits), observation
 
 
 def solved(problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress) -> Verified:

@@ -12,6 +12,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.pairing import Pairing
 from ringtrue.core.signals import FrfSet
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlate.complete import Lift, complete
 from ringtrue.correlate.frf import compare_frfs, fdac
 from ringtrue.correlate.gates import Gate
@@ -29,7 +30,6 @@ from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage
 
 LARGEST = 100_000_000  # entries of the transform of a test-analysis model that are built without being asked for
 LINES = 90  # of the FDAC: what can be told apart in a drawing
-MASS = {"SI": 1.0, "mm-t-s": 1e3}  # kg a unit of mass of the deck
 
 
 def gate(config: CorrelateSection) -> Gate:
@@ -150,8 +150,8 @@ def synthesised(
     zeta : (m,) float64
     measured : FrfSet
         Of `on_sheet`.
-    units : {"SI", "mm-t-s"}
-        Of the deck.
+    units : str
+        Of the deck, a name of `UNIT_SYSTEMS`.
     fmax : float, Hz
         Up to which `fe` holds all modes.
     """
@@ -166,7 +166,8 @@ def synthesised(
     rest = flexible.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
     # an exponential window on the responses of the test damps them: s = iω + σ
     zeta = zeta + measured.window_decay / np.maximum(np.abs(w), 2 * np.pi * measured.freqs[0])
-    h: Complex = frf(measured.freqs, fe.frequencies, zeta, out, into, measured.kind, residual=rest) / MASS[units]
+    h: Complex = frf(measured.freqs, fe.frequencies, zeta, out, into, measured.kind, residual=rest)
+    h = h / UNIT_SYSTEMS[units].kilograms
     return replace(measured, data=h, coherence=np.full(h.shape, np.nan))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.signal.frf import estimate_columns
 from ringtrue.signal.hits import Estimator, HammerSettings, HitReport
 from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
+from ringtrue.signal.overloads import clipping, clipping_told
 from ringtrue.signal.periodic import period, periodic_frfs
 from ringtrue.signal.psd import Welch
 from ringtrue.signal.spectra import shaker_frfs
@@ -33,11 +34,14 @@ class Forced:
     notes : tuple of str
         Responses that overload, points at which the force has the other sign, where the FRFs of blows end because
         the force does; how those of shakers were estimated.
+    clipped : tuple of str
+        Channels that are clipped, a line each.
     """
 
     columns: tuple[FrfSet, ...]
     hits: tuple[HitReport, ...] = ()
     notes: tuple[str, ...] = ()
+    clipped: tuple[str, ...] = ()
 
 
 def forced_frfs(
@@ -66,6 +70,18 @@ def forced_frfs(
     DataError
         As `signal.frf.estimate_columns`, `signal.local_rational.local_frfs` and `signal.spectra.shaker_frfs` do.
     """
+    clipped = tuple(f"{r.source}: {line}" for r in records for line in clipping(r))
+    with clipping_told(clipped):
+        return replace(_estimated(records, settings, resolution, full_scale, progress), clipped=clipped)
+
+
+def _estimated(
+    records: Sequence[TimeHistory],
+    settings: HammerSettings,
+    resolution: float | None,
+    full_scale: Mapping[str, float] | None,
+    progress: Progress | None,
+) -> Forced:
     if resolution is None and not all(runs_on(r) for r in records):
         columns, hits = estimate_columns(records, settings, full_scale=full_scale, progress=progress)
         lost = dict.fromkeys(c for h in hits for c in h.lost)

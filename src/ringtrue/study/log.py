@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from difflib import get_close_matches
@@ -12,6 +11,7 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ringtrue.errors import DataError
+from ringtrue.io.foreign.texts import read_json
 from ringtrue.study.config_errors import explain
 
 _ALIKE = 0.8  # of the names of two keys: one is a misspelling of the other
@@ -132,11 +132,7 @@ def read_log(path: Path) -> tuple[list[Logged], dict[str, SensorType]]:
         If the file is not there, is not JSON, or has an entry that is missing or not allowed.
     """
     try:
-        log = _Log.model_validate(json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError as e:
-        raise DataError(f"{path}: no such log") from e
-    except json.JSONDecodeError as e:
-        raise DataError(f"{path}:{e.lineno}: not JSON: {e.msg}") from e
+        log = _Log.model_validate(read_json(path))
     except ValidationError as e:
         raise DataError(explain(path, e, _Log, "log")) from e
     records = [

@@ -11,10 +11,12 @@ from scipy import sparse
 
 from ringtrue.checks.mass import unconstrained
 from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.channels import match_channels
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.motions import POWER
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.dependence import affine_terms
@@ -26,14 +28,13 @@ from ringtrue.reduce.affine import AffineSystem
 from ringtrue.reduce.flexible import with_responses
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config_update import AntiResonanceResidual, DataResidual, FrfResidual, MassResidual, StaticResidual
-from ringtrue.study.evidence import MASS
 from ringtrue.update.harmonic import Damping
 from ringtrue.update.residuals import Block, Term
 from ringtrue.update.residuals_frf import AntiResonances, Frf
 from ringtrue.update.residuals_static import MassProperties, RigidMass, StaticDeflections
 
-LENGTH = {"SI": 1.0, "mm-t-s": 1e-3}  # m a unit of length
 DECIBEL = 20 / np.log(10)
+NO_FRFS = "the test has no FRFs"
 BAND = (0.8, 1.2)  # of the lowest and the highest mode of the test: where FRFs are compared if nothing is said
 WEIGHED = ("mass", "x", "y", "z", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx")
 WEIGHED_UNITS = ("kg", *("m",) * 3, *("kg m²",) * 6)
@@ -108,7 +109,9 @@ class Data:
         return np.asarray(self.measured - self.scale * block.value)
 
 
-def measured(section: DataResidual, base: Path, modes: ModeSet, frfs: FrfSet | None = None) -> Measured:
+def measured(
+    section: DataResidual, base: Path, modes: ModeSet, frfs: FrfSet | None = None, why: str = NO_FRFS
+) -> Measured:
     """Read what a [[residual]] names.
 
     Parameters
@@ -120,6 +123,8 @@ def measured(section: DataResidual, base: Path, modes: ModeSet, frfs: FrfSet | N
         Elastic modes of the test: their band and damping serve FRFs that say nothing else.
     frfs : FrfSet, optional
         Of the test, for FRFs without a file.
+    why : str
+        Why there are none.
 
     Raises
     ------
@@ -127,7 +132,7 @@ def measured(section: DataResidual, base: Path, modes: ModeSet, frfs: FrfSet | N
         If there are no FRFs, or none of the lines or channels that are asked for.
     """
     if isinstance(section, FrfResidual):
-        return _frfs(section, base, modes, frfs)
+        return _frfs(section, base, modes, frfs, why)
     if isinstance(section, AntiResonanceResidual):
         return Measured(section, (section.output,), (section.input,))
     if isinstance(section, StaticResidual):
@@ -137,11 +142,11 @@ def measured(section: DataResidual, base: Path, modes: ModeSet, frfs: FrfSet | N
     return Measured(section)
 
 
-def _frfs(section: FrfResidual, base: Path, modes: ModeSet, frfs: FrfSet | None) -> Measured:
+def _frfs(section: FrfResidual, base: Path, modes: ModeSet, frfs: FrfSet | None, why: str) -> Measured:
     found = read_frfs(base / section.file) if section.file else frfs
     where = section.file or "the test"
     if found is None:
-        raise ConfigError(f"[[residual]] {section.name or 'frf'}: the test has no FRFs; name a file of them")
+        raise ConfigError(f"[[residual]] {section.name or 'frf'}: {why}; name a file of them")
     out = _picked([c.id for c in found.outputs], section.outputs, f"{where}: output")
     into = _picked([c.id for c in found.inputs], section.inputs, f"{where}: input")
     lines = _lines(section, found.freqs, modes.frequencies, where)
@@ -163,9 +168,13 @@ def _frfs(section: FrfResidual, base: Path, modes: ModeSet, frfs: FrfSet | None)
 
 
 def _picked(have: Sequence[str], asked: Sequence[str], what: str) -> Int:
-    if lost := [c for c in asked if c not in have]:
+    """Positions of the channels that are asked for, by whatever sign; of all if none is."""
+    if not asked:
+        return np.arange(len(have))
+    index, _ = match_channels(asked, have)
+    if lost := [c for c, i in zip(asked, index.tolist(), strict=True) if i < 0]:
         raise DataError(f"{what} {lost[0]!r}{did_you_mean(lost[0], have)}")
-    return np.array([have.index(c) for c in asked] if asked else range(len(have)), dtype=np.int64)
+    return index
 
 
 def _lines(section: FrfResidual, freqs: Float, modes: Float, where: str) -> Int:
@@ -210,7 +219,8 @@ def residual_data(
     found : Measured
     at : mapping of str to int
         Positions of the channels among all of the model.
-    units : {"SI", "mm-t-s"}
+    units : str
+        A name of `UNIT_SYSTEMS`.
         Of the deck.
     rigid : callable
         The rigid-body mass of the deck, for a weighing.
@@ -271,7 +281,7 @@ def _frf_data(found: Measured, s: FrfResidual, at: Mapping[str, int], units: str
     assert frfs is not None
     assert found.damping is not None
     out, into = (np.array([at[c] for c in side]) for side in (found.outputs, found.inputs))
-    h = frfs.data * MASS[units]
+    h = frfs.data * UNIT_SYSTEMS[units].kilograms
     term = Frf(frfs.freqs, h, out, into, found.damping, POWER[frfs.kind], s.form, s.error)
     labels = tuple(f"{o} / {i}" for o in found.outputs for i in found.inputs)
     n, log = len(labels), s.form == "log"
@@ -294,7 +304,7 @@ def _frf_data(found: Measured, s: FrfResidual, at: Mapping[str, int], units: str
 def _static_data(found: Measured, s: StaticResidual, at: Mapping[str, int], units: str) -> Data:
     tests = found.statics
     assert tests is not None
-    rows, length = np.array([at[c] for c in tests.channels]), LENGTH[units]
+    rows, length = np.array([at[c] for c in tests.channels]), UNIT_SYSTEMS[units].length
     loads, moved = np.zeros((len(at), len(tests.cases))), np.full((len(at), len(tests.cases)), np.nan)
     loads[rows], moved[rows] = tests.loads, tests.deflections / length
     seen = np.isfinite(moved)
@@ -308,7 +318,7 @@ def _static_data(found: Measured, s: StaticResidual, at: Mapping[str, int], unit
 
 
 def _mass_data(found: Measured, s: MassResidual, units: str, rigid: RigidMass) -> Data:
-    kg, m = MASS[units], LENGTH[units]
+    kg, m = UNIT_SYSTEMS[units].kilograms, UNIT_SYSTEMS[units].length
     value, std = np.full(10, np.nan), np.ones(10)
     if s.mass is not None:
         value[0], std[0] = s.mass, s.mass_error * s.mass

@@ -12,6 +12,7 @@ from ringtrue.core.modes import elastic
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
+from ringtrue.eigen.solve import low_shift
 from ringtrue.errors import NotConverged
 from ringtrue.fem.dependence import affine_terms
 from ringtrue.model.ports import Linearisation
@@ -90,7 +91,8 @@ def build(
     parts = affine_terms(opened.model, parameters, system, progress=part(progress, 0.0, 0.4))
     affine = observed_system(system.stiffness, system.mass, system.transform, parameters, parts, observation)
     count = len(opened.modes(fmax).modes)
-    return reduced_model(affine, count, pencil=opened.analysis.pencil, progress=part(progress, 0.4, 1.0))
+    told = part(progress, 0.4, 1.0)
+    return reduced_model(affine, count, pencil=opened.analysis.pencil, shift=low_shift(fmax), progress=told)
 
 
 def verified(model: AtChannels, x: Float) -> tuple[AtChannels, float]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,9 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlate.align import Alignment, best_fit, nearest_fit
+from ringtrue.correlate.mounting import Readings
 from ringtrue.correlate.observe import Method, at_dofs, default_tolerance
-from ringtrue.errors import DataError, InputError, did_you_mean
+from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.study.opened import ROUNDING, Opened
@@ -189,6 +191,9 @@ def placed(
 ) -> Observation:
     """The channels of a test on a deck: by their places on a sensor sheet, or as DOFs of the deck without one.
 
+    The one resolver of channel names. On a sheet `4-X` is the sensor `4+X` read the other way, and a name that the
+    sheet does not have is refused: point numbers of a test are not those of nodes.
+
     Parameters
     ----------
     opened : Opened
@@ -216,23 +221,37 @@ def placed(
                 f"{e}; where points have numbers of their own give --sensors, or [test] sheet of a study"
             ) from e
     test = sheet if isinstance(sheet, TestModel) else _motions(sheet, channels)
-    known = set(test.channels)
-    if lost := [c for c in channels if c not in known]:
-        near = did_you_mean(lost[0], test.channels)
-        name = "" if isinstance(sheet, TestModel) else f"{sheet}: "
-        raise DataError(
-            f"{name}channel {' '.join(lost[:8])} of the test is not on the sensor sheet{near}; its column `channel` "
-            "names rows as the test does"
-        )
+    with nullcontext() if isinstance(sheet, TestModel) else about(sheet):
+        here = test.pick(tuple(channels))
     if align:
-        test = alignment(test, opened, align).move(test)
-    return opened.observation(test.pick(tuple(channels)), tolerance, method, dofs=dofs)
+        here = alignment(test, opened, align).move(here)
+    return opened.observation(here, tolerance, method, dofs=dofs)
+
+
+def readings(test: ModeSet, modes: ModeSet, sheet: TestModel, seen: Callable[[TestModel], Observation]) -> Readings:
+    """Test modes beside those of a deck, with what the deck does along all axes of the sheet at each sensor.
+
+    Parameters
+    ----------
+    test : ModeSet
+        At channels of the sheet.
+    modes : ModeSet
+        Of the deck, at the degrees of freedom of the embedded solver.
+    sheet : TestModel
+        In its own frame.
+    seen : callable
+        The bridge from the deck to channels in the frame of the sheet.
+    """
+    here = sheet.pick(test.channels)
+    motion = seen(here.threefold())(modes.shapes).reshape(3, len(here.channels), -1)
+    return Readings(test, modes.frequencies, motion, here.axes, here.group_of_channels())
 
 
 def _motions(sheet: Path, channels: Sequence[str]) -> TestModel:
     """The test model of a sheet, none of whose `channels` measures strain."""
     found = read_sensor_sheet(sheet)
-    if strain := sorted(set(found.strain) & set(channels)):
+    names = found.model.named(channels)[0]
+    if strain := [c for c, name in zip(channels, names, strict=True) if name in found.strain]:
         raise DataError(
             f"{sheet}: channel {' '.join(strain[:8])} measures strain: take it out of the modes of the test"
         )

@@ -142,7 +142,8 @@ def _beyond(modes: int) -> int:
 
 def with_lumps(opened: Opened, nodes: Int, settings: CandidateSettings) -> tuple[Model, tuple[Candidate, ...]]:
     """The deck with places for masses that it may lack at nodes, ids (k,), and these as candidates (`update.lumps`)."""
-    return lumped(opened.model, nodes, mass_properties(opened.analysis.system).mass, settings)
+    mass = mass_properties(opened.analysis.system).mass
+    return lumped(opened.model, nodes, mass / opened.model.param("WTMASS", 1.0), settings.of(opened.model))
 
 
 def lump_places(opened: Opened, bridge: Observation) -> Int:

@@ -20,11 +20,16 @@ from typing import Any
 import numpy as np
 
 from ringtrue import __version__
+from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
+from ringtrue.io.atomic import one_run, reads, writes
 from ringtrue.io.files import absence
+from ringtrue.io.nastran.edit import refuse_copy
 from ringtrue.model.edit import apply_factors, resolve_target
 from ringtrue.study.config import StudyConfig, parse_config, read_config
+from ringtrue.study.finished import FILE as SETS
+from ringtrue.study.lock import locked
 from ringtrue.study.results import Provenance
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.stages.predict import check as check_rotor
@@ -132,13 +137,26 @@ def _check_targets(desk: Workbench, todo: Iterable[Stage]) -> None:
             resolve_target(desk.remodelled.model, target)
     if "predict" in names and desk.config.predict is not None:
         check_rotor(desk.remodelled.model, desk.config.predict)
-    if not any(s.name in ("sensitivity", "tune") for s in todo):
+    if "final" in names:
+        refuse_copy(desk.remodelled.model, desk.folder("updated"))
+    if "configured" in names:
+        for other in desk.config.configuration:
+            refuse_copy(desk.configured(other).model, desk.folder("configurations") / other.name / "updated")
+    if desk.config.model is None:
         return
-    for p in (desk.config.candidates(), desk.config.suspensions()):
-        try:
-            apply_factors(desk.remodelled.model, p, np.ones(len(p)))
-        except InputError as e:
-            raise ConfigError(f"[[candidate]] or [[suspension]]: {e}") from e
+    for kind, given in (("candidate", desk.config.candidates()), ("suspension", desk.config.suspensions())):
+        for p in given.parameters:
+            try:
+                apply_factors(desk.remodelled.model, ParameterSet((p,)), np.ones(1))
+            except InputError as e:
+                raise ConfigError(f"[[{kind}]] {p.name!r}: {e}") from e
+
+
+def _protect(desk: Workbench, files: Iterable[Path]) -> None:
+    """What the study reads is never replaced by what it writes: found before anything is computed, not after."""
+    photos = [desk.base / p for p in desk.config.report.photos]
+    reads(*files, *photos)
+    writes(desk.store.path, *(desk.out / name for name in (SETS, "summary.json", "report.html")))
 
 
 def run_study(
@@ -168,54 +186,66 @@ def run_study(
     ------
     ConfigError
         On a study file that is wrong or a stage that does not exist.
+    InputError
+        If a file that the study reads would be replaced by one that it writes.
+    DataError
+        If another run has the folder.
     """
     config, text = read_config(study), study.read_text(encoding="utf-8")
     folder = out or study.parent
     desk = Workbench(config, study.parent, folder, Store(folder / "study.h5"))
+    with one_run(), locked(folder):
+        return _run(desk, study, text, first, until, progress)
+
+
+def _run(desk: Workbench, study: Path, text: str, first: str | None, until: str | None, progress: Progress) -> StudyRun:
     start, stop = _span(desk, first, until)
     todo = [s for s in STAGES[: stop + 1] if s.applies(desk)]
-    _check_targets(desk, todo)
     files = [study, *(f for s in todo for f in s.files(desk))]
     inputs = _digests(files, desk.base)  # a file that is lost is found before anything is computed
-    keys: dict[str, str] = {}
-    timings: dict[str, float] = {}
-    loaded = []
+    _protect(desk, files)
+    _check_targets(desk, todo)
+    loaded, ran = [], False
     try:
         for i, stage in enumerate(todo):
             progress(i / len(todo), stage.title)
-            keys[stage.name] = key = stage_key(stage, desk, keys, inputs)
-            stored = desk.store.key(stage.name)
+            desk.keys[stage.name] = key = stage_key(stage, desk, desk.keys, inputs)
+            stored = _intact_key(desk, stage.name)
             if _position(stage.name) < start and stored == key:
-                if _readable(desk, stage.name):
-                    loaded.append(stage.name)
-                    continue
-                stored = None  # what was made of it goes, too
+                loaded.append(stage.name)
+                continue
             began = time.perf_counter()
             result = stage.run(desk, part(progress, i / len(todo), (i + 1) / len(todo)))
             desk.put(stage.name, result)
             stale = _downstream(stage.name) if stored != key else ()
-            desk.store.save(stage.name, key, result, drop=stale)
-            timings[stage.name] = time.perf_counter() - began
-            log.info("%s: %.1f s", stage.name, timings[stage.name])
+            seconds = time.perf_counter() - began
+            desk.store.save(stage.name, key, result, seconds=seconds, drop=stale)
+            ran = True
+            log.info("%s: %.1f s", stage.name, seconds)
     except BaseException:  # stopped by the user, too: what is stored can be reported, and the next run resumes
-        if timings:
-            _sign(desk, inputs, text, timings)
+        if ran:
+            _sign(desk, inputs, text)
         raise
     progress(1.0, f"{todo[-1].title}: done")
     results = {s.name: desk.get(s.name) for s in todo}
-    made = _sign(desk, inputs, text, timings)
+    made = _sign(desk, inputs, text)
     altered = tuple(name for p in dict.fromkeys(files) if _now(p) != inputs[name := _seen_from(desk.base, p)])
-    return StudyRun(folder, desk, results | {"provenance": made}, made.timings, tuple(loaded), altered)
+    return StudyRun(desk.out, desk, results | {"provenance": made}, made.timings, tuple(loaded), altered)
 
 
-def _readable(desk: Workbench, stage: str) -> bool:
-    """Whether a stored result is one of this code: of the same version it may have had other fields."""
+def _intact_key(desk: Workbench, stage: str) -> str | None:
+    """The key of a stored result that can be read; None where it is none of this code, damaged, or not there.
+
+    Without a key the stage is run anew, and what was made of it goes, too.
+    """
     try:
-        desk.get(stage)
+        key = desk.store.key(stage)
+        if key is not None:
+            desk.get(stage)
     except DataError as e:
         log.warning("run anew: %s", str(e).removesuffix("; run the study again"))
-        return False
-    return True
+        return None
+    return key
 
 
 def _now(path: Path) -> str:
@@ -226,18 +256,18 @@ def _now(path: Path) -> str:
         return ""
 
 
-def _sign(desk: Workbench, inputs: Mapping[str, str], text: str, timings: Mapping[str, float]) -> Provenance:
-    made = provenance(desk, inputs, text, timings)
+def _sign(desk: Workbench, inputs: Mapping[str, str], text: str) -> Provenance:
+    made = provenance(desk, inputs, text)
     desk.store.save("provenance", "", made)
     return made
 
 
-def provenance(desk: Workbench, inputs: Mapping[str, str], text: str, timings: Mapping[str, float]) -> Provenance:
-    """Where the results came from; seconds of stages that were loaded are those of their own run.
+def provenance(desk: Workbench, inputs: Mapping[str, str], text: str) -> Provenance:
+    """Where the results came from; each stage stands with the seconds of the run that made it.
 
     `inputs` are SHA-256 by path, `text` that of study.toml: as the run began.
     """
-    before = desk.get("provenance").timings if "provenance" in desk.store.stages() else {}
+    spent = desk.store.timings()
     return Provenance(
         __version__,
         platform.python_version(),
@@ -247,7 +277,7 @@ def provenance(desk: Workbench, inputs: Mapping[str, str], text: str, timings: M
         datetime.now(UTC).isoformat(timespec="seconds"),
         dict(inputs),
         text,
-        {**before, **timings},
+        {s.name: spent[s.name] for s in STAGES if s.name in spent},
         os.path.relpath(desk.base.resolve(), desk.out.resolve()),
     )
 

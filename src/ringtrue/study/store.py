@@ -1,51 +1,82 @@
-"""The store of a study: one group of study.h5 a stage, replaced whole or not at all."""
+"""The store of a study: one group of study.h5 a stage, replaced whole or not at all, read only as it was written."""
 
 from __future__ import annotations
 
+import hashlib
+import logging
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
+import numpy as np
 
 from ringtrue.errors import DataError
 from ringtrue.io import codec
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.atomic import atomic_write, keeps_up
+from ringtrue.io.foreign.door import DAMAGE
+from ringtrue.io.foreign.hdf5 import open_hdf5, trust_hdf5
+
+DIGEST = "digest"  # SHA-256 of all that a stage holds
+SECONDS = "seconds"  # of the run that made it
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """`study.h5`: stage name -> result, with the key of the inputs that made it."""
+    """`study.h5`: stage name -> result, with the key of the inputs that made it and the seconds that it took.
+
+    The metadata of the file and each data set have HDF5's checksums, each stage a digest of its content: what has
+    changed since it was written is an error and never a result.
+    """
 
     path: Path
 
     def key(self, stage: str) -> str | None:
-        """The key that a stage was stored with; None where it is not there."""
+        """The key that a stage was stored with; None where it is not there.
+
+        Raises
+        ------
+        DataError
+            If the stage is damaged.
+        """
         if not self.path.exists():
             return None
-        with self._open() as f:
-            return str(f[stage].attrs["key"]) if stage in f else None
+        with self._open() as f, self._reading(stage):
+            return codec.text_of(f[stage].attrs["key"]) if stage in f else None
 
-    def save(self, stage: str, key: str, result: object, *, drop: Collection[str] = ()) -> None:
+    def timings(self) -> dict[str, float]:
+        """Seconds that each stored stage took; one that is damaged has none."""
+        out = {}
+        for stage in self.stages():
+            with suppress(DataError), self._open() as f, self._reading(stage):
+                out[stage] = float(f[stage].attrs[SECONDS])
+        return out
+
+    def save(self, stage: str, key: str, result: object, *, seconds: float = 0.0, drop: Collection[str] = ()) -> None:
         """Write a stage into a copy of the file, without the stages of `drop`, then put the copy in its place.
 
-        The copy is made in memory: HDF5 does not survive a disk that is full.
+        The copy is made in memory: HDF5 does not survive a disk that is full. A stage that is too damaged to be
+        copied is left out.
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(self.path.name, "w", driver="core", backing_store=False) as new:
+        with h5py.File(self.path.name, "w", driver="core", backing_store=False, libver="latest") as new:
             if self.path.exists():
                 with self._open() as old:
                     for name in old:
                         if name != stage and name not in drop:
-                            old.copy(name, new)
+                            self._copy(old, name, new)
             group = new.create_group(stage)
             codec.save(group, result)
-            group.attrs["key"] = key
+            group.attrs["key"] = np.bytes_(key)
+            group.attrs[SECONDS] = seconds
+            group.attrs[DIGEST] = np.bytes_(digest(group))
             new.flush()
             image = new.id.get_file_image()
         with atomic_write(self.path) as part:
             part.write_bytes(image)
+        trust_hdf5(self.path)
 
     def load(self, stage: str) -> object:
         """The result of a stage.
@@ -53,18 +84,23 @@ class Store:
         Raises
         ------
         DataError
-            If the file or the stage is not there, or was stored by a version with other results.
+            If the file or the stage is not there, is damaged, or was stored by a version with other results.
         """
         if not self.path.exists():
             raise DataError(f"{self.path}: no such store; run the study first")
         with self._open() as f:
-            if stage not in f:
+            with self._reading(stage):
+                there = stage in f
+            if not there:
                 raise DataError(
                     f"{self.path}: stage {stage!r} is not in the store; it holds {', '.join(f) or 'nothing'}"
                 )
+            with self._reading(stage):
+                if digest(f[stage]) != codec.text_of(f[stage].attrs.get(DIGEST, "")):
+                    raise ValueError("it holds something else than its digest says")
             try:
                 return codec.load(f[stage])
-            except DataError as e:
+            except (DataError, *DAMAGE) as e:
                 raise DataError(f"{self.path}: stage {stage!r}: {e}; run the study again") from e
 
     def stages(self) -> tuple[str, ...]:
@@ -74,13 +110,44 @@ class Store:
         with self._open() as f:
             return tuple(f)
 
+    def _copy(self, old: h5py.File, name: str, new: h5py.File) -> None:
+        try:
+            old.copy(name, new)
+        except DAMAGE as e:
+            _log.warning("%s: stage %r is damaged and left out (%s)", self.path, name, e)
+            if name in new:
+                del new[name]
+
+    @contextmanager
+    def _reading(self, stage: str) -> Iterator[None]:
+        """Errors of damaged bytes name the stage."""
+        try:
+            yield
+        except DAMAGE as e:
+            raise DataError(f"{self.path}: stage {stage!r} is damaged ({e}); run the study again") from e
+
     @contextmanager
     def _open(self) -> Iterator[h5py.File]:
-        try:
-            file = h5py.File(self.path, "r")
-        except OSError as e:
-            raise DataError(
-                f"{self.path}: not a readable store ({e}); move it away and the study runs from the beginning"
-            ) from e
-        with file:
+        keeps_up(self.path)
+        with open_hdf5(self.path, "store", "move it away and the study runs from the beginning") as file:
             yield file
+
+
+def digest(group: h5py.Group) -> str:
+    """SHA-256 of the names, attributes, types, shapes and bytes of all that a group holds, whenever it was made."""
+    total = hashlib.sha256()
+
+    def add(name: str, item: h5py.Group | h5py.Dataset) -> None:
+        attributes = {k: np.asarray(item.attrs[k]) for k in sorted(item.attrs) if k not in (DIGEST, SECONDS)}
+        for k, value in attributes.items():
+            total.update(f"{name}@{k} {value.dtype.str}".encode() + value.tobytes())
+        if isinstance(item, h5py.Dataset):
+            a = np.ascontiguousarray(item[()])
+            total.update(f"{name} {a.dtype.str} {item.shape} ".encode() + a.tobytes())
+            return
+        total.update(f"{name} group".encode())
+        for child in sorted(item):
+            add(f"{name}/{child}", item[child])
+
+    add("", group)
+    return total.hexdigest()

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlate.complete import complete_json
+from ringtrue.correlate.mounting import mendings_json
 from ringtrue.correlate.significance import table_significance
 from ringtrue.correlate.table import CorrelationTable
 from ringtrue.plan.resolution import ambient_std
@@ -31,6 +33,7 @@ from ringtrue.study.results import (
     UpdateStage,
 )
 from ringtrue.study.run import StudyRun
+from ringtrue.study.seats import seats_json
 
 
 def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
@@ -45,6 +48,7 @@ def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
             "deviation_percent": r.deviation_percent,
             "deviation_hz": r.deviation_hz,
             "mac_percent": _number(r.mac_percent),
+            "subspace_mac_percent": _number(r.subspace_mac_percent),
             "used": r.used,
             "subspace": r.subspace,
             "beyond_gate": r.beyond,
@@ -115,6 +119,7 @@ def correlation_json(table: CorrelationTable) -> dict[str, Any]:
         "mean_deviation_percent": _number(table.mean_deviation()),
         "max_deviation_percent": _number(table.max_deviation()),
         "mean_mac_percent": _number(table.mean_mac()),
+        "mean_subspace_mac_percent": _number(table.mean_subspace_mac()),
     }
 
 
@@ -137,7 +142,7 @@ def summarise(run: StudyRun) -> dict[str, Any]:
     out: dict[str, Any] = {"title": run.config.study.title, "seed": run.config.study.seed}
     model: ModelStage | None = r.get("model")
     if model is not None:
-        out |= {"mass_t": model.mass / (1e3 if model.units == "SI" else 1.0), "dof": model.dof}
+        out |= {"mass_t": model.mass * UNIT_SYSTEMS[model.units].kilograms / 1e3, "dof": model.dof}
     plan, identify = r.get("plan"), r.get("identify")
     if plan is not None:
         out["plan"] = plan_json(plan)
@@ -153,6 +158,8 @@ def summarise(run: StudyRun) -> dict[str, Any]:
         out["rigid_body"] = {"before": pairs(correlate.rigid_initial), "after": []}
         out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
         out |= {"alignment": correlate.placed} if correlate.placed else {}
+        out |= {"sensors": seats_json(correlate.seats)} if correlate.seats else {}
+        out |= {"mendings": mendings_json(correlate.mendings)} if correlate.mendings else {}
         if (e := correlate.expanded) is not None:
             out["expansion"] = {"method": e.method, "misfit_percent": (100 * e.misfit).tolist()}
         out |= {"remodelling": [asdict(s) for s in correlate.history]} if correlate.history else {}
@@ -205,6 +212,8 @@ def _configured(r: Mapping[str, Any]) -> dict[str, Any]:
         "configurations": [
             {"name": c.name, "test": c.source, "notes": list(c.notes)}
             | ({"carries": list(c.carried)} if c.carried else {})  # candidates made from the deck are not known yet
+            | ({"sensors": seats_json(c.seats)} if c.seats else {})
+            | ({"mendings": mendings_json(c.mendings)} if c.mendings else {})
             | {"initial": correlation_json(c.initial)}
             | ({"final": correlation_json(f.table), "changes": list(f.changes)} if (f := after.get(c.name)) else {})
             for c in before.items
@@ -262,6 +271,7 @@ def _measured(update: UpdateStage) -> dict[str, Any]:
                     for label, unit, *row in zip(d.labels, d.units, d.measured, d.before, d.after, d.error, strict=True)
                 ],
             }
+            | ({"sensors": seats_json(d.seats)} if d.seats else {})
             for d in update.data
         ]
     }
@@ -294,7 +304,7 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
                 "parameters": list(s.parameters),
                 "mean_deviation_percent": s.mean_deviation,
                 "max_deviation_percent": s.max_deviation,
-                "mean_mac_percent": s.mean_mac,
+                "mean_subspace_mac_percent": s.mean_subspace_mac,
                 "mean_deviation_left_out_percent": _number(s.mean_deviation_left_out),
                 "condition": s.condition,
                 "aicc": s.criterion,

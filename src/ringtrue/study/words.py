@@ -12,6 +12,7 @@ from ringtrue.correlate.table import CorrelationTable
 from ringtrue.study.acceptance import in_both
 from ringtrue.study.results import (
     CompareStage,
+    ConfigurationsStage,
     CorrelateStage,
     Evidence,
     FinalStage,
@@ -22,6 +23,7 @@ from ringtrue.study.results import (
     UncertaintyStage,
     UpdateStage,
 )
+from ringtrue.study.seats import seat_words
 
 MEND = "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out = [...] leaves it out"
 
@@ -44,7 +46,12 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     identify, correlate, final = r.get("identify"), r.get("correlate"), r.get("final")
     out = [_found(identify), *identify.merge_notes, *_at_fault(identify)] if identify is not None else []
     if correlate is not None:
-        out += [*correlate.gaps, *_pairs(correlate, final)]
+        out += [m.text for m in correlate.mendings]
+        out += _mended_tests(r.get("configurations"))
+        out += [*seat_words(correlate.seats), *correlate.gaps, *_pairs(correlate, final)]
+    sensitivity, chosen = r.get("sensitivity"), r.get("update")
+    if sensitivity is not None and chosen is not None:
+        out += stand_ins(sensitivity.held.get(chosen.sets[chosen.chosen].name, {}))
     lacking = _lacking(r)
     known: UncertaintyStage | None = r.get("uncertainty")
     for name, a, std in _factors(r):
@@ -56,6 +63,8 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         line = worse(*_shared(correlate.remodelled, final.table, used=True))
         out += [line] if line else []
     update, localise = r.get("update"), r.get("localise")
+    beside = [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)] if update is not None else []
+    out += beside
     if update is not None and (line := weighed_by(update.sets[update.chosen].discrepancy.tolist())):
         out.append(line)
     alone = update is not None and update.sets[update.chosen].name == "proposal"
@@ -63,6 +72,20 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         out.append(NO_CHANGE)
     evidence = final.evidence if final is not None else correlate.evidence if correlate is not None else None
     return (*out, *_suspects(evidence, r.get("compare")))
+
+
+def _mended_tests(found: ConfigurationsStage | None) -> list[str]:
+    """Other mountings of the sensors of other configurations that explain their tests better."""
+    return [f"configuration {c.name}: {m.text}" for c in found.items for m in c.mendings] if found is not None else []
+
+
+def stand_ins(held: Mapping[str, Sequence[str]]) -> list[str]:
+    """Candidates that are held at the deck's values, with those that stand for them."""
+    return [
+        f"{name} is held at the deck's value: the data cannot tell it from {', '.join(by)}, which "
+        f"{'stand' if len(by) > 1 else 'stands'} for it; one candidate with the targets of both changes them together"
+        for name, by in held.items()
+    ]
 
 
 def _doubts(known: UncertaintyStage) -> list[str]:
@@ -181,7 +204,11 @@ def _found(identify: IdentifyStage) -> str:
 def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
     tables = [t for t in (correlate.initial, final.table if final is not None else None) if t is not None]
     total = correlate.reference.frequencies.size
-    mac = "" if tables[0].alone else f", mean MAC {_arrow([f'{t.mean_mac():.1f}' for t in tables])} %"
+    mac = ""
+    if not tables[0].alone:
+        single = _arrow([f"{t.mean_mac():.1f}" for t in tables])
+        subspace = _arrow([f"{t.mean_subspace_mac():.1f}" for t in tables])
+        mac = f", mean MAC {single} %, mean subspace MAC {subspace} %"
     out = [
         f"pairs: {_arrow([str(len(t)) for t in tables])} of {total} test modes; mean |Δf| "
         f"{_arrow([f'{t.mean_deviation():.2f}' for t in tables])} %{mac}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,24 +18,34 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import TestModel
+from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.correlate.align import Alignment
-from ringtrue.correlate.observe import at_dofs
-from ringtrue.errors import ConfigError
+from ringtrue.errors import ConfigError, about
 from ringtrue.io.nastran.edit import add_cards
 from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import carried
 from ringtrue.model.ports import ModalSolver
 from ringtrue.model.refine import refined
+from ringtrue.model.seconds import in_seconds
 from ringtrue.reduce.parametric import ReducedModel
 from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
-from ringtrue.study.evidence import on_sheet
-from ringtrue.study.measured import LENGTH, Measured, channels_of, excited, flexible, measured
+from ringtrue.study.measured import NO_FRFS, Measured, channels_of, excited, flexible, measured
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels, build
-from ringtrue.study.placing import alignment
+from ringtrue.study.placing import alignment, placed
 from ringtrue.study.proposing import with_lumps
 from ringtrue.study.reference import highest, reference_modes, settings
-from ringtrue.study.results import ConfigurationsStage, CorrelateStage, LocaliseStage
+from ringtrue.study.results import (
+    ConfigurationsStage,
+    ConfiguredTest,
+    CorrelateStage,
+    IdentifyStage,
+    LocaliseStage,
+    Seat,
+    SetResult,
+    UpdateStage,
+)
+from ringtrue.study.seats import seats
 from ringtrue.study.store import Store
 from ringtrue.update.candidates import Candidate, CandidateSettings
 from ringtrue.update.residuals_static import RigidMass
@@ -52,17 +63,19 @@ class Workbench:
     out: Path
     store: Store
     results: dict[str, Any] = field(default_factory=dict)
+    keys: dict[str, str] = field(default_factory=dict)  # of the stages of this run: what their results follow from
     delivered: Opened | None = None  # the deck that the final stage has written, while it is open
     generated: ParameterSet | None = None  # candidates that the localisation has made from the deck
     lumped: Opened | None = None  # the remodelled deck with places for masses that it may lack (`update.lumps`)
     _model: ReducedModel | None = None
     _opened: dict[str, Opened] = field(default_factory=dict)  # decks of other configurations
     _others: dict[str, AtChannels] = field(default_factory=dict)  # their reduced models
+    _updated: tuple[SetResult, tuple[AtChannels, ...]] | None = None  # a parameter set, and the models at its end
     _measured: dict[str, tuple[Measured, ...]] = field(default_factory=dict)  # by configuration
     masses: dict[str, Float] = field(default_factory=dict)  # at the channels of the test modes, by configuration
     weighed: dict[tuple[str, tuple[str, ...]], RigidMass] = field(default_factory=dict)  # by configuration and names
     _placed: dict[TestModel, TestModel] = field(default_factory=dict)  # sheets as laid onto the deck, by those measured
-    _channels: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of the reduced models, by configuration
+    _seen: dict[str, Observation] = field(default_factory=dict)  # of the reduced models, by configuration
 
     def get(self, stage: str) -> Any:
         """The result of a stage, from this run or from the store."""
@@ -73,6 +86,21 @@ class Workbench:
     def put(self, stage: str, result: object) -> None:
         """Keep the result of a stage for those that follow."""
         self.results[stage] = result
+
+    def folder(self, name: str) -> Path:
+        """Where decks of this name are written: `name` in the folder of the results, and beside it in a second round.
+
+        A study whose deck is `updated/frame.bdf` writes `updated-2`, one of `updated-2/frame.bdf` writes `updated-3`.
+        """
+        out, numbers = self.out.resolve(), [0]
+        decks = [self.base / c.deck for c in self.config.configuration if c.deck]
+        for file in (*map(Path, self.initial.model.files), *decks):
+            inside = file.resolve()
+            top = inside.relative_to(out).parts[0] if inside.is_relative_to(out) else ""
+            if found := re.fullmatch(rf"{name}(?:-(\d+))?", top, re.IGNORECASE):
+                numbers.append(int(found.group(1) or 1))
+        number = max(numbers) + 1
+        return self.out / (name if number == 1 else f"{name}-{number}")
 
     @property
     def deck(self) -> ModelSection:
@@ -102,9 +130,14 @@ class Workbench:
         return self.deck.fmax or highest(frequencies, settings(self.config))
 
     @property
+    def unit(self) -> UnitSystem:
+        """The unit system of the deck."""
+        return UNIT_SYSTEMS[self.deck.units]
+
+    @property
     def length(self) -> float:
         """Metres a model unit."""
-        return LENGTH[self.deck.units]
+        return self.unit.length
 
     @cached_property
     def engine(self) -> ModalSolver | None:
@@ -113,7 +146,7 @@ class Workbench:
 
     def opened(self, main: Path) -> Opened:
         """A deck in the solver of the study."""
-        model = read_deck(main)
+        model = in_seconds(read_deck(main), self.unit)
         for _ in range(self.deck.refine):
             model = refined(model)
         return Opened(model, self.length, self.engine)
@@ -150,19 +183,39 @@ class Workbench:
         return ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
 
     def _built(self, parameters: ParameterSet, progress: Progress) -> ReducedModel:
-        seen = self._extended(self.bridge(self.remodelled), OWN)
+        seen = self._extended(self.bridge(self.remodelled), OWN, self.remodelled)
         return build(self.remodelled, parameters, seen, self.fmax, progress)
 
-    def _extended(self, seen: Observation, name: str) -> Observation:
-        """With the channels of what was measured beside the modes; those that are not on the sheet are DOFs."""
-        more = tuple(c for c in channels_of(self.measured(name)) if c not in set(seen.channels))
-        seen = seen.and_also(at_dofs(more, seen.dofs, self.length)) if more else seen
-        self._channels[name] = seen.channels
+    def _extended(self, seen: Observation, name: str, opened: Opened) -> Observation:
+        """With the channels of what was measured beside the modes, on the sheet of the configuration if it has one."""
+        sheet = self.sheet(name)
+        for m in self.measured(name):
+            with about(f"[[residual]] {m.name}"):
+                more = tuple(c for c in channels_of([m]) if c not in set(seen.channels))
+                seen = seen.and_also(self.observed(opened, sheet, more)) if more else seen
+        self._seen[name] = seen
         return seen
+
+    def seats(self, name: str, seen: Observation) -> tuple[Seat, ...]:
+        """Where the channels of a configuration are read; nothing where they are DOFs of its deck."""
+        sheet = self.sheet(name)
+        return seats(seen, sheet) if sheet is not None else ()
+
+    def seats_beside(self, name: str, found: Measured) -> tuple[Seat, ...]:
+        """Where the channels of what was measured beside the modes are read, once the reduced model is built."""
+        mine = set(channels_of([found]))
+        return tuple(s for s in self.seats(name, self._seen[name]) if s.channel in mine)
+
+    def sheet(self, name: str) -> TestModel | None:
+        """The sensor sheet of a configuration, or of the study (`OWN`); None where channels are DOFs of the deck."""
+        if name != OWN:
+            return self._configured_test(name).test
+        found: IdentifyStage = self.get("identify")
+        return None if self.config.alone else found.test
 
     def channels(self, name: str) -> tuple[str, ...]:
         """All channels of the reduced model of the deck of the study, or of another configuration."""
-        return self._channels[name]
+        return self._seen[name].channels
 
     def loaded(self, name: str) -> Int:
         """Positions of the channels at which something was excited or pulled."""
@@ -172,8 +225,10 @@ class Workbench:
         """What was measured beside the modes on the deck of the study (`OWN`), or on another configuration."""
         if name not in self._measured:
             mine = [s for s in self.config.residual if (s.configuration or OWN) == name]
-            frfs = on_sheet(self.get("identify"), -1.0, np.inf) if mine and name == OWN else None
-            self._measured[name] = tuple(measured(s, self.base, self.reference(name), frfs) for s in mine)
+            found: IdentifyStage | None = self.get("identify") if mine and name == OWN else None
+            frfs = found.frfs if found is not None else None
+            why = NO_FRFS if name == OWN else "only FRFs of the study's own test are known without a file"
+            self._measured[name] = tuple(measured(s, self.base, self.reference(name), frfs, why) for s in mine)
         return self._measured[name]
 
     def reference(self, name: str) -> ModeSet:
@@ -181,8 +236,11 @@ class Workbench:
         if name == OWN:
             found: CorrelateStage = self.get("correlate")
             return found.reference
+        return self._configured_test(name).reference
+
+    def _configured_test(self, name: str) -> ConfiguredTest:
         others: ConfigurationsStage = self.get("configurations")
-        return next(c.reference for c in others.items if c.name == name)
+        return next(c for c in others.items if c.name == name)
 
     def _reduced(self, progress: Progress) -> ReducedModel:
         """All candidates and suspensions on the remodelled deck, seen at every channel of the sheet."""
@@ -207,13 +265,31 @@ class Workbench:
         held = model.with_parameters(range(len(self.parameters)), np.zeros(total))
         return AtChannels(held, self.rows(self.reference(OWN).channels), self.loaded(OWN))
 
-    def suspended(self, channels: Sequence[str], progress: Progress) -> AtChannels:
-        """The reduced model at the channels of the rigid-body reference modes."""
-        return AtChannels(self._reduced(progress), self.rows(channels))
+    def updated(self, best: SetResult, progress: Progress) -> tuple[AtChannels, ...]:
+        """`candidates` and `others` on bases that hold the full modes at the end of a parameter set, too.
 
-    def keep(self, model: AtChannels) -> None:
-        """Keep an enriched basis for what follows."""
-        self._model = model.model
+        They follow from the deck and the factors as stored: a stage gets the same ones in any run.
+        """
+        if self._updated is None or self._updated[0] is not best:
+            factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
+            models = []
+            for model in (self.candidates(progress), *self.others(progress)):
+                p = model.parameters
+                x = p.vector(np.array([factor.get(n, 1.0) for n in p.names]))
+                models.append(model.enrich(x)[0] if x.any() else model)
+            self._updated = (best, tuple(models))
+        return self._updated[1]
+
+    def delivered_models(self, progress: Progress) -> tuple[AtChannels, ...]:
+        """`updated` at the chosen parameter set; as before where there is nothing to update."""
+        if not len(self.parameters):
+            return (self.candidates(progress), *self.others(progress))
+        done: UpdateStage = self.get("update")
+        return self.updated(done.sets[done.chosen], progress)
+
+    def suspended(self, channels: Sequence[str], progress: Progress) -> AtChannels:
+        """The updated model over all candidates and suspensions at the channels of the rigid-body reference modes."""
+        return AtChannels(self.delivered_models(progress)[0].model, self.rows(channels))
 
     def configured(self, section: ConfigurationSection) -> Opened:
         """The deck of another configuration: its own, or that of the study with cards, in `out/configurations`."""
@@ -222,27 +298,27 @@ class Workbench:
                 main = self.base / section.deck
             else:
                 cards = (self.base / str(section.cards)).read_text(encoding="utf-8")
-                model, folder = self.remodelled.model, self.out / "configurations" / section.name / "initial"
+                model, folder = self.remodelled.model, self.folder("configurations") / section.name / "initial"
                 main, *_ = add_cards(model, model.files[0], cards, folder)
             self._opened[section.name] = self.opened(main)
         return self._opened[section.name]
 
     def observed(self, opened: Opened, test: TestModel | None, channels: Sequence[str]) -> Observation:
-        """The bridge to the channels of another configuration's sheet; without a sheet they are DOFs of the deck."""
-        if test is None:
-            return at_dofs(tuple(channels), opened.analysis.dofs, opened.length)
-        return self.bridge(opened, test)
-
-    def bridge(self, opened: Opened, test: TestModel | None = None) -> Observation:
-        """The bridge from a deck to the channels of a test, that of the study if not given, laid onto the deck."""
+        """The bridge from a deck to channels on a sheet, laid onto the deck; without a sheet they are DOFs of it."""
         c = self.config.correlate
-        if test is None:
-            test = self.placed[1] if c.align else self.get("identify").test
-        elif c.align:
-            if test not in self._placed:
-                self._placed[test] = alignment(test, opened, c.align).move(test)
-            test = self._placed[test]
-        return opened.observation(test, c.tolerance, c.match)
+        if test is not None and c.align:
+            if test is self.get("identify").test:
+                test = self.placed[1]
+            else:
+                if test not in self._placed:
+                    self._placed[test] = alignment(test, opened, c.align).move(test)
+                test = self._placed[test]
+        return placed(opened, channels, test, tolerance=c.tolerance, method=c.match)
+
+    def bridge(self, opened: Opened) -> Observation:
+        """The bridge from a deck to all channels of the test of the study."""
+        test = self.get("identify").test
+        return self.observed(opened, test, test.channels)
 
     @cached_property
     def placed(self) -> tuple[Alignment, TestModel]:
@@ -259,7 +335,8 @@ class Workbench:
         for section, item in zip(self.config.configuration, found.items, strict=True):
             if section.name not in self._others:
                 opened, channels = self.configured(section), item.reference.channels
-                seen = self._extended(self.observed(opened, item.test, channels), section.name)
+                every = channels if item.test is None else item.test.channels
+                seen = self._extended(self.observed(opened, item.test, every), section.name, opened)
                 mine, count = carried(opened.model, self.everything), len(carried(opened.model, self.parameters))
                 rows = np.array([seen.channels.index(c) for c in channels], dtype=np.int64)
                 loaded = self.loaded(section.name)
@@ -273,13 +350,10 @@ class Workbench:
         if name == OWN:
             return self.remodelled, self.bridge(self.remodelled)
         section = next(c for c in self.config.configuration if c.name == name)
-        item = next(c for c in self.get("configurations").items if c.name == name)
+        item = self._configured_test(name)
         opened = self.configured(section)
-        return opened, self.observed(opened, item.test, item.reference.channels)
-
-    def keep_others(self, models: Sequence[AtChannels]) -> None:
-        """Keep enriched bases for what follows."""
-        self._others = {s.name: m for s, m in zip(self.config.configuration, models, strict=True)}
+        channels = item.reference.channels if item.test is None else item.test.channels
+        return opened, self.observed(opened, item.test, channels)
 
     @cached_property
     def initial(self) -> Opened:
@@ -294,7 +368,7 @@ class Workbench:
             model, file = out[-1].model, self.base / step.file
             if i > 1 and file.resolve() in files:
                 file = Path(model.files[files.index(file.resolve())])  # as the step before has left it
-            folder = self.out / "remodelled" / ("" if i == len(self.config.remodel) else f"step {i}")
+            folder = self.folder("remodelled") / ("" if i == len(self.config.remodel) else f"step {i}")
             main, *_ = add_cards(model, file, (self.base / step.cards).read_text(encoding="utf-8"), folder)
             out.append(self.opened(main))
         return tuple(out)

@@ -12,7 +12,8 @@ Objective: `objective` and `several` (configurations), of `residuals`, `residual
 modes as `spans`, weighed by `weights` and `robust`.
 
 Methods: `trust` is the driver, with `gauss_newton` and `quadratic`; `multistart` many starts, `verified` ends
-on full solutions, `settle` from the first pairs to the last weights, `best` a yardstick.
+on full solutions, `settle` from the first pairs to the last weights, `unmoved` what is not written, `best` a
+yardstick.
 
 Models small enough for it: `dense`, `rigid_body`.
 

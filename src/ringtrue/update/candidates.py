@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -65,6 +65,8 @@ class CandidateSettings:
         Fewest elements of a region.
     spread : mapping of str to (float, float)
         Prior standard deviation of ln(factor) and largest factor by quantity, in place of those of `SPREAD`.
+    weighed : bool
+        Masses and densities of the deck are scaled by PARAM,WTMASS: the system has no name for their unit.
     """
 
     kinds: tuple[Kind, ...] = KINDS
@@ -72,6 +74,7 @@ class CandidateSettings:
     pieces: int = 4
     smallest: int = 2
     spread: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    weighed: bool = False
 
     def __post_init__(self) -> None:
         for kind in self.kinds:
@@ -85,9 +88,13 @@ class CandidateSettings:
         if self.pieces < 1 or self.smallest < 1:
             raise InputError(f"candidates: pieces {self.pieces} and smallest {self.smallest} must be 1 or more")
 
+    def of(self, model: Model) -> CandidateSettings:
+        """For the deck of a model."""
+        return replace(self, weighed=model.param("WTMASS", 1.0) / model.time**2 != 1)
+
     def unit(self, quantity: str) -> str:
         """The unit of a quantity, "" where the system is not known."""
-        if not self.units:
+        if not self.units or (self.weighed and quantity in ("mass", "density")):
             return ""
         known = dict(zip(QUANTITIES, UNITS[self.units], strict=True))
         powers = {"area": 2, "inertia": 4}

@@ -43,7 +43,7 @@ def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[C
     InputError
         If the deck gives none.
     """
-    s = settings or CandidateSettings()
+    s = (settings or CandidateSettings()).of(model)
     makers: dict[Kind, Callable[[Model, CandidateSettings], Iterator[Candidate]]] = {
         "material": lambda m, s: _fields(m, s, "material", MATERIALS),
         "property": lambda m, s: chain(_fields(m, s, "property", SECTIONS), _laminates(m, s), _outlines(m, s)),

@@ -12,6 +12,7 @@ from ringtrue.core.arrays import Any_, Bool, Complex, Float, freeze_fields
 from ringtrue.errors import InputError
 from ringtrue.model.ports import ObservedModel
 from ringtrue.update.dense import matrices_at
+from ringtrue.update.quadratic import covariance_root
 
 Ratios = Callable[[Float, Float], Float]  # λ (m,), M-orthonormal y (r, m) -> ζ (m,)
 MASSLESS = 1e-14  # of the largest 1/λ
@@ -85,8 +86,7 @@ class RegionDamping:
         """ζ of modes at the best point, or with coefficients and scatter as drawn; none is below 0."""
         c, own = self.coefficients, np.ones(self.base[0].shape[0])
         if rng is not None:
-            size, turn = linalg.eigh(self.covariance)
-            c = np.maximum(c + turn @ (np.sqrt(np.maximum(size, 0.0)) * rng.standard_normal(c.size)), 0.0)
+            c = np.maximum(c + covariance_root(self.covariance) @ rng.standard_normal(c.size), 0.0)
             own = np.exp(self.scatter * rng.standard_normal(own.size))
         d = self.base[0] + np.tensordot(c * self.viscous, self.matrices, axes=1)
         h = self.base[1] + np.tensordot(c * ~self.viscous, self.matrices, axes=1)

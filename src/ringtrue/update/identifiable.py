@@ -7,6 +7,7 @@ the columns; Cramér-Rao bounds; the directions of the parameter space that the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,10 @@ from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.errors import InputError
 
 ALIKE = 0.95  # |cosine| of two weighted sensitivity columns from which on the data cannot tell them apart
+EQUAL = 9  # decimals, of the largest, to which effects are compared: rounding must not choose
+# in standard deviations of the data: what a change by the prior's standard deviation does beyond the other parameters,
+# from which on the data share a change out between them, however weakly; below it the prior alone does
+SAME = 0.01
 BLIND = 1.0  # singular value, in units of the prior, below which the prior says more of a direction than the data
 
 
@@ -119,6 +124,68 @@ def clusters(sensitivities: Float, alike: float = ALIKE) -> Int:
     raw = fcluster(linkage(distance, "complete"), 1 - alike + 1e-12, criterion="distance")
     _, first, number = np.unique(raw, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[number].astype(np.int64)
+
+
+def told_apart(sensitivities: Float, order: Sequence[int]) -> tuple[Int, dict[int, Int]]:
+    """Which parameters of a set the data can tell apart, and which are to be held at nominal as they cannot.
+
+    One after the other a parameter is kept unless those kept before it do the same: what they leave of its column is
+    below `SAME`, so that the prior alone would share a change out between them. One of which the data tell less than
+    its prior by itself is kept: that holds it.
+
+    Parameters
+    ----------
+    sensitivities : (r, p) float64
+        Weighted, in units of the prior.
+    order : sequence of int
+        All parameters, those first that are to stand for others.
+
+    Returns
+    -------
+    kept : (k,) int64
+        Ascending.
+    held : dict of int to (j,) int64
+        Of each parameter that is not kept those that stand for it, the one most like it first.
+    """
+    g = _columns(sensitivities)
+    size, cosine = np.linalg.norm(g, axis=0), cosines(g)
+    kept, held, span = list[int](), dict[int, Int](), np.zeros((len(g), 0))
+    for i in order:
+        own = g[:, i] - span @ (span.T @ g[:, i])
+        own = own - span @ (span.T @ own)  # twice is enough (Kahan and Parlett)
+        rest = float(np.linalg.norm(own))
+        if size[i] >= BLIND and rest < SAME:
+            near = sorted(kept, key=lambda j: -cosine[i, j])
+            same = [j for j in near if cosine[i, j] > ALIKE]
+            held[i] = np.array(same or near, dtype=np.int64)
+            continue
+        kept.append(i)
+        if rest > np.finfo(float).eps * size[i]:
+            span = np.column_stack([span, own / rest])
+    return np.sort(np.array(kept, dtype=np.int64)), held
+
+
+def stood_for(sensitivities: Float, names: Sequence[str], first: Sequence[str] = ()) -> dict[str, tuple[str, ...]]:
+    """Parameters that are held at nominal by `told_apart`, with those that stand for them.
+
+    Parameters
+    ----------
+    sensitivities : (r, p) float64
+        Weighted, in units of the prior.
+    names : sequence of str
+        Of the parameters.
+    first : sequence of str
+        These stand for others; of the rest those of the largest effect, and of equal ones the first.
+    """
+    rank = {name: i for i, name in enumerate(first)}
+    norm = np.linalg.norm(sensitivities, axis=0)
+    size = np.round(norm / max(float(norm.max(initial=0.0)), 1e-300), EQUAL).tolist()
+
+    def turn(i: int) -> tuple[int, float]:
+        return rank.get(names[i], len(rank)), -size[i]
+
+    _, held = told_apart(sensitivities, sorted(range(len(names)), key=turn))
+    return {names[i]: tuple(names[j] for j in by.tolist()) for i, by in held.items()}
 
 
 def _columns(sensitivities: Float) -> Float:

@@ -56,7 +56,7 @@ def lumped(model: Model, nodes: Int, total: float, settings: CandidateSettings) 
     nodes : (k,) int64
         Ids.
     total : float
-        Mass of the structure, in units of the deck.
+        Mass of the structure as a CONM2 states it: PARAM,WTMASS is not applied.
     """
     first = 1 + max((int(t.ids.max(initial=0)) for t in model.tables.values() if "EID" in t.columns), default=0)
     ids, frames = np.arange(first, first + nodes.size), np.zeros(nodes.size, dtype=np.int64)
@@ -71,6 +71,6 @@ def lumped(model: Model, nodes: Int, total: float, settings: CandidateSettings) 
 def _lump(eid: int, node: int, x: Sequence[float], total: float, s: CandidateSettings) -> Candidate:
     target = Target("CONM2", eid, "M", (), total)
     p = Parameter(f"mass lacking at {node}", (target,), 1 - NONE, 1 + MOST, "linear", USUAL)
-    unit = f" [{s.unit('mass')}]" if s.units else ""
+    unit = f" [{s.unit('mass')}]" if s.unit("mass") else ""
     place = f"({', '.join(f'{v:.3g}' for v in x)}) {s.unit('length')}".strip()
     return Candidate(p, "lump", f"a mass{unit} around {place} that the deck does not have", (eid,))

@@ -26,6 +26,7 @@ from ringtrue.correlate.assign import (
 )
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
+from ringtrue.shapes.mac import above_rounding
 from ringtrue.update.spans import Span, span_residual, spans
 
 LOST = 100.0  # a used mode without a partner counts like a frequency deviation of ten standard deviations
@@ -85,7 +86,7 @@ class Target:
     rule : {"gates", "capped", "cost"}
         How modes are paired anew at each point: inside the gates of `pairing`; so, or down to half the MAC gate where
         nothing better is left, and no pair dearer than a lost mode; or where the objective itself is lowest. With
-        "cost" J is a minimum over assignments and continuous where pairs change; it has no gates.
+        "cost" J is a minimum over assignments and continuous where pairs of visible modes change; it has no gates.
     lost : float
         Cost of a used mode without a partner; with "capped" and "cost" no pair costs more.
     fixed : (pairs (k, 2), their spans (k)), optional
@@ -222,12 +223,13 @@ def match(target: Target, now: Linearisation, held: Bool | None = None) -> tuple
 def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bool | None) -> Int:
     """Pairs (k, 2) inside the gates, those of modes in `held` (m,) inside wider ones."""
     every = np.ones(target.frequencies.size, dtype=np.bool_)
-    usable = _usable(target, now)
-    rows, cols = assign(s, target.pairing, every, usable, locks)
+    usable, trust = _usable(now), _trust(target, now, s)
+    rows, cols = assign(s, target.pairing, every, usable, locks, trust)
     lost = held & ~np.isin(np.arange(every.size), rows) if held is not None else ~every
     if held is not None and lost.any():
         keep = held[rows]  # a mode that had no partner gives way
-        more = _held(target, s, lost, usable & ~np.isin(np.arange(usable.size), cols[keep]), locks)
+        free = usable & ~np.isin(np.arange(usable.size), cols[keep])
+        more = _held(target, s, lost, free, locks, trust)
         keep |= ~np.isin(cols, more[1])
         rows, cols = np.append(rows[keep], more[0]), np.append(cols[keep], more[1])
         order = np.argsort(rows)
@@ -235,22 +237,41 @@ def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bo
     return np.stack([rows, cols], axis=1)
 
 
-def _usable(target: Target, now: Linearisation) -> Bool:
-    """Modes of the model that are elastic and move the sensors, (n,)."""
-    return np.asarray((now.frequencies > 0) & (peak_shares(now.shapes) >= target.pairing.faint))
+def _usable(now: Linearisation) -> Bool:
+    """Modes of the model that are elastic and move the sensors by more than rounding, (n,)."""
+    return np.asarray((now.frequencies > 0) & above_rounding(now.shapes).any(axis=0))
 
 
-def _held(target: Target, s: Scores, lost: Bool, free: Bool, locks: Locks) -> tuple[Int, Int]:
+def _trust(target: Target, now: Linearisation, s: Scores) -> Float:
+    """How far each pair is trusted, (m, n): less than 1 with a mode that hardly moves the sensors.
+
+    Beside a global mode such a local one has nearly its shape at the sensors, and the test sees the global one. What
+    tells is how much better than the best of the visible modes in reach it matches: a test that has measured the faint
+    mode itself has its shape, and with exact data the trust is 1. Without shapes all are trusted.
+    """
+    faint = peak_shares(now.shapes) < target.pairing.faint
+    trust = np.ones(s.error.shape)
+    if not faint.any() or np.isnan(s.merged).any():
+        return trust
+    rest = np.maximum(1 - s.merged, 0.0)
+    in_reach = (np.abs(s.error) <= target.pairing.frequency_gate) & ~faint & (now.frequencies > 0)
+    visible = np.where(in_reach, rest, np.inf).min(axis=1, keepdims=True)
+    better = rest < visible
+    trust[:, faint] = np.where(better, 1 - rest / np.where(better, visible, 1.0), 0.0)[:, faint]
+    return trust
+
+
+def _held(target: Target, s: Scores, lost: Bool, free: Bool, locks: Locks, trust: Float) -> tuple[Int, Int]:
     """Partners of the test modes `lost` (m,) among the modes `free` (n,) of the model, inside wider gates."""
     gates = target.pairing
     wide = replace(gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD)
-    return assign(s, wide, lost, free, Locks((), locks.forbidden))
+    return assign(s, wide, lost, free, Locks((), locks.forbidden), trust)
 
 
 def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> Int:
     """Pairs (k, 2) of least total cost, `lost` for a mode without a partner: first the used modes, then the others."""
-    cost = _costs(target, s)
-    cost[:, ~_usable(target, now)] = target.lost
+    cost = target.lost + (np.minimum(_costs(target, s), target.lost) - target.lost) * _trust(target, now, s)
+    cost[:, ~_usable(now)] = target.lost
     forced, free = locks.mask((cost.shape[0], cost.shape[1]))
     cost = np.where(free, cost, target.lost)
     cost[forced] = np.minimum(cost[forced], (1 - SURE) * target.lost)

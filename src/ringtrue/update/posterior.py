@@ -18,6 +18,7 @@ from scipy.special import ndtri, stdtrit
 from ringtrue.core.arrays import Bool, Float, freeze_fields
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
+from ringtrue.update.quadratic import covariance_root
 from ringtrue.update.residuals import Eigenvalues, Shapes, Weighted
 from ringtrue.update.several import Configuration, Evaluated, Problem
 
@@ -106,12 +107,11 @@ class Posterior:
 
     def sample(self, count: int, rng: np.random.Generator) -> Float:
         """Draws of x, (count, p), pulled back to the bounds."""
-        s, u = linalg.eigh(self.covariance)
-        z = rng.standard_normal((count, s.size)) * np.sqrt(np.maximum(s, 0.0))
+        z = rng.standard_normal((count, self.y.size)) @ covariance_root(self.covariance).T
         if np.isfinite(self.freedom):
             z *= np.sqrt(self.freedom / rng.chisquare(self.freedom, count))[:, None]
         low, high = self.parameters.bounds()
-        return np.clip((self.y + z @ u.T) @ self.link.T, low, high)
+        return np.clip((self.y + z) @ self.link.T, low, high)
 
     def correlation(self) -> Float:
         """Of x, (p, p); near ±1 two parameters trade for each other."""

@@ -1,4 +1,4 @@
-"""The quadratic model of J in a step: its minimum inside linear limits, its Hessian beyond Gauss-Newton."""
+"""The quadratic model of J: its minimum inside linear limits, its Hessian beyond Gauss-Newton, roots of covariances."""
 
 from __future__ import annotations
 
@@ -71,3 +71,15 @@ def secant(
     miss = part - sized @ s
     update = (np.outer(miss, change) + np.outer(change, miss)) / along
     return np.asarray(sized + update - float(miss @ s) / along**2 * np.outer(change, change))
+
+
+def covariance_root(covariance: Float) -> Float:
+    """L (q, q) with L Lᵀ = covariance (q, q), which may be singular: the symmetric root of the correlation, scaled.
+
+    Draws L z of standard normal z are then the same whatever signs and rotations the eigenvectors come out with, which
+    differ from processor to processor.
+    """
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.where(size > 0, size, 1.0)
+    value, turn = linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * ((turn * np.sqrt(np.maximum(value, 0.0))) @ turn.T))

@@ -38,6 +38,7 @@ TWICE = 2  # searches with the discrepancy that was found
 NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
 PRICE = 1.0  # γ: 0 follows the noise, 1 finds little that is small
 LATER = 2  # sizes beyond the best one that are looked at
+DECIMALS = 6  # of the criterion: rounding does not choose between equal sets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,7 +238,7 @@ def criteria(search: Search, path: Sequence[Choice]) -> Float:
     Chen and Chen (2008), eq. 2.2.
     """
     every = price(search, [c.members for c in path]) + aicc(search, path)
-    return np.round(every, 6)  # rounding does not choose between equal sets
+    return np.round(every, DECIMALS)
 
 
 def foreseen(search: Search, r: Residual, members: Sequence[int], value: float) -> float:

@@ -20,7 +20,8 @@ from ringtrue.core.iterate import iterate
 from ringtrue.core.outcome import Outcome
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.atomic import atomic_write, keeps_up
+from ringtrue.io.foreign.texts import read_json
 from ringtrue.update.quadratic import least_distance, positive, secant
 from ringtrue.update.robust import squares
 from ringtrue.update.several import Evaluated, Problem, held_to
@@ -348,8 +349,9 @@ def _resumed(descent: Descent, path: Path) -> Descent:
     """From the file if it is there."""
     if not path.exists():
         return descent
+    keeps_up(path)
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
         y = np.array(found["y"], dtype=np.float64)
         same = found["names"] == list(descent.problem.parameters.names) and y.shape == (descent.problem.size,)
         if same:

@@ -47,7 +47,7 @@ def best_possible(run: StudyRun, twin: Twin, desk: Workbench) -> float:
     m = len(truth)
     gates = PairingSettings(mac_gate=0.3)  # they are pairs already: none may count as lost
     aim = Target(truth.frequencies, truth.shapes, np.zeros(m), np.ones(m, dtype=bool), Weights(shape=0.02), gates)
-    model = desk.candidates(_silent)
+    model = desk.delivered_models(_silent)[0]
     names = model.parameters.names
     choice = best_subset(model, aim, min(6, len(names)))
     starts = [(choice.members.tolist(), choice.x[choice.members])]

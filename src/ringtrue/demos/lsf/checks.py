@@ -17,10 +17,10 @@ def checks(r: Mapping[str, Any]) -> tuple[Check, ...]:
     compare: CompareStage | None = r.get("compare")
     if compare is not None:
         t = compare.table
-        good = (np.abs(t.deviation_percent) <= 0.6) & (t.mac_percent >= 80)
+        good = (np.abs(t.deviation_percent) <= 0.6) & (t.subspace_mac_percent >= 80)
         out.append(
             Check(
-                "ambient vs hammer: modes with |Δf| ≤ 0.6 % and MAC ≥ 80 %",
+                "ambient vs hammer: modes with |Δf| ≤ 0.6 % and subspace MAC ≥ 80 %",
                 "≥ 7",
                 str(int(good.sum())),
                 bool(good.sum() >= 7),
@@ -36,7 +36,7 @@ def checks(r: Mapping[str, Any]) -> tuple[Check, ...]:
         Check("final: pairs left out of the updating", "≥ 4", str(spared), spared >= 4),
         _limit("final: mean |Δf|", t.mean_deviation(), 2.0, "%"),
         _limit("final: largest |Δf|", t.max_deviation(), 6.0, "%"),
-        _floor("final: mean MAC", t.mean_mac(), 93.0, "%"),
+        _floor("final: mean subspace MAC", t.mean_subspace_mac(), 93.0, "%"),
         _unpaired_below(final),
         *improvement(r),
     ]

@@ -55,7 +55,7 @@ def laminates(model: Model, card: str, rows: Int) -> Laminate:
     Raises
     ------
     DeckError, UnsupportedCard
-        On a laminate without thickness, an absent material, or an unknown LAM.
+        On a laminate without thickness or with a ply that is singular, an absent material, or an unknown LAM.
     """
     t = model[card]
     option = _options(model, t, rows)
@@ -64,9 +64,33 @@ def laminates(model: Model, card: str, rows: Int) -> Laminate:
     if (total.real <= 0).any():
         raise error(model, t, int(rows[np.flatnonzero(total.real <= 0)[0]]), "its plies have no thickness")
     A, B, D = stiffness(plies)
+    _refuse_singular(model, t, rows, plies, A)
     S = transverse_shear(plies, A, B, D)
     A, B, D, S = _smeared(option, plies, A, B, D, S)
     return Laminate(A, B, D, S, _turning(plies), (plies.height * plies.density).sum(axis=1))
+
+
+def _refuse_singular(model: Model, t: Table, rows: Int, p: Plies, A: Any_) -> None:
+    """Refuse laminates whose plies have no stiffness in transverse shear, or together none in a direction of the plane.
+
+    The stresses of a laminate follow from those of its plies, so that each must resist shear.
+    """
+    laminate, ply = np.nonzero((p.height.real > 0) & _singular(p.through))
+    if laminate.size:
+        why = (
+            f"ply {ply[0] + 1} has no stiffness in transverse shear; give its material G12, or G1Z and G2Z (MAT8), "
+            "G33 (MAT2), or E and NU (MAT1)"
+        )
+        raise error(model, t, int(rows[laminate[0]]), why)
+    if (flat := np.flatnonzero(_singular(A))).size:
+        why = "its plies have no stiffness in a direction of their plane; check E2 and G12, or G11 to G33"
+        raise error(model, t, int(rows[flat[0]]), why)
+
+
+def _singular(matrices: Any_) -> Bool:
+    """Which matrices (..., k, k) are singular to rounding, (...); complex steps have complex ones."""
+    size = np.linalg.svd(matrices, compute_uv=False)
+    return np.asarray(size.min(axis=-1) <= np.finfo(np.float64).eps * size.max(axis=-1))
 
 
 def _options(model: Model, t: Table, rows: Int) -> Any_:

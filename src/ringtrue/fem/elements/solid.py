@@ -121,11 +121,13 @@ class Shape:
             material = anisotropic(m, row, x, self.axes(x))
         else:
             material = moduli(m, row)
-        K, det, rule = self._stiffness(x, material, present[0])
-        if (bad := (det.real <= 0).any(axis=1)).any():
-            first = int(at[np.flatnonzero(bad)[0]])
-            why = "inside out or too distorted (its Jacobian is not positive); check its node order"
-            raise error(m.model, t, first, why)
+        if (bad := self._inside_out(x.real, present[0])).any():
+            why = (
+                "inside out or too distorted (its Jacobian is not positive); check its node order: the corners go "
+                "round one face, then round the opposite one, not row by row"
+            )
+            raise error(m.model, t, int(at[bad][0]), why)
+        K, _, rule = self._stiffness(x, material, present[0])
         M = mass(x, material.rho, rule, m.model.param("COUPMASS", -1) > 0)
         return Matrices(node_dofs(nodes, 3), K, M, material.loss, np.empty((0, K.shape[1], K.shape[1])))
 
@@ -133,6 +135,15 @@ class Shape:
         """Which elements (e,) with nodes x (e, n, 3) are collapsed to a plane, a line or a point."""
         det = determinants(self.linear.stiffness.derivatives, x[:, : self.corners])
         return np.asarray((abs(det) <= FLAT * np.ptp(x, axis=1).max(axis=1)[:, None] ** 3).any(axis=1))
+
+    def _inside_out(self, x: Float, present: Bool) -> Bool:
+        """Which elements (e,) with nodes x (e, n, 3) have a Jacobian that is not positive at a point of their rules."""
+        if present[self.corners :].any():
+            points = [kept(self.quadratic.stiffness, self.edges, present).derivatives]
+        else:
+            points = [self.linear.stiffness.derivatives]
+            points += [] if self.linear.centre is None else [self.linear.centre]
+        return np.asarray((determinants(np.concatenate(points), x) <= 0).any(axis=1))
 
     def _stiffness(self, x: Any_, material: Isotropic | Anisotropic, present: Bool) -> tuple[Any_, Any_, Rule]:
         """Stiffness, determinants, and the rule for the mass; in slices that stay in the cache."""
@@ -221,7 +232,7 @@ def general(A: Any_, C: Any_) -> Any_:
 
 def mass(x: Any_, rho: Any_, rule: Rule, coupled: bool) -> Any_:
     """Consistent (e, 3n, 3n), or lumped by its scaled diagonal (e, 3n) (Hinton, Rock and Zienkiewicz 1976)."""
-    w = jacobian(rule.derivatives, x)[1] * rule.weights
+    w = determinants(rule.derivatives, x) * rule.weights
     n = rule.values.shape[1]
     if coupled:
         scalar = np.einsum("eg,gi,gj->eij", w, rule.values, rule.values)

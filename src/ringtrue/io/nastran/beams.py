@@ -167,7 +167,7 @@ def _made(r: Reader) -> Row:
     try:
         row = properties(name, kind, (dims, nsm), end_b)
         inner = [(x, properties("PBARL", kind, (d, m), None)) for x, d, m, _ in stations if x < 1.0]
-    except ValueError as e:
+    except (ValueError, ArithmeticError) as e:
         raise r.fail("DIM1", str(e)) from None
     between = {b: [p.get(a, 0.0) for _, p in inner] for a, b in zip(END_A, BETWEEN, strict=True)}
     return row | {"X": [x for x, _ in inner]} | between

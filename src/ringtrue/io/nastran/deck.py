@@ -13,13 +13,18 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.errors import DeckError
+from ringtrue.io.atomic import reads
 from ringtrue.io.files import absence
+from ringtrue.io.nastran.foreign import BEGINNING, other_program
 
 log = logging.getLogger(__name__)
 _INCLUDE = re.compile(rb"(?i)[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?")
 _BEGIN = re.compile(rb"(?i)[ \t]*BEGIN\w*[^\r\n$]*")
 _CEND = re.compile(rb"(?i)[ \t]*CEND\b")
 WIDTH = 80
+DEPTH = 64  # of files that include each other
+INCLUDES = 10_000  # of a deck; files that each include the next one twice are 2 ** DEPTH
+AGAIN = 100_000_000  # bytes of files that were included before
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +71,8 @@ class _Reading:
         self.files: dict[Path, int] = {}
         self.pieces: list[_Piece] = []
         self.left_out: list[str] = []  # why, for each include of the executive control that is not there
+        self.includes = 0
+        self.again = 0  # bytes of files that are read another time
 
     def read(self, path: Path, chain: tuple[Path, ...] = ()) -> bool:
         """Append the pieces of a file; True once ENDDATA is met."""
@@ -88,12 +95,29 @@ class _Reading:
                     raise
                 self.left_out.append(str(wrong))
                 continue
-            if child in (*chain, path):
-                raise DeckError(f"{child} includes itself", path=path, line=line, card="INCLUDE")
+            self._bound(child, (*chain, path), line)
             if self.read(child, (*chain, path)):
                 return True
         self._add(number, data, at, limit)
         return limit < len(data.rstrip(b"\x1a"))
+
+    def _bound(self, child: Path, chain: tuple[Path, ...], line: int) -> None:
+        """Refuse a file that includes itself, and includes that would never end or fill the memory."""
+        path = chain[-1]
+        self.includes += 1
+        if child in self.files:
+            self.again += child.stat().st_size
+        why = ""
+        if child in chain:
+            why = f"{child} includes itself"
+        elif len(chain) > DEPTH:
+            why = f"files include each other more than {DEPTH} deep"
+        elif self.includes > INCLUDES:
+            why = f"the deck has more than {INCLUDES} INCLUDEs: do its files include each other again and again?"
+        elif self.again > AGAIN:
+            why = f"files that were included before make more than {AGAIN / 1e6:g} MB: include each once"
+        if why:
+            raise DeckError(why, path=path, line=line, card="INCLUDE")
 
     def _add(self, number: int, data: bytes, a: int, b: int) -> None:
         if b > a:
@@ -153,13 +177,18 @@ def load(path: str | Path) -> Deck:
     Raises
     ------
     DeckError
-        If the deck or an included file is not there or no plain text, or a file includes itself.
+        If the deck or an included file is not there, no plain text or of another program, or a file includes itself.
     """
     path = Path(path)
     if not path.is_file():
         raise DeckError(absence(path), path=path)
+    with path.open("rb") as opened:
+        program = other_program(opened.read(BEGINNING))
+    if program:
+        raise DeckError(f"this is a deck of {program}; ringtrue reads decks of Nastran: convert it", path=path)
     reading = _Reading(path)
     reading.read(reading.main)
+    reads(*reading.files)
     if lost := reading.left_out:
         more = f" ({len(lost) - 1} more like it)" if len(lost) > 1 else ""
         log.warning("%s%s; left out, as the executive control above CEND changes no model", lost[0], more)

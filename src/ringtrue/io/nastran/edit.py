@@ -8,12 +8,13 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from ringtrue.core.parameters import ParameterSet, Target
 from ringtrue.errors import DeckError, InputError
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.atomic import atomic_write, one_run, reads, writes
 from ringtrue.io.nastran.deck import load
 from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.lexer import LineFields, real, split_line
@@ -166,20 +167,54 @@ def _inserted(data: bytes, text: str) -> bytes:
     return data[:at] + gap + lines + data[at:]
 
 
+def refuse_copy(model: Model, out_dir: str | Path) -> None:
+    """A deck that cannot be delivered into a folder is refused before any work.
+
+    Raises
+    ------
+    InputError
+        If a file of the copy would replace one of the deck, or another input of the run.
+    DeckError
+        If the copy would include files of the deck itself: an INCLUDE has an absolute path.
+    """
+    _, files, contents = _loaded(model)
+    _copies(files, [c.joined() for c in contents], Path(out_dir))
+
+
 def _write(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list[Path]:
     """Write the files in their layout; the main deck stands in `out_dir` unless an include lies elsewhere."""
-    root = Path(os.path.commonpath([f.parent for f in files]))
-    targets = [out_dir / f.relative_to(root) for f in files]
+    targets = _copies(files, data, out_dir)
     for target, content in zip(targets, data, strict=True):
         target.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(target) as part:
             part.write_bytes(content)
-    expected = {t.resolve() for t in targets}
-    strangers = [f for f in load(targets[0]).files if Path(f) not in expected]
+    return targets
+
+
+def _copies(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list[Path]:
+    """Where the copies of the files go; refused before any is written if they would not stand by themselves."""
+    root = Path(os.path.commonpath([f.parent for f in files]))
+    with one_run(), TemporaryDirectory(prefix="ringtrue-") as trial:
+        home = Path(trial).resolve()
+        for file, content in zip(files, data, strict=True):
+            copy = home / file.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(content)
+        try:
+            found = load(home / files[0].relative_to(root)).files
+        except DeckError as e:
+            raise DeckError(f"a copy of the deck would not find its INCLUDE files: {e}", path=files[0]) from e
+        strangers = [f for f in found if not Path(f).is_relative_to(home)]
     if strangers:
         raise DeckError(
-            f"the copy still includes {strangers[0]}: make the path of that INCLUDE relative", path=targets[0]
+            f"a copy of the deck would still include {strangers[0]}: make the path of that INCLUDE relative",
+            path=files[0],
         )
+    targets = [out_dir / f.relative_to(root) for f in files]
+    with one_run():  # of a deck and its copy, whoever asks for it
+        reads(*files)
+        writes(*targets)
+    writes(*targets)
     return targets
 
 

@@ -96,7 +96,10 @@ def _reals(cells: NDArray[np.bytes_], c: NDArray[np.uint8]) -> tuple[Float, Bool
     value = np.where(power < 0, value / scale, value * scale)
     value = np.where(c[0] == _MINUS, -value, value)
     for i in np.flatnonzero(good & ~exact).tolist():  # rare: more digits than a double holds
-        value[i] = float(_plain(cells[i], c[:, i], mark[:, i]))
+        try:
+            value[i] = float(_plain(cells[i], c[:, i], mark[:, i]))
+        except ValueError:  # a zero byte among the digits
+            good[i] = False
     return value, good & np.isfinite(value)
 
 

@@ -20,6 +20,7 @@ from ringtrue.io.nastran.deck import Deck, load
 from ringtrue.io.nastran.defaults import DEFAULTS, fill, implied_points, written_out
 from ringtrue.io.nastran.gather import Cards, cards
 from ringtrue.io.nastran.loads import LoadCase, load_cases
+from ringtrue.io.nastran.magnitudes import refuse_magnitudes, refuse_parameter
 from ringtrue.io.nastran.orientations import open_bushes
 from ringtrue.io.nastran.special import EXPAND
 from ringtrue.io.nastran.tables import empty, fault, make_table
@@ -212,6 +213,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     if b"SPC1" in names:  # a THRU passes over points that are not there
         tables["SPC1"] = make_table(found, "SPC1", _points(tables))
     tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
+    refuse_magnitudes(tables.values(), found.deck.files)
     for group in _ONE_NUMBER:
         _refuse_shared([tables[card] for card in group if card in tables], found.deck.files)
     case = case if found.deck.top else only_sets(case, tables)
@@ -225,6 +227,7 @@ def _params(found: Cards) -> dict[str, int | float | str]:
         if not name:
             raise DeckError("a PARAM without a name", path=found.deck.files[card.file], line=card.line, card="PARAM")
         out[name] = value(text)
+        refuse_parameter(name, out[name], found.deck.files[card.file], card.line)
     return out | params(found.deck.top)
 
 

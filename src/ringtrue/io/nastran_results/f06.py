@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import mmap
 import re
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +30,10 @@ _FATAL = re.compile(
     rb"^.*(?:(?:USER|SYSTEM) FATAL MESSAGE|\*ERROR +(?:\d+|:)|FATAL ERROR|PROCESSING TERMINATED).*(?:\n.*){0,3}",
     re.M | re.I,
 )
-_HEAD = 4000  # bytes from a title of a page to its rows, at most
+Bytes = bytes | mmap.mmap
+_FATAL_WORDS = (b"FATAL", b"*ERROR", b"PROCESSING TERMINATED")
+_PIECE = 1 << 20  # bytes that are looked through at once
+_HEAD = 4000  # bytes from a title of a page to its rows, and of the lines behind a message, at most
 
 
 def read_f06(path: str | Path) -> RecordedModes:
@@ -39,14 +45,21 @@ def read_f06(path: str | Path) -> RecordedModes:
         If the file is missing or holds no printed real modes, or a number cannot be read.
     """
     path = existing(path)
-    data = path.read_bytes()
     try:
-        return _read(data)
-    except ValueError as e:  # DataError, too
+        return _read(_mapped(path))
+    except (ValueError, OverflowError) as e:  # DataError, too
         raise DataError(f"{path}: {e}") from e
 
 
-def _read(data: bytes) -> RecordedModes:
+def _mapped(path: Path) -> Bytes:
+    """The bytes of a file without reading it whole: printed files of hundreds of MB are common."""
+    if not path.stat().st_size:
+        return b""
+    with path.open("rb") as file:
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+def _read(data: Bytes) -> RecordedModes:
     pages = [(int(m[1] or m[2]), m.end()) for m in _VECTOR.finditer(data)]
     if not pages:
         why = "its modes are complex" if _COMPLEX.search(data) else "ask for DISPLACEMENT(PRINT) = ALL"
@@ -69,7 +82,7 @@ def _read(data: bytes) -> RecordedModes:
     return gathered(lam, mass, [_joined(p) for p in parts.values()])
 
 
-def _page(data: bytes, start: int, end: int) -> tuple[Int, Bool, Float] | None:
+def _page(data: Bytes, start: int, end: int) -> tuple[Int, Bool, Float] | None:
     begin = _ROWS_BEGIN.search(data, start, min(start + _HEAD, end))
     if begin is None:
         return None
@@ -106,7 +119,7 @@ def _joined(pages: list[tuple[Int, Bool, Float]]) -> tuple[Int, Bool, Float]:
     return nodes, scalar, motion
 
 
-def _eigenvalues(data: bytes, before: int) -> dict[int, tuple[float, float]]:
+def _eigenvalues(data: Bytes, before: int) -> dict[int, tuple[float, float]]:
     """λ and modal mass by mode of the last table in front of the eigenvectors (continued over pages)."""
     found: dict[int, tuple[float, float]] = {}
     heads = [m.end() for m in _VALUES.finditer(data, 0, before)]
@@ -133,7 +146,7 @@ def sturm_counts(path: str | Path) -> tuple[tuple[float, int], ...]:
     path = Path(path)
     if not path.is_file():
         return ()
-    return tuple(sorted((_real(m[1]), int(m[2])) for m in _STURM.finditer(path.read_bytes())))
+    return tuple(sorted((_real(m[1]), int(m[2])) for m in _STURM.finditer(_mapped(path))))
 
 
 def fatal_messages(path: str | Path, limit: int = 5) -> tuple[str, ...]:
@@ -141,5 +154,18 @@ def fatal_messages(path: str | Path, limit: int = 5) -> tuple[str, ...]:
     path = Path(path)
     if not path.is_file():
         return ()
-    found = [m.group().decode("latin-1") for m in _FATAL.finditer(path.read_bytes())]
-    return tuple("\n".join(line.strip() for line in f.splitlines() if line.strip()) for f in found[:limit])
+    found = [text.decode("latin-1") for text in islice(_fatal(_mapped(path)), limit)]
+    return tuple("\n".join(line.strip() for line in f.splitlines() if line.strip()) for f in found)
+
+
+def _fatal(data: Bytes) -> Iterator[bytes]:
+    """Fatal messages; only pieces that hold one of their words are looked through line by line."""
+    start = 0
+    while start < len(data):
+        end = data.find(b"\n", start + _PIECE) + 1 or len(data)
+        piece = data[start : end + _HEAD]  # with the lines that follow the last one
+        upper = piece.upper()
+        if any(word in upper for word in _FATAL_WORDS):
+            matches = _FATAL.finditer(piece)
+            yield from (m.group() for m in matches if m.start() < end - start)
+        start = end

@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Int
-from ringtrue.errors import DataError
-from ringtrue.io.files import existing
+from ringtrue.errors import DataError, about
+from ringtrue.io.foreign.hdf5 import open_hdf5
 from ringtrue.io.nastran_results.recorded import RecordedModes, gathered
 
 _RESULT = "NASTRAN/RESULT"
@@ -21,9 +21,9 @@ _COMPONENTS = ("X", "Y", "Z", "RX", "RY", "RZ")
 def is_nastran_h5(path: str | Path) -> bool:
     """Whether an HDF5 file holds Nastran's groups."""
     try:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             return _RESULT in file
-    except OSError:
+    except DataError:
         return False
 
 
@@ -35,12 +35,8 @@ def read_nastran_h5(path: str | Path) -> RecordedModes:
     DataError
         If the file is missing, cut off or holds no real modes.
     """
-    path = existing(path)
-    try:
-        with h5py.File(path, "r") as file:
-            return _read(file)
-    except (OSError, KeyError, ValueError, RuntimeError) as e:  # RuntimeError: h5py on damaged trees
-        raise DataError(f"{path}: {e}") from e
+    with open_hdf5(path, "HDF5 file of Nastran") as file, about(path):
+        return _read(file)
 
 
 def _read(file: h5py.File) -> RecordedModes:

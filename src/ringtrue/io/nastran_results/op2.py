@@ -20,7 +20,13 @@ from ringtrue.io.files import existing
 from ringtrue.io.nastran_results.recorded import RecordedModes, gathered
 
 _MODES, _REAL = 2, 8  # approach code; words a node of a real result
+_EIGENVALUES, _EIGENVECTORS = 6, 7  # table codes
 _GRID_KEY = (4501, 45)
+# The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and GEOM1EX are others.
+_LAMA = frozenset({"LAMA", "LAMAS"})
+_GEOMETRY = frozenset({"GEOM1", "GEOM1S", "GEOM1N"})
+_IN_BASIC = frozenset({"BOUGV1", "BOPHIG"})  # PARAM,OUGCORD,BASIC
+_SHAPES = frozenset({"OUG1", "OUGV1", "OPHIG", "OPHG1"}) | _IN_BASIC
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +131,13 @@ def read_tables(path: str | Path) -> Iterator[Op2Table]:
     key = file.key()
     if key == 3:  # the date, the tape code and a label come first
         file.block()
-        for expected in (7, 2):
-            if file.key() != expected:
-                raise file.fail("a broken file header")
-            file.block()
-        if (file.key(), file.key()) != (-1, 0):
+        if file.key() != 7:
+            raise file.fail("a broken file header")
+        file.block()
+        if file.key() != 2:
+            raise file.fail("a broken file header")
+        _name(file)
+        if file.key() != 0:
             raise file.fail("a broken file header")
         if file.at >= file.data.size:
             return
@@ -143,9 +151,22 @@ def read_tables(path: str | Path) -> Iterator[Op2Table]:
         key = file.key()
 
 
-def _table(file: _File) -> Op2Table:
+def _name(file: _File) -> str:
+    """The label of the file or the name of a table, up to its closing key -1.
+
+    The enhanced format of MSC Nastran (PARAM,POST,1) adds a block of six words: its version and qualifiers.
+    """
     name = file.text(file.block())
-    if file.key() != -1 or file.key() <= 0:
+    while (key := file.key()) > 0:
+        file.block()
+    if key != -1:
+        raise file.fail(f"the name {name!r} has no end")
+    return name
+
+
+def _table(file: _File) -> Op2Table:
+    name = _name(file)
+    if file.key() <= 0:
         raise file.fail(f"table {name} without a trailer")
     trailer = np.frombuffer(file.block(), f"{file.order}i{file.word}").astype(np.int64)
     records = []
@@ -165,6 +186,8 @@ def _table(file: _File) -> Op2Table:
 def read_op2(path: str | Path) -> RecordedModes:
     """Modes of an OP2 file: the first table of real eigenvectors, with LAMA's eigenvalues and modal masses.
 
+    Tables are known by their names (OUG1, OUGV1, OPHIG, OPHG1; BOUGV1, BOPHIG in the basic frame) and their codes.
+
     Raises
     ------
     DataError
@@ -173,18 +196,27 @@ def read_op2(path: str | Path) -> RecordedModes:
     lama: tuple[Float, Float] | None = None
     shapes: list[Op2Table] = []
     frames: dict[int, int] = {}
+    others: list[str] = []
     for table in read_tables(path):
-        if table.name.startswith("LAMA") or table.name.startswith("BLAMA"):
+        if table.name in _LAMA:
             lama = lama or _lama(table)
-        elif table.name.startswith("GEOM1") and len(table.name) <= 6:
+        elif table.name in _GEOMETRY:
             frames |= _frames(table)
+        elif _eigenvectors(table) and table.name not in _SHAPES:
+            others.append(table.name)
         elif _eigenvectors(table):
-            if shapes and shapes[0].name.startswith("B") and not table.name.startswith("B"):
+            if shapes and shapes[0].name in _IN_BASIC and table.name not in _IN_BASIC:
                 shapes = []
             if not shapes or shapes[0].name == table.name:  # MYSTRAN writes a table for each mode
                 shapes.append(table)
     if not shapes:
-        raise DataError(f"{path}: no real eigenvectors; ask for DISPLACEMENT(PLOT) = ALL and PARAM,POST,-1")
+        but = (
+            f" but those of {', '.join(dict.fromkeys(others))}, which are not of the whole structure" if others else ""
+        )
+        raise DataError(
+            f"{path}: no real eigenvectors in a table {', '.join(sorted(_SHAPES))}{but}; "
+            "ask for DISPLACEMENT(PLOT) = ALL and PARAM,POST,-1"
+        )
     try:
         return _gather(shapes, lama, frames)
     except (DataError, ValueError) as e:  # a table without a pair of records, an identification cut short
@@ -206,18 +238,19 @@ def _gather(shapes: list[Op2Table], lama: tuple[Float, Float] | None, frames: di
     lam, mass = np.array(values), np.full(len(values), np.nan)
     if lama is not None and modes and max(modes) <= lama[0].size and min(modes) > 0:
         lam, mass = lama[0][np.array(modes) - 1], lama[1][np.array(modes) - 1]
-    if shapes[0].name.startswith("B"):  # PARAM,OUGCORD,BASIC
+    if shapes[0].name in _IN_BASIC:
         frames = dict.fromkeys(rows[0][0].tolist(), 0) if rows else {}
     return gathered(lam, mass, rows, frames)
 
 
 def _eigenvectors(table: Op2Table) -> bool:
-    if not any(part in table.name for part in ("UG", "PHI")) or len(table.records) < 3:
+    """Whether a table says that it holds real eigenvectors of normal modes, a mode after the other."""
+    if len(table.records) < 3:
         return False
     words = table.ints(b"".join(table.records[1].blocks))
-    if words.size < 10 or words[1] % 1000 != 7:
+    if words.size < 10:
         return False
-    return bool(words[0] // 10 == _MODES and words[9] == _REAL and words[1] // 1000 == 0)
+    return bool(words[0] // 10 == _MODES and words[1] == _EIGENVECTORS and words[9] == _REAL)
 
 
 def _nodes(table: Op2Table, body: bytes) -> tuple[Int, NDArray[np.bool_], Float]:
@@ -236,6 +269,9 @@ def _lama(table: Op2Table) -> tuple[Float, Float] | None:
     """Eigenvalues and modal masses; words: mode, order, λ, ω, f, mass, stiffness."""
     data = [b"".join(r.blocks) for r in table.records[1:]]
     if len(data) < 2 or len(data[1]) % (7 * table.word):
+        return None
+    code = table.ints(data[0][: 2 * table.word]).tolist()
+    if code[0] // 10 != _MODES or code[1] != _EIGENVALUES:
         return None
     rows = table.floats(data[1]).reshape(-1, 7)
     return rows[:, 2], rows[:, 5]

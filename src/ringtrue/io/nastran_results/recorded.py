@@ -11,6 +11,7 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.errors import DataError
+from ringtrue.io.magnitudes import refuse_large
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
 
@@ -61,6 +62,8 @@ class RecordedModes:
             raise DataError("a node occurs twice in a mode: the file holds several subcases or superelements")
         if not (np.isfinite(self.eigenvalues).all() and np.isfinite(self.motion).all()):
             raise DataError("a number is not finite")
+        refuse_large(self.eigenvalues, "eigenvalue")
+        refuse_large(self.motion, "motion")
 
 
 def gathered(

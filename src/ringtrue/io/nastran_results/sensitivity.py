@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,15 @@ import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
-from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import existing
+from ringtrue.errors import DataError, about, did_you_mean
+from ringtrue.io.files import existing, read_text
+from ringtrue.io.foreign.door import door
+from ringtrue.io.foreign.hdf5 import open_hdf5
+from ringtrue.io.magnitudes import refuse_large
 from ringtrue.io.nastran_results.op2 import Op2Table, matrix, read_tables
 
 _WORDS = 9  # of a response in DSCMCOL: internal id, id, type, then by type
+_LARGEST = 1 << 27  # numbers of a matrix that is printed: 1 GB
 _EIGENVALUE, _DISPLACEMENT = 4, 5  # response types: Quick Reference Guide, DSCMCOL
 
 
@@ -52,6 +57,7 @@ class Sensitivities:
             raise DataError(f"{r} responses and {v} design variables do not fit a matrix of {self.values.shape}")
         if not np.isfinite(self.values).all():
             raise DataError("a sensitivity is not finite")
+        refuse_large(self.values, "sensitivity")
 
 
 def read_sensitivities(path: str | Path) -> Sensitivities:
@@ -67,10 +73,9 @@ def read_sensitivities(path: str | Path) -> Sensitivities:
     ext = path.suffix.lower()
     if ext not in readers:
         raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, readers)}")
-    try:
-        return readers[ext](existing(path))
-    except (ValueError, KeyError, OSError, RuntimeError) as e:
-        raise e if isinstance(e, DataError) and str(path) in str(e) else DataError(f"{path}: {e}") from e
+    path = existing(path)
+    with about(path), door(path, "file of sensitivities"):
+        return readers[ext](path)
 
 
 def _op2(path: Path) -> Sensitivities:
@@ -130,7 +135,7 @@ def _matrix(lines: Sequence[str]) -> Sensitivities:
     values, column, section, done = np.zeros((0, 0)), 0, "", False
     for line in lines:
         if found := _MATRIX.search(line):
-            values, section, done = np.zeros((int(found[1]), int(found[2]))), "DSCM2", False
+            values, section, done = _zeros(int(found[1]), int(found[2])), "DSCM2", False
         elif "THE NUMBER OF NON-ZERO TERMS" in line and section == "DSCM2":
             section, done = "", True
         elif found := re.search(r"ASSOCIATED WITH (DRESP\d)|-----\s+(DESIGN VARIABLES)\s+-----", line):
@@ -153,6 +158,12 @@ def _matrix(lines: Sequence[str]) -> Sensitivities:
     labels = np.array([columns[i] for i in at], dtype=np.int64)
     ids = np.array([variables.get(i + 1, i + 1) for i in range(values.shape[1])], dtype=np.int64)
     return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], ids, values[np.array(at) - 1])
+
+
+def _zeros(columns: int, rows: int) -> Float:
+    if columns * rows > _LARGEST:
+        raise DataError(f"DSCM2 of {columns} columns and {rows} rows: the file is damaged")
+    return np.zeros((columns, rows))
 
 
 def _blocks(lines: Sequence[str]) -> Sensitivities:
@@ -193,7 +204,7 @@ def _h5(path: Path) -> Sensitivities:
         if isinstance(item, h5py.Dataset) and last in ("DSCM2", "DSCMCOL"):
             found[last] = item[()]
 
-    with h5py.File(path, "r") as file:
+    with open_hdf5(path) as file:
         file.visititems(visit)
     if "DSCM2" not in found or "DSCMCOL" not in found:
         raise DataError("no data sets DSCM2 and DSCMCOL")
@@ -208,8 +219,9 @@ def _h5(path: Path) -> Sensitivities:
 
 def _csv(path: Path) -> Sensitivities:
     """A head `response,grid,component,<id of each design variable>`, a line a response."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        lines = [line for line in csv.reader(file) if any(c.strip() for c in line)]
+    with door(path, "CSV table"):
+        table = csv.reader(StringIO(read_text(path), newline=""))
+        lines = [line for line in table if any(c.strip() for c in line)]
     head = [c.strip() for c in lines[0]] if lines else []
     if [h.lower() for h in head[:3]] != ["response", "grid", "component"]:
         raise DataError(f"the head must begin with response,grid,component; got {','.join(head[:3])!r}")

@@ -16,6 +16,7 @@ from ringtrue.core.lines import shared_lines
 from ringtrue.core.motions import ANGULAR, FORCES, FRF_KIND, LINEAR, SI_UNIT, UNIT, as_motion, base_motion, channel
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError, about
+from ringtrue.io.contents import functions_held, sets_held
 from ringtrue.io.frf_lines import known_lines, say_accelerances
 from ringtrue.io.plain import RawTable
 from ringtrue.io.si import known, to_si
@@ -56,8 +57,7 @@ def _functions(path: str | Path) -> tuple[tuple[Function, ...], Units | None]:
     blocks = scan(path)
     sets = [b for b in blocks if b.kind == 58]
     if not sets:
-        kinds = sorted({b.kind for b in blocks})
-        raise DataError(f"{path}: no data set 58 in the file; there are {' '.join(map(str, kinds))}")
+        raise DataError(f"{path}: no records and no FRFs (data set 58); {sets_held(b.kind for b in blocks)}")
     with about(path):
         units = [read_units(b) for b in blocks if b.kind == 164]
         return tuple(read_function(b) for b in sets), units[0] if units else None
@@ -95,10 +95,7 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
 def _time_functions(functions: Sequence[Function], path: Path) -> list[Function]:
     found = [f for f in functions if f.kind == TIME or (f.kind, f.axes[0].data_type) == (_GENERAL, TIME_AXIS)]
     if not found:
-        types = " ".join(map(str, sorted({f.kind for f in functions})))
-        raise DataError(
-            f"{path}: neither time functions (58, function type 1) nor FRFs (4) in the file; its types are {types}"
-        )
+        raise DataError(f"{path}: no time records; {functions_held(f.kind for f in functions)}")
     return found
 
 
@@ -186,7 +183,7 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     functions, units = _functions(path)
     frfs = [f for f in functions if f.kind in (FRF, TRANSMISSIBILITY)]
     if not frfs:
-        raise DataError(f"{path}: no frequency response functions (58, function type 4 or 5) in the file")
+        raise DataError(f"{path}: no FRFs (58, function type 4 or 5); {functions_held(f.kind for f in functions)}")
     ends = _ends(frfs)
     kept = [k for k, both in enumerate(ends) if not set(both) & set(leave_out)]
     if not kept:

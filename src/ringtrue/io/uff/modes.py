@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyuff
 
 from ringtrue.core.arrays import Any_
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.errors import DataError, about
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.contents import sets_held
+from ringtrue.io.foreign.universal import write_sets
 from ringtrue.io.uff.functions import label
 from ringtrue.io.uff.scan import scan
 from ringtrue.io.uff.shapes import COMPLEX, NORMAL, Shape, read_shape55, read_shape2414
@@ -31,8 +32,8 @@ def read_shapes(path: str | Path) -> tuple[Shape, ...]:
         found = [read_shape55(b) if b.kind == 55 else read_shape2414(b) for b in blocks if b.kind in (55, 2414)]
         shapes = tuple(s for s in found if s is not None)
         if not shapes:
-            kinds = " ".join(map(str, sorted({b.kind for b in blocks})))
-            raise DataError(f"{path}: no data set 55 or 2414 with values at nodes; there are {kinds}")
+            held = sets_held(b.kind for b in blocks)
+            raise DataError(f"{path}: no mode shapes (data set 55 or 2414 with values at nodes); {held}")
         return shapes
 
 
@@ -85,9 +86,7 @@ def write_mode_sets(path: str | Path, modes: ModeSet) -> None:
     full = np.zeros((nodes.size, 3, len(modes)), dtype=modes.shapes.dtype)
     full[row, np.abs(dofs.direction) - 1] = modes.shapes * np.sign(dofs.direction)[:, None]
     with atomic_write(path) as part:
-        file = pyuff.UFF(str(part))
-        for k in range(len(modes)):
-            file.write_sets(_set55(modes, k, nodes, full[:, :, k]), "add")
+        write_sets(part, (_set55(modes, k, nodes, full[:, :, k]) for k in range(len(modes))))
 
 
 def _set55(modes: ModeSet, k: int, nodes: Any_, shape: Any_) -> dict[str, Any]:

@@ -106,7 +106,7 @@ def _next_line(raw: bytes, at: int) -> int:
 
 def _binary(raw: bytes, start: int, end: int, path: Path) -> tuple[Block, int]:
     """A 58b and the place after it; a wrong count of bytes is replaced by that of its points, or the next mark."""
-    fields = re.findall(rb"\d+", raw[start:end].replace(b"b", b" ").replace(b"B", b" "))
+    fields = re.findall(rb"\d{1,18}", raw[start:end].replace(b"b", b" ").replace(b"B", b" "))
     order, form = (int(x) for x in (*fields[1:3], b"1", b"2")[:2])
     if form != 2:
         raise DataError(f"{path}: binary data set 58 in floating point format {form}; only IEEE (2) can be read")
@@ -114,7 +114,7 @@ def _binary(raw: bytes, start: int, end: int, path: Path) -> tuple[Block, int]:
     for _ in range(_ASCII_LINES):
         body = _next_line(raw, body)
     counts = [int(fields[4]) if len(fields) > 4 else 0, *_counts(raw[end:body])]
-    closings = ((n, _END.match(raw, body + n)) for n in counts if n)
+    closings = ((n, _END.match(raw, body + n)) for n in counts if 0 < n <= len(raw) - body)
     count, close = next(((n, m) for n, m in closings if m), (0, None))
     if close is None:
         close = next((m for m in _END.finditer(raw, body) if _opens(raw, m.end())), None)
@@ -127,7 +127,7 @@ def _counts(header: bytes) -> list[int]:
     """Bytes of samples that the header announces; an uneven abscissa is single or double."""
     rows = header.splitlines()
     form = rows[_FORM].split()[:3] if len(rows) > _FORM else []
-    if len(form) < 3 or not all(f.isdigit() for f in form):
+    if len(form) < 3 or not all(f.isdigit() and len(f) < 19 for f in form):
         return []
     ordinate, points, even = (int(f) for f in form)
     size, per_point = 8 if ordinate in _DOUBLE else 4, 2 if ordinate in _COMPLEX else 1

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pyuff
 
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
+from ringtrue.io.foreign.universal import write_sets
 
 _MOST = 9_999_999_999  # ten columns
 _UNITS = {
@@ -37,10 +37,9 @@ def write_test_model(path: str | Path, test: TestModel) -> None:
     if not test.points.size or test.points.max() > _MOST or test.points.min() < 1:
         raise DataError(f"{path}: {test.points.size} points; their numbers must be 1 to {_MOST}")
     x, y, z = test.xyz.T
+    sets: list[dict[str, object]] = [_UNITS, {"type": 15, "node_nums": test.points, "x": x, "y": y, "z": z}]
+    if len(test.lines):
+        trace = np.column_stack([test.lines, np.zeros(len(test.lines), dtype=np.int64)]).ravel()  # 0 lifts the pen
+        sets.append({"type": 82, "trace_num": 1, "id": "measuring points", "nodes": trace})
     with atomic_write(path) as part:
-        file = pyuff.UFF(str(part))
-        file.write_sets(dict(_UNITS), "add")
-        file.write_sets({"type": 15, "node_nums": test.points, "x": x, "y": y, "z": z}, "add")
-        if len(test.lines):
-            trace = np.column_stack([test.lines, np.zeros(len(test.lines), dtype=np.int64)]).ravel()  # 0 lifts the pen
-            file.write_sets({"type": 82, "trace_num": 1, "id": "measuring points", "nodes": trace}, "add")
+        write_sets(part, sets)

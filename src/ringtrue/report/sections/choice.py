@@ -5,6 +5,7 @@ from __future__ import annotations
 from ringtrue.plots import updating as plots
 from ringtrue.report.parts import Block, Items, Plot, Section, Table, Tabs, sentence
 from ringtrue.report.stages import Stages
+from ringtrue.study.words import stand_ins
 
 
 def section(data: Stages) -> Section | None:
@@ -27,6 +28,9 @@ def section(data: Stages) -> Section | None:
         blocks = [Tabs([("Frequencies", [frequencies]), ("Mode shapes", [two])])]
     rows = [(k, str(len(v)), ", ".join(v), sentence(s.rules.get(k, ""))) for k, v in s.sets.items()]
     blocks.append(Table(("|Set", "Size", "|Parameters", "|Rule"), rows, "Parameter sets and how each was chosen."))
+    held = dict.fromkeys(line for found in s.held.values() for line in stand_ins(found))
+    if held:
+        blocks.append(Items(tuple(held), "Held at the deck's values"))
     if s.clusters:
         blocks.append(Items(s.clusters, "Candidates that the data cannot tell apart"))
     return Section("sensitivities", "Sensitivities and parameters", blocks)

@@ -10,7 +10,16 @@ from ringtrue.report.sections.correlation import blocks, changes
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import ConfiguredTest, DeliveredConfiguration
 
-HEADS = ("|Configuration", "|Deck", "|Test", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %")
+HEADS = (
+    "|Configuration",
+    "|Deck",
+    "|Test",
+    "Pairs",
+    "Mean |Δf|, %",
+    "Max |Δf|, %",
+    "Mean MAC, %",
+    "Mean subspace MAC, %",
+)
 
 
 def section(data: Stages) -> Section | None:
@@ -55,12 +64,14 @@ def _values(before: CorrelationTable, after: CorrelationTable | None) -> list[st
         both(fixed(b.mean_deviation(), 2), fixed(a.mean_deviation(), 2)),
         both(fixed(b.max_deviation(), 2), fixed(a.max_deviation(), 2)),
         both(fixed(b.mean_mac(), 1), fixed(a.mean_mac(), 1)),
+        both(fixed(b.mean_subspace_mac(), 1), fixed(a.mean_subspace_mac(), 1)),
     ]
 
 
 def _one(data: Stages, c: ConfiguredTest, after: DeliveredConfiguration | None) -> list[Block]:
     before = blocks(c.initial, data, f"{c.name}: the deck before the updating against its test.", updating=True)
     out: list[Block] = [Heading(c.name)]
+    out += [Text(sentence(m.text)) for m in c.mendings]
     out += [Items([sentence(n) for n in c.notes], "Where its deck differs")] if c.notes else []
     if after is None:
         return [*out, *before]

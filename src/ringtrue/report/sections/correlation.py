@@ -10,10 +10,24 @@ import numpy as np
 from ringtrue.correlate.significance import Significance, table_significance
 from ringtrue.correlate.table import CorrelationRow, CorrelationTable
 from ringtrue.plots import correlation as plots
-from ringtrue.report.parts import Block, Cell, Diff, Heading, Items, Plot, Section, Table, Text, fixed, sentence, signs
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Diff,
+    Fold,
+    Heading,
+    Items,
+    Plot,
+    Section,
+    Table,
+    Text,
+    fixed,
+    sentence,
+    signs,
+)
 from ringtrue.report.sections import evidence
 from ringtrue.report.stages import Stages
-from ringtrue.study.results import RemodelStep
+from ringtrue.study.results import RemodelStep, Seat
 
 FOLDED = "Orthogonality, channels and close modes"
 FEW = 8  # modes above the other set's band that are still listed one by one
@@ -28,12 +42,25 @@ def pairs(
     """
     a, b = table.names
     sure = judged or table_significance(table)
-    heads = ["#", f"{a} #", f"{b} #", f"f {a}, Hz", f"f {b}, Hz", "Δf, %", "Δf, Hz", "MAC, %", "Δf/σ", "|Acceptance"]
+    heads = [
+        "#",
+        f"{a} #",
+        f"{b} #",
+        f"f {a}, Hz",
+        f"f {b}, Hz",
+        "Δf, %",
+        "Δf, Hz",
+        "MAC, %",
+        "Subspace MAC, %",
+        "Δf/σ",
+        "|Acceptance",
+    ]
     heads += ["|Updating", "|"] if updating else ["|"]
     scatter = zip(sure.z.tolist(), sure.significant.tolist(), strict=True)
     rows = [_row(i + 1, r, data, updating, s) for i, (r, s) in enumerate(zip(table.rows(), scatter, strict=True))]
-    mean = [fixed(table.mean_deviation(), 2), "", fixed(table.mean_mac(), 1)]
-    foot = ["Mean, of |Δf|", *mean, *[""] * (len(heads) - 8)]
+    mean = [fixed(table.mean_deviation(), 2), ""]
+    mean += [fixed(table.mean_mac(), 1), fixed(table.mean_subspace_mac(), 1)]
+    foot = ["Mean, of |Δf|", *mean, *[""] * (len(heads) - 9)]
     text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(sure)}"
     return Table(heads, rows, text, foot if rows else (), lead=5).without_blank("MAC")
 
@@ -50,9 +77,10 @@ def _scatter(sure: Significance) -> str:
 
 
 def _row(number: int, r: CorrelationRow, data: Stages, updating: bool, scatter: tuple[float, bool]) -> list[str | Cell]:
-    ok = data.acceptance.holds(r.deviation_percent, r.deviation_hz, r.mac_percent)
+    ok = data.acceptance.holds(r.deviation_percent, r.deviation_hz, r.subspace_mac_percent)
     row: list[str | Cell] = [str(number), str(r.test), str(r.fe), fixed(r.test_hz, 3), fixed(r.fe_hz, 3)]
-    row += [fixed(r.deviation_percent, 2, sign=True), fixed(r.deviation_hz, 3, sign=True), fixed(r.mac_percent, 1)]
+    row += [fixed(r.deviation_percent, 2, sign=True), fixed(r.deviation_hz, 3, sign=True)]
+    row += [fixed(r.mac_percent, 1), fixed(r.subspace_mac_percent, 1)]
     z, beyond = scatter
     told = fixed(z, 1) if z < 99.95 else fixed(z, 0)
     row.append(Cell(told, "good", "within the scatter") if np.isfinite(z) and not beyond else told)
@@ -61,7 +89,7 @@ def _row(number: int, r: CorrelationRow, data: Stages, updating: bool, scatter: 
         row.append("used" if r.used else Cell("left out", "chip"))
     if r.beyond:
         return [*row, Cell("beyond the gate", "chip", "beyond the frequency gate, but alike and like no other mode")]
-    return [*row, Cell("subspace", "chip", "MAC of the subspace of close modes") if r.subspace else ""]
+    return [*row, Cell("close modes", "chip", "compared as a subspace") if r.subspace else ""]
 
 
 def unpaired(table: CorrelationTable) -> list[Block]:
@@ -91,7 +119,7 @@ def blocks(
     a, b = table.names
     out: list[Block] = [pairs(table, data, caption, updating, judged)]
     if table.mac.size:
-        text = f"MAC between {a} (rows) and {b} (columns) modes; numbers from 10 %, pairs outlined."
+        text = f"MAC of single shapes between {a} (rows) and {b} (columns) modes; numbers from 10 %, pairs outlined."
         out.append(Plot(plots.table_matrix(table), text))
     return out + unpaired(table)
 
@@ -111,10 +139,23 @@ def initial(data: Stages) -> Section | None:
     c = data.correlate
     if c is None:
         return None
-    body: list[Block] = [Text(sentence(c.placed))] if c.placed else []
+    body: list[Block] = [Text(sentence(m.text)) for m in c.mendings]
+    body += [Text(sentence(c.placed))] if c.placed else []
     body += [Items(c.gaps, f"Notes on the test ({len(c.gaps)})")] if c.gaps else []
+    body += [Fold(f"Where the sensors are read ({len(c.seats)} channels)", [seats(c.seats)])] if c.seats else []
     body += blocks(c.initial, data, "The initial model against the test.", updating=True)
     return Section("initial", "Initial correlation", [*body, *evidence.brief(c.evidence_initial, c.initial, FOLDED)])
+
+
+def seats(found: Sequence[Seat]) -> Table:
+    """The map from the points of the sheet to the nodes of the deck."""
+    rows = []
+    for s in found:
+        sensor = s.sensor + (" turned" if s.sign < 0 else "")
+        rows.append([s.channel, sensor, str(s.point), " ".join(map(str, s.nodes)), fixed(1e3 * s.distance, 1)])
+    text = "The nodes of the deck at which each channel is read; numbers of points are those of the sensor sheet."
+    heads = ("|Channel", "|On the sheet", "Point", "|Node", "Distance, mm")
+    return Table(heads, rows, text, scroll=len(rows) > 20)
 
 
 def remodelled(data: Stages) -> Section | None:
@@ -132,10 +173,18 @@ def remodelled(data: Stages) -> Section | None:
 def _history(steps: Sequence[RemodelStep]) -> Table:
     """Each step of the remodelling against the test."""
     rows = [
-        [str(i), s.reason, str(s.pairs), fixed(s.mean_deviation, 2), fixed(s.max_deviation, 2), fixed(s.mean_mac, 1)]
+        [
+            str(i),
+            s.reason,
+            str(s.pairs),
+            fixed(s.mean_deviation, 2),
+            fixed(s.max_deviation, 2),
+            fixed(s.mean_mac, 1),
+            fixed(s.mean_subspace_mac, 1),
+        ]
         for i, s in enumerate(steps)
     ]
-    heads = ("Step", "|What", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %")
+    heads = ("Step", "|What", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Mean subspace MAC, %")
     text = "The initial deck and that after each step of the remodelling, against the test."
     return Table(heads, rows, text).without_blank("MAC")
 

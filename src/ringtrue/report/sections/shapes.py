@@ -44,6 +44,7 @@ def _paired(stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, s
             out += [Shown(stage, label, info, fe, None)] if fe else []
             continue
         info += f", MAC {fixed(r.mac_percent, 1)} %"
+        info += f", subspace MAC {fixed(r.subspace_mac_percent, 1)} %" if r.subspace else ""
         out.append(Shown(stage, label, info, fe, (test, t), (seen, k)))
     return out
 

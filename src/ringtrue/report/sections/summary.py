@@ -57,15 +57,26 @@ def _inventory(data: Stages) -> list[Fact]:
 
 
 def _facts(now: CorrelationTable, before: CorrelationTable | None) -> Facts:
-    old = _figures(before) if before is not None else ("", "", "", "")
-    labels = (("Mean |Δf|", "%"), ("Largest |Δf|", "%"), ("Mean MAC", "%"), ("Paired modes", ""))
+    old = _figures(before) if before is not None else ("",) * 5
+    labels = (
+        ("Mean |Δf|", "%"),
+        ("Largest |Δf|", "%"),
+        ("Mean MAC", "%"),
+        ("Mean subspace MAC", "%"),
+        ("Paired modes", ""),
+    )
     both = zip(labels, _figures(now), old, strict=True)
     return Facts([Fact(label, value, unit, was) for (label, unit), value, was in both if value != MISSING])
 
 
-def _figures(table: CorrelationTable) -> tuple[str, str, str, str]:
-    mean, peak = fixed(table.mean_deviation(), 2), fixed(table.max_deviation(), 1)
-    return mean, peak, fixed(table.mean_mac(), 1), str(len(table))
+def _figures(table: CorrelationTable) -> tuple[str, ...]:
+    return (
+        fixed(table.mean_deviation(), 2),
+        fixed(table.max_deviation(), 1),
+        fixed(table.mean_mac(), 1),
+        fixed(table.mean_subspace_mac(), 1),
+        str(len(table)),
+    )
 
 
 def _tables(data: Stages) -> list[tuple[str, CorrelationTable]]:
@@ -144,10 +155,14 @@ def stages_table(data: Stages) -> Table:
                 continue
             deviation = (fixed(table.mean_deviation(which), 2), fixed(table.max_deviation(which), 2))
             mac = (fixed(table.mean_mac(which), 1), fixed(table.min_mac(which), 1))
-            rows.append((name.capitalize() if which is None else "", label, str(count), *deviation, *mac))
-    heads = ("|Model", "|Modes", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Min MAC, %")
+            subspace = (fixed(table.mean_subspace_mac(which), 1), fixed(table.min_subspace_mac(which), 1))
+            model = name.capitalize() if which is None else ""
+            rows.append((model, label, str(count), *deviation, *mac, *subspace))
+    heads = ["|Model", "|Modes", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Min MAC, %"]
+    heads += ["Mean subspace MAC, %", "Min subspace MAC, %"]
     text = (
         "The stages of the model against the test. Modes that were used or left out are those with a partner in the "
-        "first stage and the last; the ones left out judge the prediction."
+        "first stage and the last; the ones left out judge the prediction. Subspace MAC: close modes are rotated "
+        "inside their subspace towards the test."
     )
     return Table(heads, rows, text).without_blank("MAC")

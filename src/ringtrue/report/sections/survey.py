@@ -7,10 +7,9 @@ from collections import Counter
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.report.parts import Block, Fold, Heading, Items, Section, Table, Text, fixed, number, plain
 from ringtrue.report.stages import Stages
-from ringtrue.study.evidence import MASS
-from ringtrue.study.measured import LENGTH
 from ringtrue.study.results import ModelStage, RecordSummary
 
 
@@ -25,7 +24,7 @@ def section(data: Stages) -> Section | None:
 
 
 def _system(model: ModelStage, computed: Float) -> Table:
-    length, (mass, unit) = LENGTH[model.units], weight(model)
+    length, (mass, unit) = UNIT_SYSTEMS[model.units].length, weight(model)
     x, y, z = (fixed(float(v) * length, 2) for v in model.cg)
     inertia = np.diag(model.inertia) * length**2 * (mass / model.mass if model.mass else 1.0)
     rows = [
@@ -41,7 +40,7 @@ def _system(model: ModelStage, computed: Float) -> Table:
 
 def weight(model: ModelStage) -> tuple[float, str]:
     """The mass in t, or in kg below one."""
-    kg = model.mass * MASS[model.units]
+    kg = model.mass * UNIT_SYSTEMS[model.units].kilograms
     return (kg / 1000, "t") if kg >= 1000 else (kg, "kg")
 
 

@@ -24,6 +24,7 @@ from ringtrue.report.parts import (
 from ringtrue.report.sections.correlation import pairs
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import DataResult, SetResult, UpdateStage
+from ringtrue.study.seats import seat_words
 from ringtrue.study.words import weighed_by
 
 
@@ -80,16 +81,17 @@ def _measured(d: DataResult) -> Table:
     text = f"{d.name}: {d.kind}{where}; the model before and after the updating, with the error (1 σ) that is allowed."
     if np.isnan(d.measured).any():
         text += " Before and after are deviations from the measured curve."
+    text += "".join(f" {sentence(line)}" for line in seat_words(d.seats))
     return Table(("|What", "|Unit", "Measured", "Before", "After", "Error"), rows, text)
 
 
 def _compared(u: UpdateStage) -> Table:
-    quality = ("Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Left out: mean |Δf|, %")
+    quality = ("Mean |Δf|, %", "Max |Δf|, %", "Mean subspace MAC, %", "Left out: mean |Δf|, %")
     heads = ("|Set", "Parameters", *quality, "Condition", "AICc", "Iterations", "|Outcome")
     rows = []
     for i, s in enumerate(u.sets):
         name = Cell(s.name, "chosen", "chosen") if i == u.chosen else s.name
-        values = [fixed(s.mean_deviation, 2), fixed(s.max_deviation, 2), fixed(s.mean_mac, 1)]
+        values = [fixed(s.mean_deviation, 2), fixed(s.max_deviation, 2), fixed(s.mean_subspace_mac, 1)]
         values += [fixed(s.mean_deviation_left_out, 2), number(s.condition, 3), fixed(s.criterion, 1)]
         outcome = s.outcome.split(":")[0]
         rows.append(

@@ -14,6 +14,7 @@ from ringtrue.study.results.correlated import (
     Expansion,
     FrfEvidence,
     RemodelStep,
+    Seat,
 )
 from ringtrue.study.results.identified import (
     IdentifiedRecord,
@@ -33,6 +34,7 @@ from ringtrue.study.results.updated import (
     DampingStage,
     DataResult,
     FinalStage,
+    FinishedSet,
     LocaliseStage,
     PredictStage,
     SensitivityStage,
@@ -58,6 +60,7 @@ __all__ = [
     "Evidence",
     "Expansion",
     "FinalStage",
+    "FinishedSet",
     "FrfEvidence",
     "IdentifiedRecord",
     "IdentifyStage",
@@ -69,6 +72,7 @@ __all__ = [
     "RecordSummary",
     "RemodelStep",
     "Scene",
+    "Seat",
     "SensitivityStage",
     "SetResult",
     "TuneStage",

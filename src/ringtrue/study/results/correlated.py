@@ -10,8 +10,21 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.complete import CompleteCorrelation
 from ringtrue.correlate.frf import FrfComparison
+from ringtrue.correlate.mounting import Mending
 from ringtrue.correlate.table import CorrelationTable
 from ringtrue.correlate.track import Tracks
+
+
+@dataclass(frozen=True, slots=True)
+class Seat:
+    """Where a channel of a test is read on a deck."""
+
+    channel: str  # as the test calls it
+    sensor: str  # on the sensor sheet
+    sign: int  # -1: the channel reads that sensor the other way
+    point: int  # of the sheet
+    nodes: tuple[int, ...]  # of the deck; several with match = rigid
+    distance: float  # m, from the point to the nearest of them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +65,7 @@ class RemodelStep:
     mean_deviation: float  # %
     max_deviation: float
     mean_mac: float  # %
+    mean_subspace_mac: float  # %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +99,8 @@ class CorrelateStage:
     history: tuple[RemodelStep, ...] = ()  # the initial deck, then each step
     expanded: Expansion | None = None  # the elastic test shapes on the remodelled deck, where the study asks for them
     gaps: tuple[str, ...] = ()  # what of the test is not used, and partners that cannot be found, in words
+    seats: tuple[Seat, ...] = ()  # where the channels of the sheet are read on the initial deck
+    mendings: tuple[Mending, ...] = ()  # other mountings of the sensors that explain the test better
 
     @property
     def changed(self) -> bool:
@@ -109,6 +125,8 @@ class ConfiguredTest:
     fe_initial: ModeSet  # observed at the channels
     carried: tuple[str, ...]  # candidates and suspensions that its deck has
     notes: tuple[str, ...]  # fields of candidates that its deck lacks, or has with another value
+    seats: tuple[Seat, ...] = ()  # where the channels of its sheet are read on its deck
+    mendings: tuple[Mending, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.correlate.table import CorrelationTable
-from ringtrue.study.results.correlated import Evidence
+from ringtrue.study.results.correlated import Evidence, Seat
 from ringtrue.update.kfold import Held
 from ringtrue.update.localise import SCARCE
 from ringtrue.update.plausible import SLIGHT, kept, unproven
@@ -65,6 +65,7 @@ class SensitivityStage:
     sets: dict[str, tuple[str, ...]]  # named parameter sets
     rules: dict[str, str]  # how each set was chosen
     clusters: tuple[str, ...]  # candidates that the data cannot tell apart, in words
+    held: dict[str, dict[str, tuple[str, ...]]] = field(default_factory=dict)  # set -> held candidate -> its stand-ins
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +80,7 @@ class SetResult:
     identifiability: Float  # (p,) posterior / prior std
     mean_deviation: float  # %, used modes
     max_deviation: float
-    mean_mac: float  # %
+    mean_subspace_mac: float  # %
     mean_deviation_left_out: float
     condition: float
     criterion: float  # AICc
@@ -87,11 +88,20 @@ class SetResult:
     objective: Float  # (iteration,)
     step: Float  # (iteration,)
     deviation: Float  # (iteration,) mean |Δf| %
-    mac: Float  # (iteration,) mean MAC %
+    subspace_mac: Float  # (iteration,) mean subspace MAC %
     path: Float  # (iteration, p) factors
     gradient: float  # norm at the end, relative to the start
     settings: str = ""  # what it does otherwise than [update], in words
     discrepancy: Float = field(default_factory=lambda: np.full(2, np.nan))  # of f, 1 - MAC: what the end was weighed by
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinishedSet:
+    """A parameter set that an updating which still runs has finished."""
+
+    result: SetResult
+    lost: int  # used modes without partner whose shape the model has
+    runs: int  # of another solver
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +117,7 @@ class DataResult:
     before: Float
     after: Float
     error: Float  # one standard deviation that the updating assumed
+    seats: tuple[Seat, ...] = ()  # where its channels are read
 
 
 @dataclass(frozen=True, slots=True, eq=False)

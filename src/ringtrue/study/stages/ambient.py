@@ -25,15 +25,15 @@ from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
 from ringtrue.study.blows import renamed
 from ringtrue.study.config import IdentifySection
 from ringtrue.study.log import Logged, SensorType
+from ringtrue.study.naming import check_channels
 from ringtrue.study.results import IdentifiedRecord, RecordSummary
-from ringtrue.study.stages.supplied import on_sheet
 
 SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 
 
 def check_sheet(path: Path, channels: Sequence[Channel], sheet: TestModel) -> None:
     """Every response in a record must have its place on the sheet; a force channel names its point itself."""
-    on_sheet([c.id for c in channels if c.quantity != "force"], sheet, path)
+    check_channels([c.id for c in channels if c.quantity != "force"], sheet, path)
 
 
 def _history(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[TimeHistory, tuple[str, ...]]:

@@ -15,7 +15,6 @@ from ringtrue.model.edit import carried
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import course_of, settled
-from ringtrue.study.iterates import Iterates
 from ringtrue.study.objective import names_of, problem_of
 from ringtrue.study.results import SetResult
 from ringtrue.study.stages.sensitivity import targets
@@ -30,7 +29,6 @@ def by_runs(
     name: str,
     members: Sequence[str],
     progress: Progress,
-    kept: Iterates,
     u: UpdateSection | None = None,
 ) -> tuple[SetResult, int]:
     """Update on the full decks of all configurations; the result, and how many runs it took.
@@ -53,9 +51,7 @@ def by_runs(
 
     course = course_of(u)
     course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
-    start, seed = kept.start(name, members), desk.config.study.seed
-    end = settled(problem, u, seed, progress, start=start, course=course, told=told)
-    kept.keep(name, end.solution.y)
+    end = settled(problem, u, desk.config.study.seed, progress, course=course, told=told)
     return summary(problem, aims, name, end), sum(m.ledger.runs for m in models)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +11,18 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.testmodel import TestModel
-from ringtrue.errors import ConfigError, DataError, InputError, about
+from ringtrue.errors import ConfigError, InputError, about
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.edit import apply_factors, carried, field_value
 from ringtrue.model.model import Model
 from ringtrue.study.config import ConfigurationSection, TestSection
+from ringtrue.study.naming import modes_by_sheet
 from ringtrue.study.opened import Opened
 from ringtrue.study.reference import Reference, elastic_table, left_out, reference_modes, reference_of_file
 from ringtrue.study.results import ConfigurationsStage, ConfiguredTest
+from ringtrue.study.seats import seats
 from ringtrue.study.stages import identify
+from ringtrue.study.stages.correlate import mendings
 from ringtrue.study.workbench import Workbench
 
 SAME = 1e-6  # relative difference of a field that is none
@@ -76,6 +80,8 @@ def _one(desk: Workbench, section: ConfigurationSection, progress: Progress) -> 
         fe,
         mine.names,
         _notes(desk.remodelled.model, opened.model, parameters, mine),
+        () if test is None else seats(desk.observed(opened, test, test.channels), test),
+        mendings(desk, opened, test, reference.elastic, desk.up_to(reference.elastic.frequencies)),
     )
 
 
@@ -87,10 +93,13 @@ def _reference(
         path = desk.base / section.modes
         found = reference_of_file(path, desk.config)
         test = read_sensor_sheet(desk.base / section.sheet).model if section.sheet else None
-        lost = [c for c in found.elastic.channels if test is not None and c not in set(test.channels)]
-        if lost:
-            raise DataError(f"{path}: channel {' '.join(lost[:8])} is not on the sensor sheet {section.sheet}")
-        return found, test, f"{len(found.elastic)} modes of {path.name}"
+        source = f"{len(found.elastic)} modes of {path.name}"
+        if test is not None:
+            elastic, told = modes_by_sheet(found.elastic, test, path)
+            rigid, _ = modes_by_sheet(found.rigid, test, path)
+            found = replace(found, elastic=elastic, rigid=rigid)
+            source = "; ".join((source, *told))
+        return found, test, source
     at = _at_test(desk, section)
     with about(desk.base / str(section.log)):
         done = identify.run(at, progress)
@@ -101,7 +110,7 @@ def _reference(
 def seen(desk: Workbench, opened: Opened, test: TestModel | None, reference: ModeSet) -> ModeSet:
     """The modes of a deck at the channels of the test modes of a configuration."""
     modes = opened.modes(desk.up_to(reference.frequencies)).modes
-    look = desk.observed(opened, test, reference.channels)
+    look = desk.observed(opened, test, reference.channels if test is None else test.channels)
     there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, modes.source)
     return there.rows(list(reference.channels))
 

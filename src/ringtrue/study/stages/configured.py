@@ -34,7 +34,7 @@ def deliver(desk: Workbench, section: ConfigurationSection) -> tuple[Opened, tup
     at = np.array([parameters.names.index(n) for n in mine.names], dtype=np.int64)
     moved = [i for i, a in enumerate(factors[at].tolist()) if a != 1.0]
     changes = field_changes(model, mine.take(moved), factors[at][moved])
-    written = edit_fields(model, changes, desk.out / "configurations" / section.name / "updated")
+    written = edit_fields(model, changes, desk.folder("configurations") / section.name / "updated")
     return desk.opened(written[0]), tuple(str(p) for p in written), tuple(said(model, c) for c in changes)
 
 

@@ -13,6 +13,8 @@ from ringtrue.checks.mesh import mesh_errors
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.correlate.mounting import Mending, find_mendings
 from ringtrue.correlate.pairing import BEYOND_THE_GATE
 from ringtrue.correlate.table import CorrelationTable
 from ringtrue.errors import RingtrueError
@@ -21,10 +23,19 @@ from ringtrue.study.config import StudyConfig
 from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.expansion import expanded, on_scene
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import between_nodes, shared_places, words
-from ringtrue.study.reference import Reference, beyond, elastic_table, fewer, left_out, reference_modes, rigid_table
+from ringtrue.study.placing import between_nodes, readings, shared_places, words
+from ringtrue.study.reference import (
+    Reference,
+    beyond,
+    elastic_table,
+    fewer,
+    left_out,
+    reference_modes,
+    rigid_table,
+    settings,
+)
 from ringtrue.study.results import CorrelateStage, Evidence, Expansion, RemodelStep
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.workbench import OWN, Workbench
 
 _log = logging.getLogger(__name__)
 SOON = 2000  # nodes of a deck up to which its mesh error is looked at without being asked
@@ -88,7 +99,20 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
             *_mesh(desk, tables[1]),
             *_far(tables[1]),
         ),
+        desk.seats(OWN, desk.bridge(desk.initial)),
+        mendings(desk, desk.initial, desk.sheet(OWN), reference.elastic, desk.fmax),
     )
+
+
+def mendings(
+    desk: Workbench, opened: Opened, sheet: TestModel | None, test: ModeSet, fmax: float
+) -> tuple[Mending, ...]:
+    """Other mountings of the sensors on a sheet that explain a test better; none without a sheet."""
+    if sheet is None:
+        return ()
+    modes = opened.modes(fmax).modes
+    given = readings(test, modes, sheet, lambda there: desk.observed(opened, there, there.channels))
+    return find_mendings(given, settings(desk.config))
 
 
 def _mesh(desk: Workbench, table: CorrelationTable) -> tuple[str, ...]:
@@ -145,6 +169,13 @@ def _history(
     between = [elastic_table(reference, seen(desk, o), desk.config, out, initial) for o in desk.steps[1:-1]]
     names = ("the initial deck", *(s.reason for s in desk.config.remodel))
     return tuple(
-        RemodelStep(n, len(t), t.mean_deviation(), t.max_deviation(), t.mean_mac())
+        RemodelStep(
+            reason=n,
+            pairs=len(t),
+            mean_deviation=t.mean_deviation(),
+            max_deviation=t.max_deviation(),
+            mean_mac=t.mean_mac(),
+            mean_subspace_mac=t.mean_subspace_mac(),
+        )
         for n, t in zip(names, (ends[0], *between, ends[1]), strict=True)
     )

@@ -21,7 +21,7 @@ from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.fem.response import coupled
 from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.model.edit import field_value
-from ringtrue.study.evidence import MASS, on_sheet
+from ringtrue.study.evidence import on_sheet
 from ringtrue.study.opened import Opened
 from ringtrue.study.reference import Reference, rigid_table
 from ringtrue.study.results import DampedConfiguration, DampedModes, DampedRegions, DampingStage, FinalStage
@@ -230,7 +230,7 @@ def frf_errors(desk: Workbench, test: _Measured, moving: Int, damped: tuple[tupl
     near = np.abs(frfs.freqs[:, None] - test.hertz) <= SPAN * test.ratio * test.hertz  # (line, mode)
     near[:, ~test.elastic] = False  # rigid-body modes are seen by the ambient test, not by the hammer
     lines = np.flatnonzero(near.any(axis=1))
-    data = frfs.data[lines] * MASS[desk.deck.units]
+    data = frfs.data[lines] * desk.unit.kilograms
     window = 2 * frfs.window_decay * np.eye(moving.size)  # an exponential window damps every mode alike
     return [
         _relative(coupled(frfs.freqs[lines], values, d + window, h, phi_out, phi_in, kind=frfs.kind), data, near[lines])
@@ -292,5 +292,5 @@ def _written(
         return (), ()
     every = [c for r, v in zip(found.regions, fit.coefficients.tolist(), strict=True) for c in r.changes(v)]
     changes = [c for c in every if c.value != np.nan_to_num(field_value(opened.model, c))]  # a blank is 0
-    files = edit_fields(opened.model, changes, desk.out / "damped")
+    files = edit_fields(opened.model, changes, desk.folder("damped"))
     return tuple(said(opened.model, c) for c in changes), tuple(str(f) for f in files)

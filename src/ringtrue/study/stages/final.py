@@ -34,7 +34,7 @@ def deliver(desk: Workbench) -> tuple[Opened, tuple[str, ...], list[str]]:
     moved = [i for i, a in enumerate(factors.tolist()) if a != 1.0]
     model = desk.remodelled.model
     changes = field_changes(model, parameters.take(moved), factors[moved])
-    written = edit_fields(model, changes, desk.out / "updated")
+    written = edit_fields(model, changes, desk.folder("updated"))
     told = [said(model, c) for c in changes]
     desk.delivered = desk.opened(written[0])
     return desk.delivered, tuple(str(p) for p in written), told

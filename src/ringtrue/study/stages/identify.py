@@ -30,9 +30,10 @@ from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, r
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.forced import forced_frfs
 from ringtrue.study.log import Logged, read_log
+from ringtrue.study.naming import frfs_by_sheet, supplied_frfs
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
 from ringtrue.study.stages.ambient import ambient, check_sheet, summary
-from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, supplied_frequencies, supplied_frfs, supplied_modes
+from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, supplied_frequencies, supplied_modes
 from ringtrue.study.workbench import Workbench
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
@@ -92,7 +93,8 @@ def struck(
         kept = [kept_blows(mine)] if found.hits else []
         first = record.setup == records[0].setup  # the others look alike
         shown.append(summary(record, _in_a_row(blows), [*notes, *kept, *found.notes], draw=first))
-    return join_frfs(found.columns), shown, refused_blows(found.hits), setups_of(found.columns)
+    columns = [frfs_by_sheet(c, sheet.model)[0] for c in found.columns]
+    return join_frfs(columns), shown, refused_blows(found.hits), setups_of(columns)
 
 
 def _blows(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
@@ -149,9 +151,10 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         return supplied_frequencies(desk.base / str(test.modes), desk.initial, desk.config)
     sheet = read_sensor_sheet(desk.base / test.sheet, desk.base / test.lines if test.lines else None)
     model = sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
-    if unknown := [c for c in test.leave_out if c not in set(model.channels)]:
+    lost, _ = model.named(test.leave_out)
+    if unknown := [c for c in lost if c not in set(model.channels)]:
         raise ConfigError(f"[test] leave_out {unknown[0]!r}{did_you_mean(unknown[0], model.channels)}")
-    found = _identified(desk, replace(sheet, model=model), (*test.leave_out, *sheet.strain), progress)
+    found = _identified(desk, replace(sheet, model=model), (*lost, *sheet.strain), progress)
     strain = tuple(f"channel {c}: measures strain, not used" for c in sheet.strain)
     return replace(found, frf_notes=(*strain, *found.frf_notes))
 
@@ -170,7 +173,8 @@ def _identified(desk: Workbench, sheet: SensorSheet, lost: Sequence[str], progre
     found, shown = ambient(quiet, sensors, sheet, desk.config.identify, lost, choice, part(progress, 0.0, 0.5))
     parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
     merged = merge_modes(parts) if parts else None
-    frfs, rejected = supplied_frfs([desk.base / f for f in test.frfs], model, lost), tuple[str, ...]()
+    frfs, renamed = supplied_frfs([desk.base / f for f in test.frfs], model, lost)
+    rejected = tuple[str, ...]()
     batches: tuple[FrfSet, ...] = ()
     fmax = desk.config.identify.hammer_fmax
     if hits:
@@ -199,7 +203,7 @@ def _identified(desk: Workbench, sheet: SensorSheet, lost: Sequence[str], progre
         result.reasons if result else (),
         result.diagrams if result else (),
         result.synthesis_error if result else np.zeros((0, 0)),
-        result.notes if result and test.frfs else (),
+        (*renamed, *result.notes) if result and test.frfs else (),
         merged.notes if merged else (),
         f"{hits[0].kind} test" if hits else "FRFs",
     )

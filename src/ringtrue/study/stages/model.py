@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ringtrue.checks.autospc import autospc_findings
 from ringtrue.checks.deck import check_deck
 from ringtrue.checks.mass import mass_properties, whole_mass
 from ringtrue.core.progress import Progress, part
@@ -20,6 +21,7 @@ def run(desk: Workbench, progress: Progress) -> ModelStage:
     progress(0.2, "modes of the deck")
     result = opened.modes(desk.first_fmax, part(progress, 0.2, 1.0))
     held = any(c in opened.model for c in ("SPC", "SPC1")) or (opened.model["GRID"]["PS"] != "").any()
+    findings = [*report.findings, *autospc_findings(opened.analysis.system)]
     mass = whole_mass(opened.model) if held else mass_properties(opened.analysis.system)
     scene = make_scene(opened.model, desk.deck.regions, desk.length)
     return ModelStage(
@@ -27,7 +29,7 @@ def run(desk: Workbench, progress: Progress) -> ModelStage:
         tuple(opened.model.files),
         desk.deck.units,
         _counted(opened.model),
-        tuple(str(f) for f in report.findings),
+        tuple(str(f) for f in findings),
         len(opened.model["GRID"]),
         int(opened.analysis.system.stiffness.shape[0]),
         mass.mass,

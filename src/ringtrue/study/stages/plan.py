@@ -298,7 +298,7 @@ def _judged(
         if plan.lines == "mesh":
             lines = points[wireframe(model.scene.xyz, edges, seat)]
             stage = replace(stage, test=replace(stage.test, lines=lines))
-    si = np.sqrt(desk.length)  # mass-normalised in t and mm: 1/√t = 1/√(1000 kg)
+    si = 1 / np.sqrt(desk.unit.kilograms)  # mass-normalised in t: 1/√t = 1/√(1000 kg)
     if plan.sensor_mass:
         added = np.asarray(plan.sensor_mass * np.bincount(back), dtype=np.float64)
         flexible, shift = elastic(f), np.full(f.size, np.nan)

@@ -49,7 +49,6 @@ from ringtrue.update.posterior import Posterior, laplace
 from ringtrue.update.predict import Output, Unbalance, plane, run_up, validated_band
 from ringtrue.update.several import Configuration, Problem
 
-UNIT = {"SI": "m", "mm-t-s": "mm"}
 LOWEST = 0.005  # of the highest speed: the first line
 WATCHED = 40  # speeds at which the residual is watched
 SPREAD = 0.3  # of ln ζ: what is known of damping beyond the tested modes
@@ -129,9 +128,9 @@ def predict(
     loads = motion[list(across)].toarray().T
     model, residual = _model(desk, posterior.parameters, loads, freqs, part(progress, 0.3, 0.6))
     v = model.basis.vectors
-    outputs = [Output(f"rotor, node {rotor}", UNIT[desk.deck.units], Rows(np.asarray(motion @ v)), 3)]
+    outputs = [Output(f"rotor, node {rotor}", "m", Rows(np.asarray(motion @ v) * desk.unit.length), 3)]
     for name, ids in springs.items():
-        outputs += _forces(opened, model.system.parameters, name, ids, v)
+        outputs += _forces(opened, model.system.parameters, name, ids, v * desk.unit.force)
     progress(0.6, "damping")
     damping, words = _damping(desk, v)
     result = run_up(
@@ -139,7 +138,7 @@ def predict(
         posterior.sample(draws, rng),
         posterior.x,
         freqs,
-        np.asarray(v.T @ loads),
+        np.asarray(v.T @ loads) / desk.unit.force,  # the unbalance is in N
         unbalance,
         outputs,
         damping,
@@ -210,7 +209,7 @@ def _posterior(desk: Workbench, progress: Progress) -> tuple[Posterior, float]:
     done: UpdateStage = desk.get("update")
     final: FinalStage = desk.get("final")
     best = done.sets[done.chosen]
-    model, aim = desk.candidates(progress), target(desk)
+    model, aim = desk.delivered_models(progress)[0], target(desk)
     every = model.parameters.names
     at = [every.index(n) for n in best.parameters]
     out = final.table.deviation_percent[~final.table.used] / 100
@@ -255,7 +254,7 @@ def _model(
     And the largest residual of that response, relative to the load. The basis is that of one point: for the changes
     that the posterior leaves it is exact to second order.
     """
-    model = desk.candidates(part(progress, 0.0, 0.3)).model
+    model = desk.delivered_models(part(progress, 0.0, 0.3))[0].model
     every = model.system.parameters
     known = dict(zip(desk.parameters.names, chosen_factors(desk).tolist(), strict=True))
     known |= desk.get("tune").factors if desk.config.suspension else {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ringtrue.study.reference import followed, settings, used_mask
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, LocaliseStage, SensitivityStage
 from ringtrue.study.workbench import Workbench
 from ringtrue.update import choose
+from ringtrue.update.identifiable import stood_for
 from ringtrue.update.objective import Target, Weights, match
 
 RULES = choose.RULES | {
@@ -84,6 +85,16 @@ def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[
     return out | named, weighted
 
 
+def _not_told_apart(desk: Workbench, weighted: Float, names: Sequence[str], members: Int) -> dict[str, tuple[str, ...]]:
+    """Members of a set that are held at the deck's values, with those that stand for them.
+
+    Those of the proposal stand for others, then those of the largest effect.
+    """
+    found: LocaliseStage | None = desk.get("localise")
+    first = [m.name for m in found.proposal.members] if found is not None else []
+    return stood_for(weighted[:, members], [names[i] for i in members.tolist()], first)
+
+
 def _rules(desk: Workbench, sets: Mapping[str, Int]) -> dict[str, str]:
     """How each set was chosen, in words."""
     several = desk.config.configuration
@@ -134,6 +145,8 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     lam = (2 * np.pi * point.frequencies[fe]) ** 2
     d_mac = np.array([mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist() if not aim.lent])
     members, weighted = _sets(desk, model, part(progress, 0.6, 1.0))
+    held = {rule: _not_told_apart(desk, weighted, names, at) for rule, at in members.items()}
+    members = {rule: at[[names[i] not in held[rule] for i in at.tolist()]] for rule, at in members.items()}
     return SensitivityStage(
         names,
         0.5 * point.d_lambda[fe] / lam[:, None],
@@ -142,4 +155,5 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
         {rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
         _rules(desk, members),
         choose.alike(weighted, names),
+        {rule: found for rule, found in held.items() if found},
     )

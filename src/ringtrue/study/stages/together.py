@@ -14,7 +14,6 @@ from ringtrue.core.progress import Progress
 from ringtrue.model.ports import Linearisation
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import settled
-from ringtrue.study.iterates import Iterates
 from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
 from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
@@ -32,7 +31,6 @@ def together(
     name: str,
     members: Sequence[str],
     progress: Progress,
-    kept: Iterates,
     u: UpdateSection | None = None,
     factors: Mapping[str, float] | None = None,
 ) -> tuple[SetResult, int]:
@@ -48,23 +46,19 @@ def together(
     """
     u = u or desk.config.update
     models, aims = [desk.candidates(progress), *desk.others(progress)], targets(desk, u)
-    start = kept.start(name, members)
-    if start is None and factors is not None:
-        start = desk.parameters.take([desk.parameters.names.index(m) for m in members]).vector(
-            np.array([factors[m] for m in members])
-        )
+    start: Float | None = None
+    if factors is not None:
+        mine = desk.parameters.take([desk.parameters.names.index(m) for m in members])
+        start = mine.vector(np.array([factors[m] for m in members]))
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
         end = settled(_problem(desk, u, models, aims, members), u, desk.config.study.seed, progress, start=start)
         path += end.path[1:] if path else end.path
         start = end.solution.y
-        kept.keep(name, start)
         models, error = _verified(models, members, end.solution)
         if error < CLOSE:
             break
-    desk.keep(models[0])
-    desk.keep_others(models[1:])
     if error >= CLOSE:
         raise not_verified(error)
     problem = _problem(desk, u, models, aims, members)
@@ -74,16 +68,17 @@ def together(
 
 def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
     """What was measured beside the modes, by the model before and after the updating."""
-    models = [_held(m, best.parameters) for m in (desk.candidates(progress), *desk.others(progress))]
+    models = [_held(m, best.parameters) for m in desk.updated(best, progress)]
     x = desk.parameters.take([desk.parameters.names.index(n) for n in best.parameters]).vector(best.factor)
     at = dict(zip(best.parameters, x.tolist(), strict=True))
     out = []
     for name, model, aim in zip(names_of(desk), models, targets(desk), strict=True):
         y = np.array([at[n] for n in model.parameters.names])
-        for d in data_of(desk, name, model):
+        for m, d in zip(desk.measured(name), data_of(desk, name, model), strict=True):
             one = Configuration(model, aim, (d.term,))
             before, after = (d.shown(d.term(one.at(v, slopes=False))) for v in (0 * y, y))
-            out.append(DataResult(d.name, d.kind, name, d.labels, d.units, d.measured, before, after, d.scale))
+            places = desk.seats_beside(name, m)
+            out.append(DataResult(d.name, d.kind, name, d.labels, d.units, d.measured, before, after, d.scale, places))
     return tuple(out)
 
 
@@ -93,8 +88,8 @@ def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Con
         return ()
     delivered: ConfiguredStage = desk.get("configured")
     factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
-    out, models = [], desk.others(progress)
-    for model, aim, done in zip(models, targets(desk)[1:], delivered.items, strict=True):
+    out = []
+    for model, aim, done in zip(desk.delivered_models(progress)[1:], targets(desk)[1:], delivered.items, strict=True):
         active, x = as_delivered(desk, model, factor, done.observed.frequencies, progress)
         terms = terms_of(desk, done.name, active, desk.config.update)
         out.append(Configuration(active, aim.settled(active.linearise(x)), terms, done.name))

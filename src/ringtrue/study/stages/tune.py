@@ -103,7 +103,7 @@ def _others(desk: Workbench, progress: Progress) -> tuple[_Other, ...]:
     found: ConfigurationsStage = desk.get("configurations")
     known = dict(zip(desk.parameters.names, chosen_factors(desk).tolist(), strict=True))
     out = []
-    for test, model in zip(found.items, desk.others(progress), strict=True):
+    for test, model in zip(found.items, desk.delivered_models(progress)[1:], strict=True):
         every, mine = model.model.system.parameters, model.parameters
         springs = range(len(mine), len(every))
         if not (len(test.rigid) and len(springs)):

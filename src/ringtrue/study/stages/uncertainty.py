@@ -52,7 +52,7 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     whole = dict.fromkeys(desk.parameters.names, 1.0) | factor
 
     early = part(progress, 0.0, 0.4)
-    every, at = as_delivered(desk, desk.candidates(early), whole, final.observed.frequencies, early)
+    every, at = as_delivered(desk, desk.delivered_models(early)[0], whole, final.observed.frequencies, early)
     model, x = as_delivered(desk, every, factor, final.observed.frequencies, early)
     if desk.engine is not None and not _same(desk, model, final, x):
         return None

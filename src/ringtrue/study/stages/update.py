@@ -14,15 +14,22 @@ from ringtrue.errors import NumericalError
 from ringtrue.model.edit import field_value
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import further
-from ringtrue.study.iterates import Iterates
-from ringtrue.study.results import CorrelateStage, LocaliseStage, SensitivityStage, SetResult, UpdateStage
+from ringtrue.study.finished import FinishedSets
+from ringtrue.study.results import (
+    CorrelateStage,
+    FinishedSet,
+    LocaliseStage,
+    SensitivityStage,
+    SetResult,
+    UpdateStage,
+)
 from ringtrue.study.stages.by_runs import by_runs
 from ringtrue.study.stages.localise import element_regions
-from ringtrue.study.stages.sensitivity import target
 from ringtrue.study.stages.together import together, told_data
 from ringtrue.study.workbench import Workbench
 from ringtrue.update.candidates import elements_of
 from ringtrue.update.pool import of_parameter
+from ringtrue.update.unmoved import unmoved
 
 _log = logging.getLogger(__name__)
 
@@ -36,11 +43,10 @@ ALL = "; all figures are over the tests of all configurations"
 
 def run(desk: Workbench, progress: Progress) -> UpdateStage:
     """Update every set, verify each by a full solution, choose by the information criterion."""
-    aim = target(desk)
     sets: SensitivityStage = desk.get("sensitivity")
     found: CorrelateStage = desk.get("correlate")
     named = {s.name: s for s in desk.config.set}
-    kept, results, runs = Iterates.of(desk, aim), list[SetResult](), 0
+    kept, results, runs = FinishedSets.of(desk), list[SetResult](), 0
     lost = dict[str, int]()  # used modes without partner that the model has
     for i, (name, members) in enumerate(sets.sets.items()):
         told = part(progress, i / len(sets.sets), (i + 1) / len(sets.sets))
@@ -50,21 +56,20 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         if same is not None and not own:  # two rules, one choice
             results.append(replace(same, name=name))
             continue
-        asked = named[name].settings(desk.config.update) if own else None
-        if desk.engine is not None:
-            done, more = by_runs(desk, name, members, told, kept, asked)
-            results.append(replace(done, settings=named[name].words() if own else ""))
-            runs += more
-        else:
-            done, lost[name] = together(desk, name, members, progress, kept, asked)
-            results.append(replace(done, settings=named[name].words() if own else ""))
+        done = kept.get(name)
+        if done is None:
+            asked = named[name].settings(desk.config.update) if own else None
+            done = kept.put(name, _finished(desk, name, members, told, asked))
+        results.append(replace(done.result, settings=named[name].words() if own else ""))
+        runs += done.runs
+        lost[name] = done.lost
     alike = [r.name not in named or named[r.name].comparable(desk.config.update) for r in results]
     chosen = _least(results, alike)
     if results[chosen].parameters and lost.get(results[chosen].name):
-        results = _with_further_starts(desk, results, chosen, progress, kept)
+        results = _with_further_starts(desk, results, chosen, progress)
         chosen = _least(results, alike)
-    kept.done()
-    best = results[chosen]
+    kept.clear()
+    results[chosen] = best = _without_unmoved(desk, results[chosen])
     parameters = desk.parameters.take([sets.names.index(n) for n in best.parameters])
     before = dict(zip(best.parameters, _values(desk, best, np.ones(len(parameters))), strict=True))
     after = dict(zip(best.parameters, _values(desk, best, best.factor), strict=True))
@@ -82,6 +87,27 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         desk.deck.solver,
         runs,
     )
+
+
+def _finished(
+    desk: Workbench, name: str, members: Sequence[str], progress: Progress, asked: UpdateSection | None
+) -> FinishedSet:
+    """A set updated on the reduced models, or by runs of another solver."""
+    if desk.engine is not None:
+        result, runs = by_runs(desk, name, members, progress, asked)
+        return FinishedSet(result, 0, runs)
+    result, lost = together(desk, name, members, progress, asked)
+    return FinishedSet(result, lost, 0)
+
+
+def _without_unmoved(desk: Workbench, best: SetResult) -> SetResult:
+    """The set with a factor of 1 for what has not changed beyond its own error and moves no mode: it is not written."""
+    names, sets = desk.parameters.names, desk.get("sensitivity")
+    at = [names.index(n) for n in best.parameters]
+    x = desk.parameters.take(at).vector(best.factor)
+    slopes = sets.d_frequency[:, [sets.names.index(n) for n in best.parameters]]
+    factor = np.where(unmoved(x, best.std, slopes), 1.0, best.factor)
+    return replace(best, factor=factor)
 
 
 def _values(desk: Workbench, best: SetResult, factor: Float) -> list[float]:
@@ -109,9 +135,7 @@ def _least(results: Sequence[SetResult], alike: Sequence[bool]) -> int:
     return int(np.argmin([r.criterion if good else np.inf for r, good in zip(results, alike, strict=True)]))
 
 
-def _with_further_starts(
-    desk: Workbench, results: list[SetResult], chosen: int, progress: Progress, kept: Iterates
-) -> list[SetResult]:
+def _with_further_starts(desk: Workbench, results: list[SetResult], chosen: int, progress: Progress) -> list[SetResult]:
     """The sets, the one to be chosen from further starts as well where these end in a lower J.
 
     One is where the proposal was found: its search has left minima in which the way from the deck may end.
@@ -126,7 +150,7 @@ def _with_further_starts(
         progress(0.9, f"{best.name}: modes without partner, {what}")
         name = f"{best.name}, {what}"
         try:
-            other, _ = together(desk, name, best.parameters, progress, kept, settings, factors)
+            other, _ = together(desk, name, best.parameters, progress, settings, factors)
         except NumericalError as e:  # the end from the deck stands
             _log.info("%s: %s", name, e)
             continue

@@ -1,0 +1,209 @@
+"""The process that `process` starts: parsers in C, and their results as plain arrays, texts, lists and dicts."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from ringtrue.io.foreign.door import DAMAGE
+
+if TYPE_CHECKING:  # a parser is imported where it is used: a start with all of them takes twice the time
+    import h5py
+
+try:
+    import resource
+except ImportError:  # Windows: the parent's clock is the only limit
+    resource = None  # type: ignore[assignment]
+
+_PAGES = Path("/proc/self/statm")  # Linux
+_SAME_FILE = "."  # the name that a virtual data set has for its own file
+_WHOLE = 1 << 26  # bytes up to which a data set is read whole; the samples of larger ones lie in plain blocks
+_PACKED = 1000  # times that a data set may be larger than its file: records of constants are packed 200 times
+_LATER = 5  # seconds that the parent's clock has to stop this process before its own does
+
+
+def serve() -> None:
+    """Read what the parent asks for, until it closes the pipe."""
+    asked, answers = sys.stdin.buffer, os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a parser prints is no answer
+    answers.write(b".")
+    answers.flush()
+    while True:
+        try:
+            parser, path, seconds, memory = pickle.load(asked)
+        except EOFError:
+            return
+        _limit(seconds, memory)
+        try:
+            answer: tuple[str, Any] = ("done", PARSERS[parser](path))
+        except DAMAGE as exc:
+            answer = ("failed", f"{type(exc).__name__}: {' '.join(str(exc).split())[:200]}")
+        _no_limit()
+        pickle.dump(answer, answers, protocol=5)
+        answers.flush()
+
+
+def _limit(seconds: float, memory: int) -> None:
+    """So that a parser without end does not outlive a parent that was killed, nor takes the machine's memory."""
+    if resource is None:
+        return
+    signal.alarm(int(seconds) + _LATER)
+    if _PAGES.exists():
+        now = int(_PAGES.read_text().split()[0]) * resource.getpagesize()
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        most = now + memory if hard == resource.RLIM_INFINITY else min(now + memory, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+
+
+def _no_limit() -> None:
+    if resource is not None:
+        signal.alarm(0)  # waiting for the next file is no parser without end
+
+
+def _matrix_market(path: str) -> Any:
+    from scipy import io, sparse
+
+    return sparse.csr_array(cast(Any, io.mmread(path, spmatrix=False)))
+
+
+def _matlab(path: str) -> dict[str, Any]:
+    """Arrays, sparse matrices (csr), texts (str), cells (object arrays) and structures (dict) by name."""
+    from scipy import io
+
+    found = io.loadmat(path, spmatrix=False, appendmat=False)  # mat_dtype=True drops imaginary parts
+    plain = {name: _plain(value) for name, value in found.items() if not name.startswith("__")}
+    return {name: value for name, value in plain.items() if value is not None}
+
+
+def _plain(value: Any) -> Any:
+    """None for objects and functions."""
+    from scipy import sparse
+
+    if sparse.issparse(value):
+        return sparse.csr_array(cast(Any, value))
+    if type(value) is not np.ndarray:
+        return None
+    if value.dtype.names:
+        return _structure(value)
+    if value.dtype.kind == "O":
+        cells = np.empty(value.shape, dtype=object)
+        for k, cell in enumerate(value.flat):
+            cells.flat[k] = _plain(cell)
+        return cells
+    if value.dtype.kind == "U":
+        return "\n".join(value.ravel().tolist())
+    if value.dtype.kind == "b":
+        return value.astype(np.uint8)
+    return value.astype(value.dtype.newbyteorder("="), order="F", copy=False)
+
+
+def _structure(value: Any) -> dict[str, Any] | None:
+    """Fields of a structure; of an array of several, each field as an object array of its values."""
+    names = value.dtype.names
+    if value.size == 1:
+        only = value.reshape(-1)[0]
+        return {name: _plain(only[name]) for name in names}
+    if not value.size:
+        return None
+    fields: dict[str, Any] = {}
+    for name in names:
+        fields[name] = np.empty(value.size, dtype=object)
+        fields[name][:] = [_plain(one) for one in value[name].flat]
+    return fields
+
+
+def _hdf5(path: str) -> str:
+    """Read what a reader may read: if HDF5 does not come back from it, ends or takes all memory, it does so here.
+
+    Errors are left to the reader, who may not touch what is damaged; those of memory alone are passed on, as this
+    process is given less of it.
+
+    Returns
+    -------
+    str
+        The first thing that stands in another file, in words; empty if there is none.
+    """
+    import h5py
+
+    outside: list[str] = []
+    seen: set[int] = set()
+    size = Path(path).stat().st_size
+    with h5py.File(path, "r") as file:
+        todo: list[h5py.Group | h5py.Dataset] = [file]
+        while todo:
+            item = todo.pop()
+            try:
+                address = h5py.h5o.get_info(item.id).addr
+                if address in seen:
+                    continue
+                seen.add(address)
+                for value in item.attrs.values():
+                    del value
+                if isinstance(item, h5py.Group):
+                    todo += _children(item, outside)
+                elif not isinstance(item, h5py.Dataset):
+                    continue  # a type with a name
+                elif others := _stored_elsewhere(item):
+                    outside.append(f"the samples of {item.name} stand in {others[0]}")
+                elif (item.size or 0) * item.dtype.itemsize > max(_WHOLE, _PACKED * size):
+                    raise MemoryError(f"{item.name} announces shape {item.shape}, the file holds {size} bytes")
+                else:
+                    _touch(item)
+            except MemoryError:
+                raise
+            except DAMAGE as exc:
+                if "alloc" in str(exc):
+                    raise MemoryError(str(exc)) from exc
+    return outside[0] if outside else ""
+
+
+def _children(group: h5py.Group, outside: list[str]) -> list[h5py.Group | h5py.Dataset]:
+    """What a group holds; what it links to in other files is told to `outside`."""
+    import h5py
+
+    found = []
+    for name in group:
+        try:
+            link = group.get(name, getlink=True)
+            if isinstance(link, h5py.ExternalLink):
+                outside.append(f"{name} is a link to {link.filename}")
+            elif isinstance(link, h5py.HardLink):
+                found.append(group[name])
+        except DAMAGE:  # its neighbours may be whole
+            continue
+    return found
+
+
+def _stored_elsewhere(data: h5py.Dataset) -> list[str]:
+    """The files that hold the samples of a data set, other than its own."""
+    import h5py
+
+    made = data.id.get_create_plist()
+    if made.get_external_count():
+        return [os.fsdecode(made.get_external(0)[0])]
+    if made.get_layout() == h5py.h5d.VIRTUAL:
+        return [source.file_name for source in data.virtual_sources() if source.file_name != _SAME_FILE]
+    return []
+
+
+def _touch(data: h5py.Dataset) -> None:
+    if data.chunks is not None:
+        data.id.get_num_chunks()
+    if data.size * data.dtype.itemsize <= _WHOLE:
+        data[()]
+    elif data.ndim:
+        data[tuple(slice(0, 1) for _ in data.shape)]
+
+
+PARSERS: dict[str, Callable[[str], Any]] = {
+    "matlab": _matlab,
+    "matrix market": _matrix_market,
+    "hdf5": _hdf5,
+}

@@ -1,0 +1,66 @@
+"""Every reader of a file that a user gives, for the files of this folder and for `scripts/fuzz`.
+
+`seeds/<kind>/` holds small intact files, written by ringtrue, scipy, h5py, nptdms and openpyxl; `faults/<kind>/` files
+that once ended the process, hung, took memory without bound or gave a traceback, each named after its fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ringtrue.io.choices import read_choice
+from ringtrue.io.frfs import holds_frfs, read_frfs
+from ringtrue.io.matrices import read_matrices
+from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.nastran.reader import read_deck
+from ringtrue.io.nastran_results.modes import read_recorded
+from ringtrue.io.nastran_results.sensitivity import read_sensitivities
+from ringtrue.io.records import read_record, read_runs
+from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.io.statics import read_statics
+from ringtrue.io.uff.modes import read_shapes
+from ringtrue.io.uff.tables import read_geometry
+from ringtrue.study.config import read_config
+from ringtrue.study.log import read_log
+
+CORPUS = Path(__file__).parent
+SEEDS = CORPUS / "seeds"
+FAULTS = CORPUS / "faults"
+RATE = 200.0  # Hz, for records that do not tell theirs
+
+
+def _record(path: Path) -> Any:
+    return read_record(path, None if path.suffix in (".uff", ".tdms", ".wav") else RATE)
+
+
+def _record_with_gaps(path: Path) -> Any:
+    return read_record(path, check=False, gaps=True)
+
+
+READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
+    "choice": (read_choice,),
+    "deck": (read_deck,),
+    "frf": (read_frfs, holds_frfs),
+    "geometry": (read_geometry, read_shapes),
+    "log": (read_log,),
+    "matrices": (read_matrices,),
+    "modes": (read_modes, read_std),
+    "record": (_record, _record_with_gaps, read_runs),
+    "results": (read_recorded,),
+    "sensitivity": (read_sensitivities,),
+    "sensors": (read_sensor_sheet,),
+    "statics": (read_statics,),
+    "study": (read_config,),
+}
+
+
+def kinds() -> list[tuple[str, str]]:
+    """Each kind of file with each ending that it has among the seeds."""
+    return sorted({(path.parent.name, path.suffix) for path in SEEDS.glob("*/*")})
+
+
+def seeds(kind: str, ending: str) -> list[Path]:
+    """The intact files of a kind and ending."""
+    return sorted((SEEDS / kind).glob(f"*{ending}"))

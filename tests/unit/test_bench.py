@@ -1,0 +1,339 @@
+"""Benchmarks: every script states what is right, and a wrong answer makes it fail; the page is what they stated."""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import concrete_frame
+import correlation
+import deck_reading
+import derivatives
+import durability
+import elements
+import facility
+import identification_ambient
+import identification_hammer
+import identification_peers
+import identification_setups
+import identification_system as system
+import localisation
+import modes
+import numpy as np
+import outcome
+import pytest
+import tracking
+import uncertainty
+import updating
+import write_docs
+from outcome import Check, Peer, Report, at_least, at_most, rms_over_stated, share_at_least, share_at_most, within
+
+BENCH = Path(__file__).parents[2] / "bench"
+SHARED = {"outcome.py", "write_docs.py", "identification_system.py", "concrete_frame.py"}
+SCRIPTS = sorted(p for p in BENCH.glob("*.py") if p.name not in SHARED)
+
+
+def right(checks: Check | Sequence[Check]) -> bool:
+    return all(c.right for c in ([checks] if isinstance(checks, Check) else checks))
+
+
+# The framework
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_not_a_number_is_wrong(value: float) -> None:
+    assert not at_most("x", value, 1.0).right
+    assert not at_least("x", value, 1.0).right
+    assert not within("x", value, 0.0, 1.0).right
+
+
+def test_limits_are_included() -> None:
+    assert at_most("x", 1.0, 1.0).right
+    assert not at_most("x", 1.0 + 1e-12, 1.0).right
+    assert at_least("x", 1.0, 1.0).right
+    assert not at_least("x", 1.0 - 1e-12, 1.0).right
+    assert not within("x", -0.1, 0.0, 1.0).right
+
+
+def test_shares_of_few_cases_have_wider_limits_but_some() -> None:
+    few, many = share_at_least("x", 18, 20, 0.9), share_at_least("x", 900, 1000, 0.9)
+    assert few.low is not None
+    assert many.low is not None
+    assert few.low < many.low < 90.0
+    assert not share_at_least("x", 0, 0, 0.9).right
+    assert not share_at_least("x", 0, 1, 0.5).right
+    assert not share_at_most("x", 2, 2, 0.1).right
+    assert not share_at_most("x", 0, 0, 0.1).right
+
+
+def test_errors_over_stated_deviations_are_near_one() -> None:
+    errors = np.random.default_rng(0).standard_normal(400)
+    assert rms_over_stated("x", errors).right
+    assert not rms_over_stated("x", 1.5 * errors).right
+    assert not rms_over_stated("x", errors / 2).right
+    assert not rms_over_stated("x", [np.nan]).right
+
+
+def test_a_row_needs_a_check() -> None:
+    with pytest.raises(ValueError, match="check"):
+        outcome.Row("x", {"s": 1.0}, ())
+
+
+@pytest.mark.parametrize(("value", "status"), [(0.5, 0), (2.0, 1), (np.nan, 1)])
+def test_a_wrong_answer_is_the_status_and_stands_in_the_file(value: float, status: int, tmp_path: Path) -> None:
+    options = outcome.arguments("").parse_args(["--json", str(tmp_path / "x.json")])
+    report = Report(options)
+    report.row("a", {"s": 1.0}, [at_most("x", 0.0, 1.0)])
+    report.row("|b|", {"s": 2.0, "GB": 1.0}, [at_most("x", value, 1.0)], [Peer("p", {"s": 6.0})])
+    report.not_run("q", "not installed")
+    with pytest.raises(SystemExit) as end:
+        report.end()
+    assert end.value.code == status
+    stated = json.loads((tmp_path / "x.json").read_text())
+    assert stated["right"] == (status == 0)
+    assert stated["not_run"] == {"q": "not installed"}
+    assert {"command", "date", "commit", "processor"} <= stated.keys()
+    assert [r.what for r in outcome.read_rows(stated)] == ["a", "|b|"]
+    lines = write_docs.row_lines(stated)
+    assert lines[1][2:4] == ("p: 6 s", "3")
+    assert ("**wrong**" in lines[1][4]) == (status == 1)
+    assert "| \\|b\\| | 2 s, 1 GB | p: 6 s | 3 |" in write_docs.table(write_docs.HEAD, lines)
+
+
+def test_no_answer_is_a_wrong_one() -> None:
+    with pytest.raises(SystemExit) as end:
+        Report(outcome.arguments("").parse_args([])).end()
+    assert end.value.code == 1
+
+
+# The scripts
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: p.name)
+def test_every_script_states_what_is_right_and_needs_nothing_beside_the_clone(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    called = {ast.unparse(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
+    assert "report.end" in called
+    assert "shared/" not in text
+    assert any(command.split()[0] == f"bench/{path.name}" for command in write_docs.RUNS.values())
+
+
+def test_the_published_frame_is_not_needed() -> None:
+    text = (BENCH / "updating.py").read_text(encoding="utf-8")
+    assert "if PUBLISHED.exists()" in text
+    matrices, rows = concrete_frame.own_frame()
+    assert rows.size == 43
+    assert len(matrices.stiffness) == 12
+
+
+def test_the_page_is_what_the_scripts_stated() -> None:
+    named = [
+        n for place in write_docs.PLACE.findall(write_docs.TEMPLATE.read_text(encoding="utf-8")) for n in place.split()
+    ]
+    assert sorted(named) == sorted([*write_docs.RUNS, "runs"])
+    assert {p.stem for p in write_docs.RESULTS.glob("*.json")} <= set(write_docs.RUNS)
+    assert write_docs.page(write_docs.stored) == write_docs.PAGE.read_text(encoding="utf-8")
+
+
+def score(off: float = 0.0, missing: int = 0, extra: int = 0, mac: float = 1.0) -> system.Score:
+    """Of 15 modes, all off by so many per cent."""
+    f = np.full(15, 1.0) * off
+    f[:missing] = np.nan
+    return system.Score(f, 10 * f, np.where(np.isfinite(f), mac, np.nan), extra)
+
+
+def record(**what: Any) -> identification_ambient.Record:
+    """Errors of 0.05 % of frequency and 0.5 % of damping are those of the floor."""
+    return identification_ambient.Record(1.0, score(**what), np.full(15, 0.05), np.full(15, 0.5))
+
+
+def errors(count: int, scale: float = 1.0, extra: int = 0) -> list[identification_ambient.Errors]:
+    """Of records whose stated deviations are 0.01."""
+    out = []
+    for seed in range(count):
+        found = np.random.default_rng(seed).standard_normal((3, 10)) * 0.01 * scale
+        stated = np.full((2, 10), 0.01)
+        out.append(identification_ambient.Errors(found[:2], stated, found[2] / 0.01, extra))
+    return out
+
+
+def peer_run(frequencies: np.ndarray, std: float = 0.003) -> identification_peers.Measured:
+    return identification_peers.Measured(1.0, 1.0, frequencies, std * np.sqrt(frequencies))
+
+
+def square(joined: int = 0, moved: float = 0.0) -> deck_reading.Square:
+    read = deck_reading.made(100)
+    other = read.joined.copy()
+    other[0, 0] += joined
+    return replace(read, joined=other, xyz=read.xyz + moved)
+
+
+def drawn(scale: float = 1.0, found: int = 4) -> list[dict[str, np.ndarray]]:
+    """Errors over deviations of 40 sets of four modes."""
+    rng = np.random.default_rng(3)
+    return [{k: scale * rng.standard_normal(found) for k in ("frequency", "damping", "shapes")} for _ in range(40)]
+
+
+GAPS = np.random.default_rng(0).standard_normal(200)
+TRUE = system.truth(system.SIXTEEN).frequencies
+FREE = np.r_[np.zeros(6), np.linspace(10.0, 40.0, 24)]
+SEED = facility.Seed(18, 19.0, 20, 0.8, 2.5, 96.0, True, (4, 4), (0.5, -1.0, 0.8), {"slab": True}, 300.0)
+SCORE = localisation.Score(3, 4, 1.0, 1.0, 0.2, {}, 1.0)
+RUN = updating.Run(1.0, 0.5, 1e-12, 1e-6, True)
+COUNTS = {f"{w}{h}": 50 for w in uncertainty.STATED for h in ("", " held")}
+PAIRED = correlation.Paired(np.full(100, 0.8), np.full(100, 0.7))
+SLOPES = np.random.default_rng(2).standard_normal((30, 4))
+
+ALIKE = durability.Faults(100, 100, 100, 100)
+FLIPS = durability.Flips(named=8, refused=1, anew=20, alike=20)
+
+# script: what judges its answers, answers that are right, and wrong ones
+JUDGED: list[tuple[str, Callable[..., Check | Sequence[Check]], tuple[Any, ...], list[tuple[Any, ...]]]] = [
+    ("modes", modes.solved, (FREE, 1e-8), [(FREE + 1, 1e-8), (FREE, 1e-2), (FREE, np.nan)]),
+    ("modes", modes.same, (FREE, FREE), [(FREE * 1.001, FREE), (FREE[:-1], FREE), (np.delete(FREE, 7), FREE)]),
+    ("modes", modes.near, (FREE, 1.01 * FREE), [(FREE, 1.05 * FREE)]),
+    ("derivatives", derivatives.by_differences, (SLOPES, SLOPES), [(1.01 * SLOPES, SLOPES), (np.nan * SLOPES, SLOPES)]),
+    ("derivatives", derivatives.by_products, (SLOPES, SLOPES), [(1.01 * SLOPES, SLOPES)]),
+    ("derivatives", derivatives.by_adjoints, (SLOPES, SLOPES), [(-SLOPES, SLOPES)]),
+    ("elements", elements.solid, ("CHEXA20", 0.98, 0.93, 0.1, 0.1), [("CHEXA20", 0.9, 0.93, 0.1, 0.1)]),
+    ("elements", elements.solid, ("CTETRA4", 0.01, 0.02, 35.0, 400.0), [("CTETRA4", 1.2, 0.02, 35.0, 400.0)]),
+    ("elements", elements.converges, ([40.0, 5.0], 10.0), [([40.0, 40.0], 10.0), ([40.0, -5.0], 10.0)]),
+    (
+        "deck_reading",
+        deck_reading.checks,
+        (square(), square()),
+        [(square(joined=1), square()), (square(moved=0.01), square()), (deck_reading.made(81), square())],
+    ),
+    (
+        "identification_ambient",
+        identification_ambient.accurate,
+        ([record(off=0.05)] * 2,),
+        [([record(off=0.5)] * 2,), ([record(off=0.05), record(off=0.05, missing=1)],), ([record(off=0.05, extra=1)],)],
+    ),
+    (
+        "identification_ambient",
+        identification_ambient.near_floor,
+        (errors(9), np.full((2, 10), 0.01)),
+        [(errors(9, 3.0), np.full((2, 10), 0.01)), (errors(9, extra=1), np.full((2, 10), 0.01))],
+    ),
+    ("identification_ambient", identification_ambient.honest, (errors(9),), [(errors(9, 2.0),)]),
+    (
+        "identification_ambient",
+        identification_ambient.told,
+        (identification_ambient.Pairs(8, 8, 0, GAPS[:16].tolist(), GAPS[16:32].tolist()),),
+        [
+            (identification_ambient.Pairs(8, 3, 0, GAPS[:16].tolist(), GAPS[16:32].tolist()),),
+            (identification_ambient.Pairs(8, 8, 1, GAPS[:16].tolist(), GAPS[16:32].tolist()),),
+            (identification_ambient.Pairs(8, 8, 0, [], []),),
+        ],
+    ),
+    (
+        "identification_ambient",
+        identification_ambient.right_stream,
+        (score(0.05), np.full((2, 15), 5e-4) * [[1], [10]]),
+        [(score(0.5), np.full((2, 15), 5e-4)), (score(0.05, missing=1), np.full((2, 15), 5e-4))],
+    ),
+    (
+        "identification_peers",
+        identification_peers.checks,
+        (peer_run(TRUE), 0.0, 60),
+        [(peer_run(TRUE[1:]), 0.0, 60), (peer_run(1.008 * TRUE), 0.0, 60), (peer_run(np.zeros(0)), 0.0, 60)],
+    ),
+    (
+        "identification_setups",
+        identification_setups.checks,
+        (drawn(),),
+        [(drawn(scale=5.0),), (drawn(found=2),)],
+    ),
+    (
+        "tracking",
+        tracking.checks,
+        (tracking.Told(200, 3, 190, tuple(GAPS)), 0.0),
+        [
+            (tracking.Told(200, 40, 190, tuple(GAPS)), 0.0),
+            (tracking.Told(200, 3, 100, tuple(GAPS)), 0.0),
+            (tracking.Told(200, 3, 190, tuple(2 * GAPS)), 0.0),
+        ],
+    ),
+    (
+        "identification_hammer",
+        identification_hammer.checks,
+        ([identification_hammer.Found(1.0, score(0.001))], (0, 1, 2)),
+        [
+            ([identification_hammer.Found(1.0, score(0.1))], (0, 1, 2)),
+            ([identification_hammer.Found(1.0, score(0.001, missing=1))], (0, 1, 2)),
+            ([identification_hammer.Found(1.0, score(0.001, mac=0.9))], (0, 1, 2)),
+        ],
+    ),
+    ("identification_hammer", identification_hammer.honest, (20, 20, GAPS, GAPS), [(20, 20, 3 * GAPS, GAPS)]),
+    ("identification_hammer", identification_hammer.honest, (20, 20, GAPS, GAPS), [(9, 20, GAPS, GAPS)]),
+    ("correlation", correlation.same_mac, (SLOPES, SLOPES), [(SLOPES + 1e-6, SLOPES)]),
+    ("correlation", correlation.right_pairs, (np.arange(99), np.arange(99)), [(np.arange(99)[::-1], np.arange(99))]),
+    ("correlation", correlation.plausible_comac, (np.full(9, 0.96),), [(np.full(9, 0.5),)]),
+    ("correlation", correlation.few_alarms, (0, 400), [(40, 400)]),
+    ("correlation", correlation.named, ("reversed", 1.0, 0, 100), [("reversed", 0.5, 0, 100), ("dead", 1.0, 30, 100)]),
+    ("correlation", correlation.few_wrong, (PAIRED,), [(replace(PAIRED, shared=np.full(100, 0.3)),)]),
+    (
+        "localisation",
+        localisation.checks,
+        ([SCORE] * 3,),
+        [([replace(SCORE, share=0.3)] * 3,), ([replace(SCORE, members=8)] * 3,), ([replace(SCORE, random=0.9)] * 3,)],
+    ),
+    (
+        "updating",
+        updating.recovered,
+        ([RUN],),
+        [([replace(RUN, at_truth=100.0)],), ([replace(RUN, error=1.1)],), ([RUN, replace(RUN, converged=False)],)],
+    ),
+    ("updating", updating.same_modes, (FREE[6:], FREE[6:]), [(1.01 * FREE[6:], FREE[6:])]),
+    ("updating", updating.verified, ([1e-5], [1e-3]), [([1e-2], [1e-3]), ([1e-5], [1.1])]),
+    ("uncertainty", uncertainty.checks, (COUNTS, False), [({**COUNTS, "left out held": 20}, False)]),
+    ("uncertainty", uncertainty.checks, (COUNTS, True), [({**COUNTS, "parameters held": 20}, True)]),
+    (
+        "facility",
+        facility.bars,
+        (SEED,),
+        [
+            (replace(SEED, pairs=10),),
+            (replace(SEED, mean=4.0),),
+            (replace(SEED, mac=80.0),),
+            (replace(SEED, kept=False),),
+        ],
+    ),
+    (
+        "facility",
+        facility.over_all,
+        ([SEED] * 4,),
+        [
+            ([replace(SEED, bands=(0, 4))] * 4,),
+            ([replace(SEED, damping=(9.0, 9.0, 9.0))] * 4,),
+            ([replace(SEED, wrong={"slab": False})] * 4,),
+        ],
+    ),
+    ("facility", facility.orthogonal, (10.0,), [(40.0,)]),
+    ("durability", durability.survived, (ALIKE,), [(replace(ALIKE, **{n: 99}),) for n in ("met", "whole", "alike")]),
+    (
+        "durability",
+        durability.unread,
+        (FLIPS,),
+        [(replace(FLIPS, **{n: v}),) for n, v in (("wrong", 1), ("ended", 1), ("alike", 19), ("named", -9))],
+    ),
+]
+
+
+@pytest.mark.parametrize(("script", "judge", "good", "bad"), JUDGED, ids=lambda x: getattr(x, "__name__", None))
+def test_a_wrong_answer_is_found(
+    script: str, judge: Callable[..., Check | Sequence[Check]], good: tuple[Any, ...], bad: list[tuple[Any, ...]]
+) -> None:
+    assert right(judge(*good))
+    for wrong in bad:
+        assert not right(judge(*wrong))
+
+
+def test_every_script_has_been_fed_a_wrong_answer() -> None:
+    assert {script for script, *_ in JUDGED} == {p.stem for p in SCRIPTS}
