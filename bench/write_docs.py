@@ -52,6 +52,7 @@ RUNS = {  # name of the results: script and its options
     "updating_cost": "bench/updating.py cost",
     "uncertainty": "bench/uncertainty.py",
     "facility": "bench/facility.py",
+    "kernels": "bench/kernels.py",
     "durability": "bench/durability.py",
     "fuzz": "scripts/fuzz",
 }

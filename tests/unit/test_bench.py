@@ -21,6 +21,7 @@ import identification_hammer
 import identification_peers
 import identification_setups
 import identification_system as system
+import kernels
 import localisation
 import modes
 import numpy as np
@@ -183,6 +184,12 @@ GAPS = np.random.default_rng(0).standard_normal(200)
 TRUE = system.truth(system.SIXTEEN).frequencies
 FREE = np.r_[np.zeros(6), np.linspace(10.0, 40.0, 24)]
 SEED = facility.Seed(18, 19.0, 20, 0.8, 2.5, 96.0, True, (4, 4), (0.5, -1.0, 0.8), {"slab": True}, 300.0)
+SUMMARY: dict[str, Any] = {
+    "initial": [],
+    "final": [{"frequency_test_hz": 5.0, "frequency_fe_hz": 5.1, "mac_percent": 97.0, "used": True}],
+    "ambient_vs_hammer": [],
+    "parameters": [{"name": "slab", "updated": 2.2e10, "std": 1e9}],
+}
 SCORE = localisation.Score(3, 4, 1.0, 1.0, 0.2, {}, 1.0)
 RUN = updating.Run(1.0, 0.5, 1e-12, 1e-6, True)
 COUNTS = {f"{w}{h}": 50 for w in uncertainty.STATED for h in ("", " held")}
@@ -316,6 +323,17 @@ JUDGED: list[tuple[str, Callable[..., Check | Sequence[Check]], tuple[Any, ...],
         ],
     ),
     ("facility", facility.orthogonal, (10.0,), [(40.0,)]),
+    (
+        "kernels",
+        kernels.compared,
+        (SUMMARY, SUMMARY),
+        [
+            (SUMMARY, {**SUMMARY, "final": []}),
+            (SUMMARY, {**SUMMARY, "final": [{**SUMMARY["final"][0], "used": False}]}),
+            (SUMMARY, {**SUMMARY, "final": [{**SUMMARY["final"][0], "frequency_fe_hz": 5.2}]}),
+            (SUMMARY, {**SUMMARY, "parameters": [{**SUMMARY["parameters"][0], "updated": 2.3e10}]}),
+        ],
+    ),
     ("durability", durability.survived, (ALIKE,), [(replace(ALIKE, **{n: 99}),) for n in ("met", "whole", "alike")]),
     (
         "durability",
