@@ -7,6 +7,7 @@ import pickle
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -27,6 +28,10 @@ _SAME_FILE = "."  # the name that a virtual data set has for its own file
 _WHOLE = 1 << 26  # bytes up to which a data set is read whole; the samples of larger ones lie in plain blocks
 _PACKED = 1000  # times that a data set may be larger than its file: records of constants are packed 200 times
 _LATER = 5  # seconds that the parent's clock has to stop this process before its own does
+
+
+class _Damaged(RuntimeError):
+    """Of a part that no reader may touch."""
 
 
 def serve() -> None:
@@ -122,8 +127,8 @@ def _structure(value: Any) -> dict[str, Any] | None:
 def _hdf5(path: str) -> str:
     """Read what a reader may read: if HDF5 does not come back from it, ends or takes all memory, it does so here.
 
-    Errors are left to the reader, who may not touch what is damaged; those of memory alone are passed on, as this
-    process is given less of it.
+    Errors are left to the reader, who may not touch what is damaged; those of memory are passed on, as this process is
+    given less of it, and those of attributes that cannot be listed.
 
     Returns
     -------
@@ -144,8 +149,9 @@ def _hdf5(path: str) -> str:
                 if address in seen:
                     continue
                 seen.add(address)
-                for value in item.attrs.values():
-                    del value
+                for name in _attributes(item):
+                    with suppress(OSError, TypeError, ValueError):  # of a type that numpy does not have
+                        item.attrs[name]
                 if isinstance(item, h5py.Group):
                     todo += _children(item, outside)
                 elif not isinstance(item, h5py.Dataset):
@@ -156,12 +162,20 @@ def _hdf5(path: str) -> str:
                     raise MemoryError(f"{item.name} announces shape {item.shape}, the file holds {size} bytes")
                 else:
                     _touch(item)
-            except MemoryError:
+            except (MemoryError, _Damaged):
                 raise
             except DAMAGE as exc:
                 if "alloc" in str(exc):
                     raise MemoryError(str(exc)) from exc
     return outside[0] if outside else ""
+
+
+def _attributes(item: Any) -> list[str]:
+    """Names of the attributes; where they cannot be listed, HDF5 may not come back from reading one by its name."""
+    try:
+        return list(item.attrs)
+    except DAMAGE as exc:
+        raise _Damaged(f"the attributes of {item.name} cannot be listed: {exc}") from exc
 
 
 def _children(group: h5py.Group, outside: list[str]) -> list[h5py.Group | h5py.Dataset]:
